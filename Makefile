@@ -1,0 +1,51 @@
+# make demo    the study's stability map: sweep through MJX, picture, what it shows
+# make test    the whole test suite
+# make lint    style and types
+# make bench   benchmarks against rivals, to results/benchmarks/
+# make lock    pin all dependencies anew (needs Python 3.11, 3.12 and 3.13)
+#
+# The environment .venv is built on first use. PYTHON=/path/to/python chooses its interpreter.
+
+SHELL := /bin/sh
+PYTHON ?=
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.complete
+PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
+STUDY := paper_gain_map
+
+.PHONY: help demo test lint bench lock clean
+.DELETE_ON_ERROR:
+
+help:
+	@sed -n 's/^# \(make .*\)/\1/p' Makefile
+
+demo: $(STAMP)
+	$(BIN)/jaxact sweep experiments/$(STUDY).toml --overwrite
+	$(BIN)/jaxact plot results/$(STUDY)
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -n auto
+
+lint: $(STAMP)
+	$(BIN)/python -m ruff check .
+	$(BIN)/python -m ruff format --check .
+	$(BIN)/python -m mypy
+
+bench: $(STAMP)
+	$(BIN)/python -m benchmarks
+
+lock:
+	@python=$$(tools/find_python.sh "$(PYTHON)") && "$$python" tools/lock.py
+
+clean:
+	rm -rf $(VENV)
+
+# Everything is pinned by the lock file, the build backend included, so nothing is resolved here;
+# the second step only adds what a platform needs beyond it (colorama on Windows).
+$(STAMP): pyproject.toml requirements-lock.txt
+	@python=$$(tools/find_python.sh "$(PYTHON)") && echo "building $(VENV) with $$python (some minutes)" && \
+		rm -rf $(VENV) && "$$python" -m venv $(VENV)
+	@$(PIP) install --requirement requirements-lock.txt
+	@$(PIP) install --no-build-isolation --constraint requirements-lock.txt --editable '.[dev]'
+	@touch $@

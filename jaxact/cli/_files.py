@@ -1,0 +1,49 @@
+"""Files that a verb writes beside its picture: checked first, written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+from jaxact.errors import UserError
+
+
+def check_output(path: Path | None, ending: str, *, overwrite: bool) -> None:
+    """Raise UserError if a file cannot be written there, or is there and may not be replaced.
+
+    path: of the file, None for none
+    ending: that its name must have, e.g. ".csv"
+    overwrite: replace a file that is there
+    """
+    if path is None:
+        return
+    if path.suffix.lower() != ending:
+        raise UserError(f"output {path}: the name must end in {ending}")
+    if not path.parent.is_dir():
+        raise UserError(f"output {path}: the folder {path.parent} does not exist; create it first")
+    if path.is_dir():
+        raise UserError(f"output {path}: is a folder; name a file in it")
+    if path.exists() and not overwrite:
+        raise UserError(f"output {path}: exists; give another name, or --overwrite to replace it")
+
+
+def write(path: Path, fill: Callable[[BinaryIO], object]) -> None:
+    """Write a file through a temporary one beside it.
+
+    path: of the file
+    fill: writes the content into an open binary file
+
+    Raises UserError where the folder cannot be written to.
+    """
+    try:
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".jaxact-") as folder:
+            partial = Path(folder) / path.name
+            with partial.open("wb") as file:
+                fill(file)
+            os.replace(partial, path)
+    except OSError as error:
+        reason = error.strerror or error
+        raise UserError(f"output {path}: cannot be written ({reason}); choose another") from error

@@ -1,0 +1,267 @@
+"""The options that say which loops are meant, shared by every verb that works on single loops."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from tyro.conf import arg
+
+from jaxact.errors import UserError, nearest, shown
+from jaxact.sweep import reading, toml
+from jaxact.sweep.parameters import PARAMETERS, PRESETS, canonical, check, check_actuator
+from jaxact.sweep.samples import Samples, expand
+from jaxact.sweep.specification import Specification
+
+# What the stability of a linear loop depends on.
+LINEAR = (
+    "kp", "kd", "mass", "wn", "zeta", "delay", "measurement_delay", "output_delay",
+    "velocity_filter",
+)  # fmt: skip
+# Default of a number that was not given; told from any number by being this very object. A type
+# with None in it would make tyro's complaint about a mistyped number unreadable.
+UNSET = float("nan")
+UNSET_NUMBER = -(10**30)
+UNSET_NAME = "\0"
+# An axis that varies nothing: a specification must have one.
+_NO_AXIS = {"feedforward": [0.0]}
+
+
+@dataclass(frozen=True)
+class Loops:
+    """Loops to work on; n of them.
+
+    values: every parameter of the table by its short name, shape (n,) each
+    labels: what tells them apart, with units, e.g. `HyQ, delay 1 ms`
+    said: parameters that were given, rather than left at their defaults
+    """
+
+    values: dict[str, np.ndarray]
+    labels: tuple[str, ...]
+    said: frozenset[str] = frozenset()
+
+    def __len__(self) -> int:
+        """Number of loops."""
+        return len(self.labels)
+
+    @property
+    def samples(self) -> Samples:
+        """The loops as the samples of a sweep."""
+        return Samples(self.values, ("loop",), (len(self),), {})
+
+    def one(self, index: int) -> dict[str, float]:
+        """Parameters of one loop."""
+        return {name: float(array[index]) for name, array in self.values.items()}
+
+
+def _option(name: str, *, several: bool) -> tuple[str, Any, Any]:
+    parameter = PARAMETERS[name]
+    unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
+    default = f"(default: {parameter.default:g})"
+    if several and name == "control_rate":
+        default = "(default: continuous time only)"
+    conf = arg(
+        name=name.replace("_", "-"),
+        metavar="VALUE ..." if several else "VALUE",
+        help=f"{parameter.description[:-1]}{unit}.",
+        help_behavior_hint=default,
+    )
+    if several:
+        return name, Annotated[tuple[float, ...], conf], dataclasses.field(default=(UNSET,))
+    return name, Annotated[float, conf], dataclasses.field(default=UNSET)
+
+
+def _actuator(*, several: bool) -> tuple[str, Any, Any]:
+    conf = arg(
+        metavar="NAME ..." if several else "NAME",
+        help=f"Preset that sets wn and zeta: {', '.join(PRESETS)}.",
+        help_behavior_hint="(default: none)",
+    )
+    if several:
+        return (
+            "actuator",
+            Annotated[tuple[str, ...], conf],
+            dataclasses.field(default=(UNSET_NAME,)),
+        )
+    return "actuator", Annotated[str | None, conf], dataclasses.field(default=None)
+
+
+def options(names: Iterable[str], *, several: bool) -> type:
+    """A dataclass with one option for each parameter named, and `actuator`.
+
+    names: of parameters of the table
+    several: each takes several values, none where it is not given; else one, or UNSET
+    """
+    fields = [_actuator(several=several), *(_option(name, several=several) for name in names)]
+    return dataclasses.make_dataclass("Options", fields, frozen=True)
+
+
+def given(chosen: Any) -> dict[str, Any]:
+    """The options of such a dataclass that were given, by name.
+
+    Raises UserError for one without any value.
+    """
+    values = {field.name: getattr(chosen, field.name) for field in dataclasses.fields(chosen)}
+    for name, value in values.items():
+        if value == ():
+            raise UserError(f"--{name.replace('_', '-')}: give at least one value")
+    return {name: value for name, value in values.items() if is_given(value)}
+
+
+def is_given(value: Any) -> bool:
+    """Whether an option was given."""
+    first = value[0] if isinstance(value, tuple) and value else value
+    return first is not None and first is not UNSET and first not in (UNSET_NUMBER, UNSET_NAME)
+
+
+def specified(document: Mapping[str, Any]) -> Specification:
+    """The checked specification of options on the command line: their messages name the option."""
+    axes = dict(document.get("axes", {})) or _NO_AXIS
+    present = {name: value for name, value in document.items() if value is not None}
+    try:
+        return reading.parse(toml.dumps({**present, "axes": axes}))
+    except UserError as error:
+        said = str(error)
+        for section in ("parameters.", "axes."):
+            said = said.replace(section, "--")
+        raise UserError(said) from None
+
+
+def nominal_of(path: Path, overrides: Sequence[str] = ()) -> Specification:
+    """A specification file with its fixed values; what it varies is left at its nominal value.
+
+    path: TOML file, as for `jaxact sweep`
+    overrides: `key=value` each
+    """
+    return reading.load(path, [*overrides, "axes.feedforward=[0.0]"])
+
+
+def combinations(chosen: Mapping[str, Any], **document: Any) -> Loops:
+    """Every combination of the values of the options.
+
+    chosen: parameter (or actuator) -> its values
+    document: further keys of a specification
+    """
+    fixed = {name: values[0] for name, values in chosen.items() if len(values) == 1}
+    varied = {name: list(values) for name, values in chosen.items() if len(values) > 1}
+    return _expanded(specified({**document, "parameters": fixed, "axes": varied}))
+
+
+def from_file(path: Path, chosen: Mapping[str, Any]) -> Loops:
+    """Loops listed in a TOML file: `[[loop]]` tables, or the axes of a sweep's specification.
+
+    path: of the file
+    chosen: parameter -> single value, for what a `[[loop]]` does not say itself
+    """
+    document = _read(path)
+    if "loop" not in document:
+        if chosen:
+            name = next(iter(chosen))
+            raise UserError(f"--{name}: {path} has axes of its own; change them there")
+        return _expanded(reading.load(path))
+    return _listed(path, document["loop"], chosen)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "is no UTF-8 text"
+        raise UserError(f"{path}: cannot be read ({reason}); give a TOML file of loops") from None
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"{path}: is not valid TOML: {str(error)[:200]}") from None
+
+
+def _listed(path: Path, rows: Any, chosen: Mapping[str, Any]) -> Loops:
+    if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
+        raise UserError(f"{path}: loop is no list of tables; write [[loop]] above each loop's keys")
+    base = {name: parameter.default for name, parameter in PARAMETERS.items()}
+    for name, values in chosen.items():
+        if len(values) > 1:
+            raise UserError(f"--{name}: give one value, {path} lists the loops")
+        base |= _resolved({name: values[0]}, f"--{name}", base)
+    filled, labels = [], []
+    for index, row in enumerate(rows):
+        key = f"{path}: loop[{index}]"
+        label = row.get("name", f"loop {index}")
+        if not isinstance(label, str):
+            raise UserError(f"{key}.name = {shown(label)} is no text")
+        filled.append(base | _resolved({k: v for k, v in row.items() if k != "name"}, key, base))
+        labels.append(label)
+    values = {name: np.array([row[name] for row in filled]) for name in PARAMETERS}
+    said = frozenset(canonical(name) for row in rows for name in row) | frozenset(chosen)
+    return Loops(values, tuple(labels), said)
+
+
+def _resolved(row: Mapping[str, Any], key: str, base: Mapping[str, float]) -> dict[str, float]:
+    """Values of one table of parameters, the actuator as wn and zeta."""
+    found: dict[str, float] = {}
+    for given_name, value in row.items():
+        name = canonical(given_name)
+        where = key if key.startswith("--") else f"{key}.{given_name}"
+        if name == "actuator":
+            if {"wn", "zeta"} & {canonical(other) for other in row}:
+                raise UserError(f"{where}: the preset sets wn and zeta already; remove one")
+            found["wn"], found["zeta"] = PRESETS[check_actuator(value, where)]
+        elif name in PARAMETERS:
+            found[name] = check(name, value, where)
+        else:
+            known = (*PARAMETERS, "actuator")
+            raise UserError(f"{where}: unknown key; {nearest(given_name, known)}")
+    return found
+
+
+def _expanded(specification: Specification) -> Loops:
+    samples = expand(specification)
+    values = {name: np.asarray(array, dtype=float) for name, array in samples.values.items()}
+    columns = []
+    for name, place in samples.coords.items():
+        hidden = name in ("sample", "feedforward") or (
+            name in ("wn", "zeta") and "actuator" in samples.coords
+        )
+        if hidden and not (name == "feedforward" and len(place.values) > 1):
+            continue
+        sizes = [
+            n if dim in place.dims else 1
+            for dim, n in zip(samples.dims, samples.shape, strict=True)
+        ]
+        spread = np.broadcast_to(place.values.reshape(sizes), samples.shape)
+        columns.append([_word(name, value) for value in spread.ravel()])
+    said = frozenset((*specification.parameters, *samples.coords))
+    if not columns:
+        return Loops(values, (loop_name(specification),) * len(samples), said)
+    return Loops(values, tuple(", ".join(words) for words in zip(*columns, strict=True)), said)
+
+
+def _word(name: str, value: Any) -> str:
+    from jaxact.plot.look import quantity
+
+    if name == "actuator":
+        return quantity(str(value))
+    return f"{name.replace('_', ' ')} {quantity(value, PARAMETERS[name].unit)}"
+
+
+def without_preset(preset: Any) -> dict[str, float]:
+    """wn and zeta of a preset, nothing for None: so that one of the two can be given otherwise."""
+    return {} if preset is None else dict(zip(("wn", "zeta"), PRESETS[preset], strict=True))
+
+
+def loop_name(specification: Specification, values: Mapping[str, float] | None = None) -> str:
+    """A single loop is called by its actuator and its delay: `HyQ, delay 1 ms`."""
+    from jaxact.plot.look import quantity
+
+    own = specification.nominal if values is None else values
+    known = {preset: name for name, preset in PRESETS.items()}.get((own["wn"], own["zeta"]))
+    if np.isinf(own["wn"]):
+        actuator = "ideal actuator"
+    elif known is not None:
+        actuator = quantity(known)
+    else:
+        actuator = f"wn {quantity(own['wn'], 'rad/s')}, ζ {own['zeta']:g}"
+    delay = own["delay"] + own["measurement_delay"] + own["output_delay"]
+    return f"{actuator}, delay {quantity(delay, 's')}"

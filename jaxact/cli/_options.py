@@ -1,0 +1,81 @@
+"""Reading options with tyro: a verb's function in, one call of it out, mistakes as one line."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import inspect
+import io
+import re
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from jaxact.errors import UserError, nearest, shown
+
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+_SIDES = "│┃|"
+_RULE = re.compile(r"[─━═_-]{8,}")
+
+
+def choose(what: str, given: str, known: Iterable[str]) -> str:
+    """The name given, if it is a known one; raises UserError with the nearest otherwise."""
+    names = list(known)
+    if given not in names:
+        raise UserError(f"unknown {what} {shown(given)}; {nearest(given, names)}")
+    return given
+
+
+def call(function: Callable[..., None], program: str, arguments: Sequence[str]) -> None:
+    """Call a verb's function with the options given on the command line.
+
+    function: typed arguments are the options, the docstring is the help
+    program: shown in the help, e.g. `jaxact sweep`
+    arguments: what follows the verb
+
+    Raises UserError for options that cannot be read, SystemExit(0) after `--help`.
+    """
+    import tyro
+
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            ready = tyro.cli(
+                _deferred(function),
+                prog=program,
+                description=inspect.getdoc(function),
+                args=list(arguments),
+                config=(tyro.conf.FlagCreatePairsOff,),
+            )
+    except SystemExit as leaving:
+        if leaving.code in (None, 0):
+            raise
+        raise UserError(f"{_condensed(complaint.getvalue())}; see `{program} --help`") from None
+    ready()
+
+
+def _deferred(function: Callable[..., None]) -> Callable[..., Callable[[], None]]:
+    # tyro calls what it parses for; the verb itself must run outside the capture of its messages
+    @functools.wraps(function)
+    def collect(*positional: Any, **named: Any) -> Callable[[], None]:
+        return functools.partial(function, *positional, **named)
+
+    return collect
+
+
+def _condensed(boxed: str) -> str:
+    """What tyro's box says, without the box, the help text and the pointer to `--help`."""
+    sections: list[list[str]] = [[]]
+    for line in _COLOUR.sub("", boxed).splitlines():
+        if line.lstrip()[:1] not in tuple(_SIDES):
+            continue
+        text = line.strip().strip(_SIDES).strip()
+        if _RULE.fullmatch(text):
+            sections.append([])
+        elif text:
+            sections[-1].append(text)
+    said = " ".join(sections[0]) or "options that cannot be read"
+    said = said[0].lower() + said[1:]
+    hint = sections[1] if len(sections) > 1 else []
+    if hint and hint[0].startswith("Perhaps you meant") and len(hint) > 1:
+        said += f"; did you mean `{hint[1]}`?"
+    return said

@@ -1,0 +1,51 @@
+"""The progress bar of long work: done, rate and time left, on a terminal only."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+
+
+@contextlib.contextmanager
+def bar(total: int, *, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
+    """A function of (loops done, loops in all) that moves the bar on standard error.
+
+    total: loops in all
+    quiet: show nothing; nothing is shown either where standard error is no terminal
+    """
+    if quiet or not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        Task,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+    from rich.text import Text
+
+    class Rate(ProgressColumn):
+        """Loops per second so far."""
+
+        def render(self, task: Task) -> Text:
+            return Text(f"{task.speed:,.0f} loops/s" if task.speed else "")
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        Rate(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("compiling", total=total)
+
+        def move(done: int, total: int) -> None:
+            progress.update(task, description="simulating", completed=done, total=total)
+
+        yield move

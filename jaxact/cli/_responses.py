@@ -1,0 +1,212 @@
+"""Margins and frequency responses of loops given on the command line, as NumPy arrays."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxact.cli._loops import Loops
+from jaxact.errors import UserError
+
+if TYPE_CHECKING:
+    from jaxact.plot.response import LoopResponse
+
+MOST_CURVES = 12
+_POINTS = 4000
+# Frequencies reach at most this far above the lowest one of a picture.
+_DECADES = 1e6
+
+
+def margins(loops: Loops) -> dict[str, np.ndarray]:
+    """All margins of every loop in continuous time, phase margins in degrees; shape (n,) each.
+
+    With `spectral_abscissa`, the real part of the rightmost root [1/s].
+    """
+    import jax
+
+    with jax.enable_x64(True):
+        found, root = _compiled()(_joint_loop(loops.values))
+        arrays = {field.name: np.asarray(getattr(found, field.name)) for field in fields(found)}
+        arrays["spectral_abscissa"] = np.asarray(root).real
+    return _in_degrees(arrays)
+
+
+def sampled_margins(loops: Loops, velocity: str) -> dict[str, np.ndarray]:
+    """The same of every loop as sampled at its control rate.
+
+    velocity: "sampled" or "differenced"
+
+    `spectral_abscissa` is log(spectral radius) / T, to be compared with the continuous one.
+    """
+    import jax
+
+    values = loops.values
+    steps = int(np.floor(_total_delay(values) * values["control_rate"] + 1e-9).max())
+    with jax.enable_x64(True):
+        found = _compiled_sampled(steps)(_sampled_loop(values, velocity))
+        arrays = {field.name: np.asarray(getattr(found, field.name)) for field in fields(found)}
+    with np.errstate(divide="ignore"):
+        arrays["spectral_abscissa"] = np.log(arrays["spectral_radius"]) * values["control_rate"]
+    return _in_degrees(arrays)
+
+
+@functools.cache
+def _compiled() -> Callable[[Any], Any]:
+    import jax
+
+    from jaxact.margins import margins as margins_of
+    from jaxact.roots import rightmost_root
+
+    return jax.jit(lambda loop: (margins_of(loop), rightmost_root(loop)))
+
+
+@functools.cache
+def _compiled_sampled(steps: int) -> Callable[[Any], Any]:
+    import jax
+
+    from jaxact.sampled_margins import sampled_margins as margins_of
+
+    return jax.jit(functools.partial(margins_of, max_delay_steps=steps))
+
+
+def responses(loops: Loops, *, sampled: bool, velocity: str) -> list[LoopResponse]:
+    """Every loop in continuous time and, if asked, as sampled at its control rate.
+
+    loops: at most MOST_CURVES, both kinds together
+    sampled: add the sampled loops
+    velocity: "sampled" or "differenced", of the sampled loops
+
+    Raises UserError where there are more loops than a picture can show.
+    """
+    count = len(_distinct(loops)) + len(loops) * sampled
+    if count > MOST_CURVES:
+        raise UserError(
+            f"{count} curves are too many for one picture (at most {MOST_CURVES}); "
+            "give fewer values"
+        )
+    found = margins(loops)
+    drawn = [_continuous(loops, found, index) for index in _distinct(loops)]
+    if sampled:
+        found = sampled_margins(loops, velocity)
+        drawn += [_sampled(loops, found, index, velocity) for index in range(len(loops))]
+    return drawn
+
+
+def _distinct(loops: Loops) -> list[int]:
+    """The first of all loops that differ in their control rate only."""
+    names = ("kp", "kd", "mass", "wn", "zeta")
+    rows = zip(*(loops.values[name] for name in names), _total_delay(loops.values), strict=True)
+    first: dict[tuple[float, ...], int] = {}
+    for index, row in enumerate(rows):
+        first.setdefault(tuple(map(float, row)), index)
+    return list(first.values())
+
+
+def _without_rate(label: str) -> str:
+    """A label without the control rate, which says nothing in continuous time."""
+    words = [word for word in label.split(", ") if not word.startswith("control rate")]
+    return ", ".join(words) or "continuous time"
+
+
+def _in_degrees(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return arrays | {"phase_margin": np.degrees(arrays["phase_margin"])}
+
+
+def _total_delay(values: Mapping[str, Any]) -> Any:
+    return values["delay"] + values["measurement_delay"] + values["output_delay"]
+
+
+def _joint_loop(values: Mapping[str, Any]) -> Any:
+    """The linear loops in continuous time; to be called where float64 is on."""
+    import jax.numpy as jnp
+
+    from jaxact.frequency import JointLoop
+
+    names = ("kp", "kd", "mass", "wn", "zeta")
+    return JointLoop(
+        *(jnp.asarray(values[name]) for name in names), jnp.asarray(_total_delay(values))
+    )
+
+
+def _sampled_loop(values: Mapping[str, Any], velocity: str) -> Any:
+    """The linear sampled loops; to be called where float64 is on."""
+    import jax.numpy as jnp
+
+    from jaxact.sampled import SampledLoop
+
+    names = ("kp", "kd", "mass", "wn", "zeta")
+    return SampledLoop(
+        *(jnp.asarray(values[name]) for name in names),
+        delay=jnp.asarray(_total_delay(values)),
+        control_period=jnp.asarray(1.0 / values["control_rate"]),
+        velocity_filter=jnp.asarray(values["velocity_filter"]),
+        velocity=velocity,
+    )
+
+
+def _frequencies(values: Mapping[str, float]) -> np.ndarray:
+    """From well below the crossover to well above whatever turns the phase [rad/s], shape (n,)."""
+    stiff = math.sqrt(abs(values["kp"]) / values["mass"])
+    damped = abs(values["kd"]) / values["mass"]
+    delay = _total_delay(values)
+    scales = [stiff, damped, 3.0 / delay if delay > 0 else 0.0]
+    scales.append(values["wn"] if math.isfinite(values["wn"]) else 0.0)
+    high = 10.0 ** math.ceil(math.log10(3.0 * max(*scales, 1e-6)))
+    low = 10.0 ** math.floor(math.log10(0.05 * (stiff or damped or high)))
+    return np.geomspace(low, min(high, _DECADES * low), _POINTS)
+
+
+def _continuous(loops: Loops, found: dict[str, np.ndarray], index: int) -> LoopResponse:
+    import jax
+
+    from jaxact.frequency import loop_response, phase
+    from jaxact.plot.response import LoopResponse
+
+    values = loops.one(index)
+    w = _frequencies(values)
+    with jax.enable_x64(True):
+        loop = _joint_loop(values)
+        open_loop, turned = np.asarray(loop_response(loop, w)), np.asarray(phase(loop, w))
+    return LoopResponse(
+        label=_without_rate(loops.labels[index]),
+        frequency=w,
+        open_loop=open_loop,
+        phase=np.degrees(turned) - 180.0,
+        margins=_finite(found, index),
+        stable=bool(found["stable"][index]),
+    )
+
+
+def _sampled(loops: Loops, found: dict[str, np.ndarray], index: int, velocity: str) -> LoopResponse:
+    import jax
+
+    from jaxact.plot.look import quantity
+    from jaxact.plot.response import LoopResponse
+    from jaxact.sampled_margins import sampled_response
+
+    values = loops.one(index)
+    nyquist = math.pi * values["control_rate"]
+    w = _frequencies(values)
+    w = np.append(w[w < nyquist], nyquist)
+    with jax.enable_x64(True):
+        open_loop = np.asarray(sampled_response(_sampled_loop(values, velocity), w))
+    turned = np.degrees(np.unwrap(np.angle(open_loop)))
+    rate = quantity(values["control_rate"], "Hz")
+    return LoopResponse(
+        label=f"{_without_rate(loops.labels[index])}, sampled at {rate}",
+        frequency=w,
+        open_loop=open_loop,
+        phase=turned - 360.0 * round((turned[0] + 180.0) / 360.0),
+        margins=_finite(found, index),
+        stable=bool(found["stable"][index]),
+        nyquist_frequency=nyquist,
+    )
+
+
+def _finite(found: Mapping[str, np.ndarray], index: int) -> dict[str, float]:
+    return {name: float(array[index]) for name, array in found.items()}

@@ -1,0 +1,30 @@
+"""`jaxact export`: the results of a sweep as one NetCDF file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+
+def main(
+    result: Annotated[
+        Positional[Path],
+        arg(metavar="RESULT", help="Results folder of a sweep, or its sweep.zarr."),
+    ],
+    file: Annotated[
+        Positional[Path], arg(metavar="FILE", help="NetCDF file to write, e.g. map.nc.")
+    ],
+    *,
+    overwrite: Annotated[bool, arg(help="Replace a file of that name.")] = False,
+) -> None:
+    """Write the results of a sweep as one NetCDF-4 file, units and specification included.
+
+    examples:
+      jaxact export results/paper_gain_map map.nc
+    """
+    from jaxact.sweep import store
+
+    store.to_netcdf(store.open_result(result), file, overwrite=overwrite)
+    print(f"{file}: {file.stat().st_size:,} bytes")

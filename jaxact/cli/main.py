@@ -1,0 +1,126 @@
+"""Entry point of `jaxact`: picks the verb, reads its options, turns errors into one line.
+
+A verb is a module `jaxact.cli.<verb>` with a function `main`, whose typed arguments are the
+options and whose docstring is the help. It imports what is heavy (JAX, xarray, matplotlib) inside
+functions, so that `--help` and every mistake in what was typed answer at once.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from typing import NoReturn
+
+from jaxact import __version__
+from jaxact.cli import _options, _xla
+from jaxact.errors import UserError
+
+VERBS = {
+    "sweep": "simulate thousands of loops over a grid or a sample of parameters, keep the results",
+    "plot": "draw the stability map of a sweep, with the exact boundary over it",
+    "simulate": "simulate one loop, keep its trajectory as a picture and as numbers",
+    "step": "simulate and draw the step responses of loops over each other",
+    "margins": "all stability margins of one loop or thousands, exact, continuous and sampled",
+    "bode": "draw the Bode plot of loops, with the margins drawn in",
+    "nyquist": "draw the Nyquist plot of loops, with the disk margin drawn in",
+    "sensitivity": "draw the sensitivity functions of loops, with their peaks",
+    "export": "write the results of a sweep as one NetCDF file",
+    "parameters": "list every parameter of a loop: unit, default, bounds, meaning",
+    "info": "show versions, devices, precision and caches: what a bug report needs",
+}
+
+USAGE_ERROR = 2
+INTERRUPTED = 130
+TERMINATED = 143
+
+
+class _Terminated(BaseException):
+    """The process was asked to end (SIGTERM)."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code.
+
+    arguments: what follows `jaxact`, the process's own by default
+
+    0: done. 2: a mistake in what was given, told in one line on standard error, nothing written.
+    130: interrupted with Ctrl-C. 143: terminated.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if not given or given[0] in ("-h", "--help", "help"):
+        print(_overview())
+        return 0
+    if given[0] in ("-V", "--version"):
+        print(f"jaxact {__version__}")
+        return 0
+    try:
+        verb = _options.choose("command", given[0], VERBS)
+        _xla.prepare(all_cores=verb == "sweep")
+        _options.call(_verb(verb), f"jaxact {verb}", given[1:])
+    except UserError as error:
+        print(f"jaxact: {_one_line(error)}", file=sys.stderr)
+        return USAGE_ERROR
+    except KeyboardInterrupt:
+        print("jaxact: interrupted; nothing unfinished was kept", file=sys.stderr)
+        return INTERRUPTED
+    except _Terminated:
+        return TERMINATED
+    except BrokenPipeError:
+        # the reader of our output (`| head`) has gone; keep Python from complaining at exit
+        sys.stdout = None
+        return 0
+    return 0
+
+
+def _verb(name: str) -> Callable[..., None]:
+    verb: Callable[..., None] = importlib.import_module(f"jaxact.cli.{name}").main
+    return verb
+
+
+def _overview() -> str:
+    width = max(map(len, VERBS))
+    verbs = "\n".join(f"  {name:{width}}  {summary}" for name, summary in VERBS.items())
+    return f"""\
+usage: jaxact COMMAND ...
+
+Stability maps, exact margins and actuator models for joint controllers.
+
+commands:
+{verbs}
+
+options:
+  -h, --help     show this; `jaxact COMMAND --help` shows a command's options, units and examples
+  -V, --version  show the version
+
+examples:
+  jaxact sweep experiments/paper_gain_map.toml
+  jaxact plot results/paper_gain_map
+  jaxact simulate --actuator starleth --delay 0.005"""
+
+
+def _one_line(error: UserError) -> str:
+    return " ".join(str(error).split())
+
+
+def _terminate(number: int, frame: object) -> NoReturn:
+    # an exception, so that half-written files are removed on the way out
+    raise _Terminated
+
+
+def entry() -> NoReturn:
+    """Run the command line of this process and end it."""
+    signal.signal(signal.SIGTERM, _terminate)
+    code = main()
+    if code in (INTERRUPTED, TERMINATED):
+        # devices may be computing still, and would crash while the interpreter is taken down
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    entry()

@@ -1,0 +1,221 @@
+"""`jaxact plot`: pictures of a sweep's results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from jaxact.errors import UserError
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+    from jaxact.plot.panels import Arrangement
+
+
+def main(
+    result: Annotated[
+        tyro.conf.Positional[Path],
+        tyro.conf.arg(metavar="RESULT", help="Results folder of a sweep, or the store in it."),
+    ],
+    *,
+    x: Annotated[
+        str | None,
+        tyro.conf.arg(
+            metavar="NAME",
+            help="Parameter along x.",
+            help_behavior_hint="(default: kp where it was swept, else the first)",
+        ),
+    ] = None,
+    y: Annotated[
+        str | None,
+        tyro.conf.arg(
+            metavar="NAME",
+            help="Parameter along y (of --kind lines: a curve for each value).",
+            help_behavior_hint="(default: kd where it was swept, else the second)",
+        ),
+    ] = None,
+    facet: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(
+            metavar="NAME",
+            help="One panel for each value: one parameter, or two for rows and columns.",
+            help_behavior_hint="(default: what is left over)",
+        ),
+    ] = (),
+    select: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(
+            metavar="NAME=VALUE",
+            help="Keep only the nearest value of a parameter, in its SI unit (delay in s). "
+            "Can be repeated.",
+        ),
+    ] = (),
+    variable: Annotated[
+        str,
+        tyro.conf.arg(
+            metavar="NAME",
+            help="Result to colour, e.g. overshoot, settling_time, peak_force.",
+        ),
+    ] = "growth_rate",
+    kind: Annotated[
+        str | None,
+        tyro.conf.arg(
+            metavar="map|scatter|lines",
+            help="What to draw.",
+            help_behavior_hint="(default: map for a grid, scatter for a random sample, lines for "
+            "a single axis)",
+        ),
+    ] = None,
+    nominal: Annotated[
+        tuple[float, ...],
+        tyro.conf.arg(
+            metavar="X Y",
+            help="Point to mark.",
+            help_behavior_hint="(default: the specification's own parameters)",
+        ),
+    ] = (),
+    title: Annotated[
+        str | None,
+        tyro.conf.arg(
+            metavar="TEXT",
+            help="Above the picture.",
+            help_behavior_hint="(default: the sweep's description)",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            metavar="FILE",
+            help="Picture to write: .png, .svg or .pdf; one that is there is replaced.",
+            help_behavior_hint="(default: stability_map.png in the results folder)",
+        ),
+    ] = None,
+    quick: Annotated[
+        bool,
+        tyro.conf.arg(help="Leave out the comparison of every verdict with exact theory."),
+    ] = False,
+) -> None:
+    """Draw the stability map of a sweep, with the exact boundary over it.
+
+    The growth rate [1/s] of every loop is coloured (blue decays, brown grows), verdicts other than
+    stable are hatched, and the exact boundary is drawn for the sampled loop (solid) and in
+    continuous time (dashed). Units are SI: kp [N/m], kd [N s/m], delays [s].
+
+    examples:
+      jaxact plot results/paper_gain_map
+      jaxact plot results/paper_gain_map --facet delay actuator --out map.pdf
+      jaxact plot results/paper_gain_map --variable overshoot --select actuator=hyq
+      jaxact plot results/paper_gain_map --kind lines --x kd --y delay --select kp=400
+    """
+    from jaxact.plot import look, panels
+    from jaxact.sweep import store
+
+    if out is not None:
+        look.check_output(out)
+    results = store.open_result(result)
+    arrangement = panels.arrange(
+        results.load(),
+        kind=kind,  # type: ignore[arg-type] # checked there
+        x=x,
+        y=y,
+        facet=facet,
+        select=_pairs(select),
+    )
+    figure, said = _draw(results, arrangement, variable, nominal, title, quick=quick)
+    path = out if out is not None else _default_output(result, arrangement.kind, variable)
+    look.write(figure, path, title=f"jaxact: {variable}")
+    print(said)
+    print(f"wrote {path}")
+
+
+def _draw(
+    results: xr.Dataset,
+    arrangement: Arrangement,
+    variable: str,
+    nominal: tuple[float, ...],
+    title: str | None,
+    *,
+    quick: bool,
+) -> tuple[Figure, str]:
+    """The figure, and its small print."""
+    from jaxact.plot import caption, field, lines, scatter, stability_map
+    from jaxact.sweep import agreement
+
+    field.field(results, variable)  # a misspelt name is told before anything is computed
+    boundaries = _boundaries(arrangement)
+    drawn = any(boundary is not None for boundary in boundaries)
+    found = None if quick else agreement.sweep_agreement(arrangement.data)
+    parts = [
+        f"Shown: {', '.join(arrangement.selected)}." if arrangement.selected else "",
+        caption.simulated(arrangement.data),
+        caption.compared(found) if found is not None else "",
+        caption.linear_only(arrangement.data) if drawn or found is not None else "",
+    ]
+    footer = " ".join(part for part in parts if part)
+    heading = results.attrs.get("title", "") if title is None else title
+    shared: dict[str, Any] = {"variable": variable, "title": heading, "footer": footer}
+    marked = _nominal(results, arrangement, nominal)
+    if arrangement.kind == "lines":
+        shared["nominal"] = None if marked is None else marked[0]
+        return lines.lines(results, arrangement, **shared), footer
+    draw = scatter.scatter if arrangement.kind == "scatter" else stability_map.stability_map
+    return draw(results, arrangement, boundaries=boundaries, nominal=marked, **shared), footer
+
+
+def _boundaries(arrangement: Arrangement) -> list[Any]:
+    """The exact boundary of every panel that shows the plane of the gains."""
+    from jaxact.plot.stability_map import cell_edges
+    from jaxact.sweep.agreement import exact_boundary
+
+    axes = {axis.name: axis for axis in (arrangement.x, arrangement.y) if axis is not None}
+    if arrangement.kind == "lines" or set(axes) != {"kp", "kd"}:
+        return [None] * len(arrangement.panels)
+    kp, kd = (cell_edges(axes[name]) for name in ("kp", "kd"))
+    window = (float(kp[0]), float(kp[-1])), (float(kd[0]), float(kd[-1]))
+    return [exact_boundary(panel.data, *window) for panel in arrangement.panels]
+
+
+def _nominal(
+    results: xr.Dataset, arrangement: Arrangement, given: tuple[float, ...]
+) -> tuple[float, float] | None:
+    """The point to mark: what was given, or the specification's own values; None out of view."""
+    from jaxact.plot.stability_map import place
+    from jaxact.sweep import store
+
+    axes = [axis for axis in (arrangement.x, arrangement.y) if axis is not None]
+    if arrangement.kind == "lines":
+        axes = axes[:1]
+    if given and len(given) != len(axes):
+        shown = " ".join(f"{value:g}" for value in given)
+        raise UserError(f"--nominal {shown}: give {' and '.join(axis.name for axis in axes)}")
+    own = store.nominal(results)
+    if not given and any(axis.name not in own for axis in axes):
+        return None
+    point = list(given) or [own[axis.name] for axis in axes]
+    if any(place(axis, value) is None for axis, value in zip(axes, point, strict=True)):
+        return None
+    return point[0], point[-1]
+
+
+def _pairs(given: tuple[str, ...]) -> dict[str, str]:
+    """`name=value` options as a dictionary."""
+    pairs = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals or not name or not value:
+            raise UserError(f"--select {text}: write it as NAME=VALUE, e.g. delay=0.001")
+        pairs[name.strip()] = value.strip()
+    return pairs
+
+
+def _default_output(result: Path, kind: str, variable: str) -> Path:
+    """`stability_map.png` beside the store, or a name that says what else was drawn."""
+    from jaxact.sweep.store import STORE
+
+    folder = result if (result / STORE).is_dir() else result.parent
+    stem = "stability_map" if (kind, variable) == ("map", "growth_rate") else f"{variable}_{kind}"
+    return folder / f"{stem}.png"

@@ -1,0 +1,263 @@
+"""`jaxact simulate`: one loop over time."""
+
+from __future__ import annotations
+
+import dataclasses
+import json as _json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
+
+from jaxact.cli import _files, _loops
+from jaxact.errors import UserError
+from jaxact.sweep.parameters import PARAMETERS
+
+if TYPE_CHECKING:
+    from jaxact.plot.trajectory import Joint
+    from jaxact.sweep.single import Single
+    from jaxact.sweep.specification import Specification
+
+Parameters = _loops.options(PARAMETERS, several=False)
+_SIGNALS = {
+    "setpoint": "{0}", "position": "{0}", "velocity": "{0}/s", "command": "{1}",
+    "delayed_command": "{1}", "force": "{1}",
+}  # fmt: skip
+
+
+def main(
+    parameters: Annotated[Parameters, OmitArgPrefixes] = Parameters(),  # type: ignore[valid-type] # noqa: B008
+    *,
+    spec: Annotated[
+        Path | None,
+        arg(
+            metavar="FILE",
+            help="Specification of a sweep to start from: its fixed values are taken.",
+            help_behavior_hint="(default: none)",
+        ),
+    ] = None,
+    set: Annotated[  # noqa: A002 - the option's name
+        UseAppendAction[tuple[str, ...]],
+        arg(metavar="KEY=VALUE", help="Change the specification; as for `jaxact sweep`."),
+    ] = (),
+    engine: Annotated[
+        str | None,
+        arg(
+            metavar="mass|mjx",
+            help="Plant: an exact mass, or MuJoCo in JAX.",
+            help_behavior_hint="(default: mass)",
+        ),
+    ] = None,
+    model: Annotated[
+        Path | None,
+        arg(
+            metavar="FILE",
+            help="MJCF model of the mjx plant.",
+            help_behavior_hint="(default: a slide joint)",
+        ),
+    ] = None,
+    velocity: Annotated[
+        str | None,
+        arg(
+            metavar="sampled|differenced",
+            help="Velocity that the controller sees: sensed, or positions differenced.",
+            help_behavior_hint="(default: sampled)",
+        ),
+    ] = None,
+    duration: Annotated[
+        float,
+        arg(metavar="SECONDS", help="Simulated time [s].", help_behavior_hint="(default: 1)"),
+    ] = _loops.UNSET,
+    physics_step: Annotated[
+        float,
+        arg(
+            metavar="SECONDS",
+            help="Step of the plant [s].",
+            help_behavior_hint="(default: the control period for mass, 0.00025 for mjx)",
+        ),
+    ] = _loops.UNSET,
+    precision: Annotated[
+        str | None,
+        arg(
+            metavar="float32|float64",
+            help="Of the simulation.",
+            help_behavior_hint="(default: float64)",
+        ),
+    ] = None,
+    seed: Annotated[
+        int, arg(metavar="NUMBER", help="Of the noise.", help_behavior_hint="(default: 0)")
+    ] = _loops.UNSET_NUMBER,
+    joint: Annotated[
+        int, arg(metavar="NUMBER", help="Which driven joint of a model is drawn, from 0.")
+    ] = 0,
+    out: Annotated[
+        Path,
+        arg(
+            metavar="FILE",
+            help="Picture to write: .png, .svg or .pdf; one that is there is replaced.",
+        ),
+    ] = Path("simulation.png"),
+    csv: Annotated[
+        Path | None,
+        arg(
+            metavar="FILE",
+            help="Write the trajectory as text, units in the first line.",
+            help_behavior_hint="(default: no)",
+        ),
+    ] = None,
+    npz: Annotated[
+        Path | None,
+        arg(
+            metavar="FILE",
+            help="Write the trajectory as NumPy arrays.",
+            help_behavior_hint="(default: no)",
+        ),
+    ] = None,
+    overwrite: Annotated[bool, arg(help="Replace CSV and NPZ files that are there.")] = False,
+    json: Annotated[bool, arg(help="Print the figures as JSON instead of a table.")] = False,
+) -> None:
+    """Simulate one loop and keep its trajectory, as a picture and as numbers.
+
+    The loop is that of the study where nothing is given: 0.7 kg, kp 400 N/m, kd 20 N s/m, ideal
+    actuator, no delay, control at 1 kHz. All units are SI, delays in seconds; for a rotary joint
+    read rad and N m.
+
+    examples:
+      jaxact simulate --actuator starleth --delay 0.005
+      jaxact simulate --actuator hyq --kp 4000 --kd 200 --force-limit 100 --csv run.csv
+      jaxact simulate --spec experiments/paper_gain_map.toml --set engine=mjx --duration 2
+    """
+    from jaxact.plot import look
+
+    look.check_output(out)
+    for path, ending in ((csv, ".csv"), (npz, ".npz")):
+        _files.check_output(path, ending, overwrite=overwrite)
+    static = {
+        "engine": engine, "model": None if model is None else str(model), "velocity": velocity,
+        "duration": duration, "physics_step": physics_step, "precision": precision, "seed": seed,
+    }  # fmt: skip
+    asked = {name: value for name, value in static.items() if _loops.is_given(value)}
+    specification = _specification(spec, set, asked, _loops.given(parameters))
+
+    from jaxact.sweep import single
+
+    run = single.simulate(specification)
+    if not 0 <= joint < len(run.rotary):
+        raise UserError(f"--joint {joint}: the model has {len(run.rotary)} driven joints, from 0")
+    _write(run, specification, joint, out, csv, npz)
+    print(_json_text(run) if json else _table(run))
+    if not json:
+        print("wrote " + ", ".join(str(path) for path in (out, csv, npz) if path is not None))
+
+
+def _specification(
+    path: Path | None, overrides: tuple[str, ...], static: dict[str, Any], given: dict[str, Any]
+) -> Specification:
+    """The loop to simulate: the file, then --set, then the options."""
+    if path is None and overrides:
+        raise UserError("--set changes a specification; give one with --spec, or use the options")
+    if path is None:
+        defaults = {"precision": "float64", "duration": 1.0}
+        return _loops.specified({**defaults, **static, "parameters": given})
+    base = _loops.nominal_of(path, overrides).document
+    if "actuator" in given:
+        for name in ("wn", "zeta"):
+            base["parameters"].pop(name, None)
+    elif {"wn", "zeta"} & set(given):
+        base["parameters"] |= _loops.without_preset(base["parameters"].pop("actuator", None))
+    fixed = base["parameters"] | given
+    return _loops.specified({**base, **static, "parameters": fixed, "axes": {}, "sampling": None})
+
+
+def _write(
+    run: Single,
+    specification: Specification,
+    joint: int,
+    out: Path,
+    csv: Path | None,
+    npz: Path | None,
+) -> None:
+    from jaxact.plot import caption, look
+    from jaxact.plot.trajectory import trajectory
+
+    columns = _columns(run)
+    header = ",".join(columns)
+    if csv is not None:
+        table = np.column_stack(list(columns.values()))
+        text = {"fmt": "%.9g", "delimiter": ",", "header": header, "comments": ""}
+        _files.write(csv, lambda file: np.savetxt(file, table, **text))
+    if npz is not None:
+        arrays = dataclasses.asdict(run.trajectory)
+        arrays["parameters"] = np.array(_json.dumps(_plain(run.values)))
+        _files.write(npz, lambda file: np.savez_compressed(file, **arrays))
+    figure = trajectory(
+        _joint(run, joint),
+        title=_loops.loop_name(specification, run.values),
+        footer=caption.loop(run.values, run.results, dataclasses.asdict(specification)),
+        units=("rad", "N m") if run.rotary[joint] else ("m", "N"),
+    )
+    look.write(figure, out, title="jaxact: one loop over time")
+
+
+def _joint(run: Single, joint: int) -> Joint:
+    from jaxact.plot.trajectory import Joint
+
+    rows = {name: getattr(run.trajectory, name)[:, joint] for name in _SIGNALS}
+    return Joint(time=run.trajectory.time, **rows)
+
+
+def _columns(run: Single) -> dict[str, np.ndarray]:
+    """The trajectory with units in the names, joints numbered where there are several."""
+    columns = {"time [s]": np.asarray(run.trajectory.time)}
+    for joint, rotary in enumerate(run.rotary):
+        number = f" {joint}" if len(run.rotary) > 1 else ""
+        units = ("rad", "N m") if rotary else ("m", "N")
+        for name, pattern in _SIGNALS.items():
+            label = f"{name.replace('_', ' ')}{number} [{pattern.format(*units)}]"
+            columns[label] = getattr(run.trajectory, name)[:, joint]
+    return columns
+
+
+def _plain(values: dict[str, float]) -> dict[str, float | str | None]:
+    """Numbers as JSON has them: infinity as "inf", what is not a number as null."""
+
+    def plain(value: float) -> float | str | None:
+        if np.isnan(value):
+            return None
+        return str(value) if np.isinf(value) else value
+
+    return {name: plain(value) for name, value in values.items()}
+
+
+def _json_text(run: Single) -> str:
+    from jaxact.status import Verdict
+
+    figures: dict[str, Any] = dict(_plain(run.results))
+    figures["verdict"] = Verdict(int(run.results["verdict"])).label
+    return _json.dumps({**figures, "parameters": _plain(run.values)})
+
+
+def _table(run: Single) -> str:
+    """Verdict, advice and figures as a small table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from jaxact.plot.look import quantity
+    from jaxact.status import Verdict
+    from jaxact.sweep.store import VARIABLES
+
+    verdict = Verdict(int(run.results["verdict"]))
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_row("verdict", f"[bold]{verdict.label}[/bold]")
+    for name, about in VARIABLES.items():
+        value = run.results[name]
+        if name == "verdict" or np.isnan(value):
+            continue
+        shown = f"{100 * value:.3g} %" if name == "overshoot" else quantity(value, about.units)
+        table.add_row(about.long_name, shown)
+    console = Console(width=100, highlight=False)
+    with console.capture() as captured:
+        console.print(table)
+        console.print(verdict.advice)
+    return captured.get().rstrip()

@@ -1,0 +1,508 @@
+"""The drive: everything between setpoint and joint force, as one step over pytrees.
+
+    tick (each control period T):  sense -> control -> hold
+    actuate (each physics step):   delayed command -> force loop -> limits -> force on the plant
+
+This is the only implementation. Every plant, engine and wrapper calls `tick` once per control
+period and `actuate` once per physics step, and passes the force on.
+
+The output delay is applied before the force loop instead of after it: the loop and its limits do
+not change with time, so they commute with a delay, and the delay of a *held* command is exact where
+that of a force would have to be interpolated. Only the force-speed line sees the difference: it
+takes the velocity when the force acts, not when it was commanded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact import actuator as _actuator
+from jaxact import controller as _controller
+from jaxact import delay as _delay
+from jaxact import sensor as _sensor
+from jaxact.actuator import Actuator, Response
+from jaxact.controller import Controller, Setpoint
+from jaxact.sensor import Sensor, SensorCoefficients, SensorOptions, SensorState
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Parameters of a drive; every leaf a float or an array of shape (joints,).
+
+    Attributes:
+        controller: gains, feedforward, D/A resolution, setpoint delay.
+        actuator: force loop, command delay, limits.
+        sensor: measurement delay, bias, noise, resolution, velocity filter.
+        output_delay: delay of the force after the actuator [s].
+        control_period: T [s], one number for all joints.
+    """
+
+    controller: Controller
+    actuator: Actuator = field(default_factory=Actuator)
+    sensor: Sensor = field(default_factory=Sensor)
+    output_delay: jax.Array | float = 0.0
+    control_period: jax.Array | float = 1e-3
+
+
+@dataclass(frozen=True)
+class DriveOptions:
+    """The static side of a drive: lengths of the delay lines, and which parts exist at all.
+
+    Build it with `options` from concrete parameters (of all samples of a sweep at once).
+
+    Attributes:
+        substeps: physics steps in a control period.
+        command_slots: length of the line of commands (command and output delay).
+        measurement_slots: length of the line of measurements; 0 without measurement delay.
+        setpoint_slots: length of the line of setpoints; 0 without setpoint delay.
+        sensor: static side of the sensor.
+        quantised_command: the D/A converter has a resolution.
+        limited: a force limit or a force-speed line exists.
+        rate_limited: a force rate limit exists.
+        staged: results that several later ones need are computed once and kept, rather than left to
+            the compiler, which on CPUs computes them anew for each; changes nothing else.
+    """
+
+    substeps: int = 1
+    command_slots: int = 1
+    measurement_slots: int = 0
+    setpoint_slots: int = 0
+    sensor: SensorOptions = field(default_factory=SensorOptions)
+    quantised_command: bool = False
+    limited: bool = False
+    rate_limited: bool = False
+    staged: bool = False
+
+    @property
+    def random(self) -> bool:
+        """Whether a step draws random numbers and needs a key."""
+        return self.sensor.noise or self.sensor.walk
+
+    @property
+    def linear(self) -> bool:
+        """Whether the drive is linear and deterministic."""
+        return not (
+            self.random
+            or self.sensor.quantise
+            or self.quantised_command
+            or self.limited
+            or self.rate_limited
+        )
+
+    def linearised(self) -> DriveOptions:
+        """The same drive without noise, quantisation and limits."""
+        return replace(
+            self,
+            sensor=SensorOptions(differenced=self.sensor.differenced),
+            quantised_command=False,
+            limited=False,
+            rate_limited=False,
+        )
+
+
+@dataclass(frozen=True)
+class DriveState:
+    """What a drive remembers; arrays of shape (joints,), None where the part does not exist.
+
+    Attributes:
+        commands: line of held commands [N or N m].
+        older, newer: delayed command before and after its switch in this period [N or N m].
+        force, rate: state of the force loop [N or N m] and per second.
+        applied: force given in the last step, after the limits [N or N m] (rate limit only).
+        sensor: state of the sensor.
+        measurements: lines of positions and velocities as they were captured.
+        setpoints: line of setpoints.
+    """
+
+    commands: _delay.Line
+    older: jax.Array
+    newer: jax.Array
+    force: jax.Array
+    rate: jax.Array
+    applied: jax.Array | None
+    sensor: SensorState
+    measurements: tuple[_delay.Line, _delay.Line] | None
+    setpoints: tuple[_delay.Line, _delay.Line, _delay.Line] | None
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Where in a control period the delayed measurement is taken.
+
+    Attributes:
+        here: 1 in the physics step that contains the instant, else 0; shape (substeps, joints).
+        offset: time of the instant from the start of that step [s], shape (joints,).
+        response: response of the force loop from the start of that step to the instant.
+    """
+
+    here: jax.Array
+    offset: jax.Array
+    response: Response
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """All that follows from the parameters and stays the same during a rollout; see `prepare`.
+
+    Attributes:
+        drive: the parameters.
+        step: physics step h [s].
+        responses: of the force loop; coefficients of shape (substeps, joints).
+        older_share: share of each physics step under the older command [-]; (substeps, joints).
+        command_at, measurement_at, setpoint_at: selectors of the delay lines.
+        setpoint_share: share of the older setpoint [-].
+        capture: where the measurement is taken; None without measurement delay.
+        sensor: coefficients of the sensor.
+    """
+
+    drive: Drive
+    step: jax.Array
+    responses: Response
+    older_share: jax.Array
+    command_at: tuple[jax.Array, ...] | jax.Array
+    measurement_at: tuple[jax.Array, ...] | jax.Array | None
+    setpoint_at: tuple | None
+    setpoint_share: jax.Array | None
+    capture: Capture | None
+    sensor: SensorCoefficients
+
+
+@dataclass(frozen=True)
+class Force:
+    """The force over one physics step, [N or N m], shape (joints,).
+
+    Attributes:
+        mean: mean over the step; its product with the step is the exact impulse.
+        moment: (2/h^2) int_0^h (h - t) f dt.
+        partial: the same pair from the start of the step to the measuring instant; None without
+            measurement delay.
+    """
+
+    mean: jax.Array
+    moment: jax.Array
+    partial: tuple[jax.Array, jax.Array] | None
+
+
+for _class in (Drive, DriveState, Capture, Coefficients, Force):
+    jax.tree_util.register_dataclass(
+        _class, data_fields=[item.name for item in fields(_class)], meta_fields=[]
+    )
+
+
+def options(drive: Drive, *, substeps: int = 1, differenced: bool = False) -> DriveOptions:
+    """The static options that serve all of these drives.
+
+    Args:
+        drive: concrete parameters (not traced), leaves of any shape: one drive or many.
+        substeps: physics steps in a control period.
+        differenced: velocity from differenced positions instead of sampled.
+
+    Returns:
+        Options with delay lines long enough for the longest delays, and with every part that at
+        least one drive uses.
+
+    Raises:
+        ValueError: substeps is not positive.
+    """
+    if substeps < 1:
+        raise ValueError(f"substeps must be at least 1, got {substeps}")
+
+    def used(*values: jax.Array | float) -> bool:
+        return any(bool(np.any(np.asarray(value) != 0.0)) for value in values)
+
+    def finite(*values: jax.Array | float) -> bool:
+        return any(bool(np.any(np.isfinite(np.asarray(value)))) for value in values)
+
+    sensor, actuator, period = drive.sensor, drive.actuator, drive.control_period
+    total = np.asarray(actuator.delay, float) + np.asarray(drive.output_delay, float)
+    setpoint_delay = drive.controller.setpoint_delay
+    measured_late, commanded_late = used(sensor.delay), used(setpoint_delay)
+    return DriveOptions(
+        substeps=substeps,
+        command_slots=_delay.slots(total, period),
+        measurement_slots=_delay.slots(sensor.delay, period) if measured_late else 0,
+        setpoint_slots=_delay.slots(setpoint_delay, period) + 1 if commanded_late else 0,
+        sensor=SensorOptions(
+            differenced=differenced,
+            noise=used(sensor.position_noise, sensor.velocity_noise),
+            walk=used(sensor.position_bias_walk, sensor.velocity_bias_walk),
+            quantise=used(sensor.position_resolution, sensor.velocity_resolution),
+        ),
+        quantised_command=used(drive.controller.command_resolution),
+        limited=finite(actuator.force_limit, actuator.stall_force),
+        rate_limited=finite(actuator.force_rate_limit),
+    )
+
+
+def _older_for(step: jax.Array, switched: tuple[jax.Array, jax.Array], index) -> jax.Array:
+    """Time under the older command in a physics step [s]; the switch is (step number, offset).
+
+    Written by cases rather than by clipping, whose derivative is half the right one at a boundary.
+    """
+    number, offset = switched
+    partly = jnp.where(offset < step, offset, step)
+    return jnp.where(index < number, step, jnp.where(index == number, partly, 0.0))
+
+
+def _capture(drive: Drive, options: DriveOptions, step, switched, remainder) -> Capture:
+    """Where the measurement falls: `remainder` before the end of a period."""
+    actuator = drive.actuator
+    instant = drive.control_period - remainder
+    # An instant at the very end of a step belongs to that step, so that no delay means no look-up
+    # in the next one.
+    index = jnp.clip(jnp.ceil(instant / step - 1e-4) - 1.0, 0.0, options.substeps - 1.0)
+    index = jax.lax.stop_gradient(index)
+    offset = instant - index * step
+    older_for = _older_for(offset, switched, index)
+    return Capture(
+        here=jnp.stack([(index == i).astype(offset.dtype) for i in range(options.substeps)]),
+        offset=offset,
+        response=_actuator.response(
+            actuator.natural_frequency, actuator.damping_ratio, offset, older_for
+        ),
+    )
+
+
+def _broadcast(drive: Drive, shape: tuple[int, ...]) -> Drive:
+    """The drive with every leaf but the control period in the shape of its joints."""
+    dtype = jnp.result_type(float)
+    period = jnp.asarray(drive.control_period, dtype)
+    leaves = jax.tree.leaves(replace(drive, control_period=0.0))
+    shape = jnp.broadcast_shapes(shape, *(jnp.shape(leaf) for leaf in leaves))
+    drive = jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf, dtype), shape), drive)
+    return replace(drive, control_period=period)
+
+
+def prepare(drive: Drive, options: DriveOptions, shape: tuple[int, ...] = ()) -> Coefficients:
+    """All coefficients of a drive, computed once, before the scan over time.
+
+    Args:
+        drive: parameters, leaves broadcastable against each other; may be traced.
+        options: static.
+        shape: of the joints, (joints,) or (), where no leaf has it.
+
+    Returns:
+        The coefficients that `tick` and `actuate` take.
+    """
+    drive = _broadcast(drive, shape)
+    actuator, period = drive.actuator, drive.control_period
+    step = period / options.substeps
+    whole, switch = _delay.split(actuator.delay + drive.output_delay, period)
+    switched = _delay.split(switch, step)
+    older_for = [_older_for(step, switched, i) for i in range(options.substeps)]
+    responses = [
+        _actuator.response(actuator.natural_frequency, actuator.damping_ratio, step, older)
+        for older in older_for
+    ]
+    measurement_at = capture = setpoint_at = share = None
+    if options.measurement_slots:
+        late, remainder = _delay.split(drive.sensor.delay, period)
+        measurement_at = _delay.weights(late, options.measurement_slots)
+        capture = _capture(drive, options, step, switched, remainder)
+    if options.setpoint_slots:
+        late, remainder = _delay.split(drive.controller.setpoint_delay, period)
+        setpoint_at = (
+            _delay.weights(late, options.setpoint_slots),
+            _delay.weights(late + 1.0, options.setpoint_slots),
+        )
+        share = remainder / period
+    return Coefficients(
+        drive=drive,
+        step=step,
+        responses=jax.tree.map(lambda *leaves: jnp.stack(leaves), *responses),
+        older_share=jnp.stack(older_for) / step,
+        command_at=_delay.weights(whole, options.command_slots),
+        measurement_at=measurement_at,
+        setpoint_at=setpoint_at,
+        setpoint_share=share,
+        capture=capture,
+        sensor=_sensor.prepare(drive.sensor, period),
+    )
+
+
+def init(
+    coefficients: Coefficients,
+    options: DriveOptions,
+    position: jax.Array,
+    velocity: jax.Array,
+    *,
+    command: jax.Array | float = 0.0,
+) -> DriveState:
+    """State of a drive that has held `command` for ever in front of a plant at rest.
+
+    Args:
+        coefficients: from `prepare`.
+        options: static.
+        position: of the plant [m or rad], shape (joints,); also the setpoint so far.
+        velocity: of the plant [m/s or rad/s], shape (joints,).
+        command: past command, and the force it gives [N or N m].
+
+    Returns:
+        The state before the first tick.
+    """
+    zero = jnp.zeros_like(position)
+    command = zero + command
+    measurements = setpoints = None
+    if options.measurement_slots:
+        measurements = tuple(
+            _delay.init(value, options.measurement_slots) for value in (position, velocity)
+        )
+    if options.setpoint_slots:
+        setpoints = tuple(
+            _delay.init(value, options.setpoint_slots) for value in (position, zero, zero)
+        )
+    return DriveState(
+        commands=_delay.init(command, options.command_slots),
+        older=command,
+        newer=command,
+        force=command,
+        rate=zero,
+        applied=command if options.rate_limited else None,
+        sensor=_sensor.init(coefficients.drive.sensor, options.sensor, position, velocity),
+        measurements=measurements,
+        setpoints=setpoints,
+    )
+
+
+def _late_setpoint(coefficients: Coefficients, lines, setpoint: Setpoint):
+    """Push a setpoint and read it as it was, linear between the ticks around that time."""
+    lines = tuple(
+        _delay.push(line, line_value + jnp.zeros_like(coefficients.drive.controller.kp))
+        for line, line_value in zip(
+            lines, (setpoint.position, setpoint.velocity, setpoint.force), strict=True
+        )
+    )
+    newer_at, older_at = coefficients.setpoint_at
+    share = coefficients.setpoint_share
+    late = (
+        (1.0 - share) * _delay.read(line, newer_at) + share * _delay.read(line, older_at)
+        for line in lines
+    )
+    return lines, Setpoint(*late)
+
+
+def tick(
+    coefficients: Coefficients,
+    options: DriveOptions,
+    state: DriveState,
+    position: jax.Array,
+    velocity: jax.Array,
+    setpoint: Setpoint,
+    key: jax.Array | None = None,
+) -> tuple[DriveState, jax.Array]:
+    """Sense and control, once per control period.
+
+    Args:
+        coefficients: from `prepare`.
+        options: static.
+        state: of the drive.
+        position: of the plant now [m or rad], shape (joints,); with a measurement delay the drive
+            uses what `capture` stored instead.
+        velocity: of the plant now [m/s or rad/s], shape (joints,).
+        setpoint: given now; it reaches the controller after the setpoint delay.
+        key: random key of this sample and tick; needed only where `options.random`.
+
+    Returns:
+        The next state, and the command [N or N m], shape (joints,).
+    """
+    if state.measurements is not None:
+        where = coefficients.measurement_at
+        position, velocity = (_delay.read(line, where) for line in state.measurements)
+    setpoints = state.setpoints
+    if setpoints is not None:
+        setpoints, setpoint = _late_setpoint(coefficients, setpoints, setpoint)
+    sensor, (measured, rate) = _sensor.step(
+        coefficients.sensor, options.sensor, state.sensor, position, velocity, key
+    )
+    command = _controller.step(
+        coefficients.drive.controller,
+        setpoint,
+        measured,
+        rate,
+        quantised=options.quantised_command,
+    )
+    commands = _delay.push(state.commands, command)
+    newer = _delay.read(commands, coefficients.command_at)
+    state = replace(
+        state,
+        commands=commands,
+        older=state.newer,
+        newer=newer,
+        sensor=sensor,
+        setpoints=setpoints,
+    )
+    return state, command
+
+
+def at_substep(coefficients: Coefficients) -> tuple[Response, jax.Array | None]:
+    """What differs between the physics steps of a period, stacked along axis 0, for a scan.
+
+    Returns:
+        (responses, capture flags or None), each leaf of shape (substeps, joints).
+    """
+    capture = coefficients.capture
+    return coefficients.responses, None if capture is None else capture.here
+
+
+def actuate(
+    coefficients: Coefficients,
+    options: DriveOptions,
+    state: DriveState,
+    response: Response,
+    velocity: jax.Array,
+) -> tuple[DriveState, Force]:
+    """Move the force loop by one physics step; exact for the held, delayed command.
+
+    Args:
+        coefficients: from `prepare`.
+        options: static.
+        state: of the drive, after the tick of this period.
+        response: of this physics step, from `at_substep`.
+        velocity: of the plant now [m/s or rad/s], shape (joints,); for the force-speed line.
+
+    Returns:
+        The next state, and the force on the plant over this step. Limits act on the mean and the
+        moment: exact except in the steps in which a limit is reached or left, where the error of
+        the impulse is of second order in the step.
+    """
+    inputs = state.force, state.rate, state.older, state.newer
+    mean, moment = _actuator.impulse(response, *inputs)
+    partial = None
+    if coefficients.capture is not None:
+        partial = _actuator.impulse(coefficients.capture.response, *inputs)
+    force, rate = _actuator.advance(response, *inputs)
+    applied = state.applied
+    if options.limited or options.rate_limited:
+        low, high = _limits(coefficients, options, applied, velocity)
+        mean, moment = jnp.clip(mean, low, high), jnp.clip(moment, low, high)
+        if partial is not None:
+            partial = jnp.clip(partial[0], low, high), jnp.clip(partial[1], low, high)
+        if options.rate_limited:
+            applied = mean
+    return replace(state, force=force, rate=rate, applied=applied), Force(mean, moment, partial)
+
+
+def _limits(coefficients, options, applied, velocity):
+    """Bounds of the force in one step: force limit, force-speed line, rate limit."""
+    actuator = coefficients.drive.actuator
+    low, high = _actuator.limits(actuator, velocity)
+    if options.rate_limited:
+        reach = actuator.force_rate_limit * coefficients.step
+        low, high = (jnp.clip(bound, applied - reach, applied + reach) for bound in (low, high))
+    return low, high
+
+
+def capture(state: DriveState, position: jax.Array, velocity: jax.Array) -> DriveState:
+    """Store the plant's state at the measuring instant of this period, [m or rad] and per second.
+
+    Called once per control period, after its physics steps, where a measurement delay exists.
+    """
+    lines = tuple(
+        _delay.push(line, value)
+        for line, value in zip(state.measurements, (position, velocity), strict=True)
+    )
+    return replace(state, measurements=lines)

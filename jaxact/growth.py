@@ -1,0 +1,263 @@
+"""The growth rate of a small perturbation, measured by propagating it through the simulated loop.
+
+"Did it diverge within two seconds" is wrong near the stability boundary. Instead the step of the
+loop itself is linearised (`jax.linearize` of the same code that simulates), a perturbation is sent
+through it, renormalised, until the fast modes are gone, and a few more blocks of periods span a
+Krylov space of what is left. The largest eigenvalue of the propagation in that space gives
+
+    growth rate = log(|largest eigenvalue|) / (periods in a block * T)
+
+Source: Arnoldi's method, Saad, "Numerical Methods for Large Eigenvalue Problems", 2nd ed., chapter
+6; the spectral radius of the small matrix by repeated squaring (Gelfand's formula).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from jaxact import delay as _delay
+from jaxact import loop as _loop
+from jaxact.controller import Setpoint
+from jaxact.drive import DriveOptions
+from jaxact.loop import LoopState, Prepared
+
+
+@dataclass(frozen=True)
+class GrowthOptions:
+    """How the growth rate is measured: static.
+
+    Attributes:
+        block: control periods in one application of the propagation.
+        settle: blocks before the Krylov space is built.
+        dimension: of the Krylov space.
+        squarings: of the small matrix; the last one looks 2^squarings blocks ahead.
+        dense: write the propagation of one period out as a matrix first. Cheaper where one period of
+            the plant costs more than the product of a matrix and a vector.
+    """
+
+    block: int = 4
+    settle: int = 64
+    dimension: int = 8
+    squarings: int = 18
+    dense: bool = False
+
+
+def _aligned(state: LoopState) -> LoopState:
+    """The same state with every ring buffer turned so that its newest value comes first."""
+
+    def turn(node: Any) -> Any:
+        if not isinstance(node, _delay.Ring):
+            return node
+        values = jnp.roll(node.values, -node.newest, axis=0)
+        return _delay.Ring(values=values, newest=jnp.zeros_like(node.newest))
+
+    return jax.tree.map(turn, state, is_leaf=lambda node: isinstance(node, _delay.Ring))
+
+
+def _split(state: LoopState) -> tuple[list[jax.Array], Callable[[list[jax.Array]], LoopState]]:
+    """The real leaves of a state, in order, and a function that puts others in their place."""
+    leaves, structure = jax.tree.flatten(state)
+    real = [jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves]
+
+    def merge(vector: list[jax.Array]) -> LoopState:
+        filled = iter(vector)
+        merged = [next(filled) if keep else leaf for leaf, keep in zip(leaves, real, strict=True)]
+        return jax.tree.unflatten(structure, merged)
+
+    return [leaf for leaf, keep in zip(leaves, real, strict=True) if keep], merge
+
+
+def propagation(
+    prepared: Prepared, options: DriveOptions, state: LoopState, setpoint: Setpoint, periods: int
+) -> tuple[list[jax.Array], Callable[[list[jax.Array]], list[jax.Array]]]:
+    """The linearised map of a state perturbation over a number of control periods.
+
+    Noise, quantisation and limits are left out: they have no derivative.
+
+    Args:
+        prepared: from `jaxact.loop.prepare`.
+        options: static.
+        state: to linearise at; an equilibrium, or any state of a linear loop.
+        setpoint: constant.
+        periods: static.
+
+    Returns:
+        The real leaves of the state in order, and the linear map on lists of that form.
+    """
+    smooth = options.linearised()
+    vector, merge = _split(_aligned(state))
+
+    def body(state: LoopState, _: None) -> tuple[LoopState, None]:
+        return _loop.step(prepared, smooth, state, setpoint)[0], None
+
+    def advance(vector: list[jax.Array]) -> list[jax.Array]:
+        after, _ = jax.lax.scan(body, merge(vector), None, length=periods)
+        return _split(_aligned(after))[0]
+
+    return vector, jax.linearize(advance, vector)[1]
+
+
+Propagation = tuple[list[jax.Array], Callable[[list[jax.Array]], list[jax.Array]]]
+
+
+def _dense(vector: list[jax.Array], apply: Callable, block: int) -> Propagation:
+    """The same map over `block` periods, with the one over a single period as a matrix."""
+    flat, unravel = ravel_pytree(vector)
+    columns = jax.vmap(lambda unit: ravel_pytree(apply(unravel(unit)))[0])(jnp.eye(flat.size))
+
+    def repeated(vector: list[jax.Array]) -> list[jax.Array]:
+        image = vector[0]
+        for _ in range(block):
+            image = jnp.sum(columns * image[:, None], axis=0)
+        return [image]
+
+    return [flat], repeated
+
+
+def _perturbation(state: LoopState, prepared: Prepared) -> list[jax.Array]:
+    """A perturbation that moves every joint's position and velocity and nothing else.
+
+    The delay lines fill by themselves; perturbing the clock of a plant would add a mode of growth
+    rate 0 that is none of the loop's.
+    """
+    velocity_scale = 30.0
+
+    def displaced(amount: jax.Array) -> list[jax.Array]:
+        q, v = prepared.plant.measure(state.plant)
+        joints = jnp.arange(jnp.size(q), dtype=q.dtype).reshape(jnp.shape(q))
+        # Unequal amounts, so that no symmetric mode of a robot is missed.
+        weight = 1.0 + 0.37 * jnp.cos(1.7 * joints)
+        plant = prepared.plant.init(q + amount * weight, v - amount * velocity_scale * weight)
+        return _split(LoopState(plant, state.drive))[0]
+
+    dtype = prepared.drive.step.dtype
+    return jax.jvp(displaced, (jnp.zeros((), dtype),), (jnp.ones((), dtype),))[1]
+
+
+def _dot(a: list[jax.Array], b: list[jax.Array]) -> jax.Array:
+    return sum((jnp.sum(x * y) for x, y in zip(a, b, strict=True)), start=jnp.zeros(()))
+
+
+def _scaled(vector: list[jax.Array], factor: jax.Array) -> list[jax.Array]:
+    return [factor * leaf for leaf in vector]
+
+
+def _inverse(size: jax.Array) -> jax.Array:
+    """1 / size, or 0 for nothing."""
+    return jnp.where(size > 0.0, 1.0 / jnp.where(size > 0.0, size, 1.0), 0.0)
+
+
+def _krylov(apply: Callable, start: list[jax.Array], dimension: int) -> list[list[jax.Array]]:
+    """Projection of a linear map on the Krylov space of `start`: rows of a Hessenberg matrix.
+
+    A space that is exhausted early leaves zero rows and columns, which add no eigenvalue but 0.
+    """
+    exhausted = jnp.sqrt(jnp.finfo(start[0].dtype).eps)
+    basis = [_scaled(start, _inverse(jnp.sqrt(_dot(start, start))))]
+    matrix = [[jnp.zeros(())] * dimension for _ in range(dimension)]
+    for column in range(dimension):
+        image = apply(basis[column])
+        size = jnp.sqrt(_dot(image, image))
+        for row, vector in enumerate(basis):
+            entry = _dot(vector, image)
+            image = [x - entry * y for x, y in zip(image, vector, strict=True)]
+            matrix[row][column] = entry
+        if column + 1 < dimension:
+            rest = jnp.sqrt(_dot(image, image))
+            rest = jnp.where(rest > exhausted * size, rest, 0.0)
+            basis.append(_scaled(image, _inverse(rest)))
+            matrix[column + 1][column] = rest
+    return matrix
+
+
+def log_spectral_radius(matrix: list[list[jax.Array]], squarings: int) -> jax.Array:
+    """Logarithm of the spectral radius of a small matrix by repeated squaring.
+
+        log rho = lim log(|A^(2k)| / |A^k|) / k
+
+    Args:
+        matrix: rows of numbers of shape (); kept apart so that a batch of small matrices is a small
+            matrix of batches, which is what vector units want.
+        squarings: static; with k = 2^(squarings - 1) the error falls like 1/k.
+
+    Returns:
+        log rho(A), shape (); -inf for a nilpotent matrix.
+    """
+
+    def norm(matrix: list[list[jax.Array]]) -> jax.Array:
+        return jnp.sqrt(sum(entry * entry for row in matrix for entry in row))
+
+    def scale(matrix: list[list[jax.Array]], factor: jax.Array) -> list[list[jax.Array]]:
+        return [[factor * entry for entry in row] for row in matrix]
+
+    def square(carry, _):
+        matrix, log_size, power, _ = carry
+        columns = list(zip(*matrix, strict=True))
+        product = [
+            [sum(x * y for x, y in zip(row, column, strict=True)) for column in columns]
+            for row in matrix
+        ]
+        size = norm(product)
+        growth = (log_size + jnp.log(size)) / power
+        product = scale(product, _inverse(size))
+        return (product, 2.0 * log_size + jnp.log(size), 2.0 * power, growth), None
+
+    size = norm(matrix)
+    carry = (scale(matrix, _inverse(size)), jnp.log(size), jnp.ones_like(size), size)
+    (_, _, _, growth), _ = jax.lax.scan(square, carry, None, length=squarings)
+    return growth
+
+
+def growth_rate(
+    prepared: Prepared,
+    options: DriveOptions,
+    state: LoopState,
+    setpoint: Setpoint,
+    measure: GrowthOptions = GrowthOptions(),
+) -> jax.Array:
+    """Exponential rate of a small perturbation of the loop; negative is stable.
+
+    Args:
+        prepared: from `jaxact.loop.prepare`; in float64 for verdicts near the boundary.
+        options: static.
+        state: to linearise at; an equilibrium, or any state of a linear loop.
+        setpoint: constant.
+        measure: static.
+
+    Returns:
+        [1/s], shape ().
+    """
+    tangent = _perturbation(_aligned(state), prepared)
+    if measure.dense:
+        start, apply = propagation(prepared, options, state, setpoint, 1)
+        start, apply = _dense(start, apply, measure.block)
+        tangent = [ravel_pytree(tangent)[0]]
+    else:
+        start, apply = propagation(prepared, options, state, setpoint, measure.block)
+
+    def settle(carry, _: None):
+        vector, squares = carry
+        image = apply(vector)
+        vector = _scaled(image, _inverse(jnp.sqrt(_dot(image, image))))
+        return (vector, [x * x + y for x, y in zip(vector, squares, strict=True)]), None
+
+    # Positions, velocities and forces have different units; their size along the way is the scale.
+    carry = tangent, [jnp.zeros_like(leaf) for leaf in tangent]
+    (settled, squares), _ = jax.lax.scan(settle, carry, None, length=measure.settle)
+    scale = [jnp.where(x > 0.0, jnp.sqrt(x / measure.settle), 1.0) for x in squares]
+
+    def scaled_apply(vector: list[jax.Array]) -> list[jax.Array]:
+        image = apply([x * y for x, y in zip(vector, scale, strict=True)])
+        return [x / y for x, y in zip(image, scale, strict=True)]
+
+    dimension = min(measure.dimension, sum(leaf.size for leaf in start))
+    unit = [x / y for x, y in zip(settled, scale, strict=True)]
+    matrix = _krylov(scaled_apply, unit, dimension)
+    period = prepared.drive.drive.control_period
+    return log_spectral_radius(matrix, measure.squarings) / (measure.block * period)

@@ -1,0 +1,291 @@
+"""Figures of merit of a rollout, accumulated tick by tick; no trajectory is kept.
+
+With the response y = (q - q0) / (r - q0) to a setpoint that steps from q0 to r:
+
+    overshoot max(y) - 1,   rise time from y = 0.1 to 0.9,   settling time to |y - 1| <= 0.02,
+    integrals of |r - q| and (r - q)^2, of the squared command and the squared force
+
+Rise is interpolated between ticks; settling counts whole ticks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import jax
+import jax.numpy as jnp
+
+from jaxact.loop import Output
+from jaxact.status import Verdict
+
+SETTLED = 0.02
+"""Half-width of the band, relative to the step, that counts as settled."""
+
+SEGMENTS = 4
+"""A rollout is cut into this many equal parts, each with its own envelope."""
+
+_LOW, _HIGH = 0.1, 0.9
+# A response this many times the step has left every physical range: it has diverged.
+_DIVERGED = 1e3
+# An envelope that grows by this factor from segment to segment, twice, is not bounded.
+_GROWING = 1.1
+
+
+@dataclass(frozen=True)
+class Running:
+    """Accumulators of a whole rollout, each of shape (joints,); times in ticks."""
+
+    highest: jax.Array
+    farthest: jax.Array
+    low: jax.Array
+    high: jax.Array
+    unsettled: jax.Array
+    absolute_error: jax.Array
+    squared_error: jax.Array
+    effort: jax.Array
+    peak_force: jax.Array
+    squared_force: jax.Array
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Accumulators of one segment, each of shape (joints,): extremes and turns of the motion."""
+
+    lowest: jax.Array
+    highest: jax.Array
+    turns: jax.Array
+    first_turn: jax.Array
+    last_turn: jax.Array
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What a response is measured against, each of shape (joints,).
+
+    Attributes:
+        start, target: q0 and r [m or rad].
+        per_span: 1 / (r - q0), or 1 where there is no step.
+    """
+
+    start: jax.Array
+    target: jax.Array
+    per_span: jax.Array
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Results of a rollout; shape (joints,) except for the verdict and growth rate, shape ().
+
+    Figures that a loop does not have are NaN: all but the verdict and growth rate of a diverged
+    loop, the rise or settling time of one that did not rise or settle in time.
+
+    Attributes:
+        growth_rate: of a small perturbation [1/s]; negative is stable.
+        verdict: code of `jaxact.status.Verdict`.
+        overshoot: relative to the step [-].
+        rise_time: from 10 % to 90 % of the step [s].
+        settling_time: until the response stays within 2 % of the step [s].
+        integrated_absolute_error: [m s or rad s].
+        integrated_squared_error: [m^2 s or rad^2 s].
+        control_effort: integral of the squared command [N^2 s or (N m)^2 s].
+        peak_force: largest mean force of a physics step [N or N m].
+        rms_force: root mean square of the force [N or N m].
+        limit_cycle_amplitude: half the range of the position over the last quarter [m or rad]; 0
+            for a stable loop.
+        limit_cycle_frequency: [rad/s]; NaN where there is no limit cycle.
+    """
+
+    growth_rate: jax.Array
+    verdict: jax.Array
+    overshoot: jax.Array
+    rise_time: jax.Array
+    settling_time: jax.Array
+    integrated_absolute_error: jax.Array
+    integrated_squared_error: jax.Array
+    control_effort: jax.Array
+    peak_force: jax.Array
+    rms_force: jax.Array
+    limit_cycle_amplitude: jax.Array
+    limit_cycle_frequency: jax.Array
+
+
+for _class in (Running, Envelope, Reference, Metrics):
+    jax.tree_util.register_dataclass(
+        _class, data_fields=[item.name for item in fields(_class)], meta_fields=[]
+    )
+
+
+def reference(start: jax.Array, target: jax.Array) -> Reference:
+    """Reference of a step from `start` to `target`, [m or rad], shape (joints,)."""
+    span = target - start
+    per_span = jnp.where(span == 0.0, 1.0, 1.0 / jnp.where(span == 0.0, 1.0, span))
+    return Reference(start=start, target=target, per_span=per_span)
+
+
+def init(like: jax.Array) -> Running:
+    """Accumulators before the first tick, shaped like `like`."""
+    zero = jnp.zeros_like(like)
+    never = zero + jnp.inf
+    return Running(zero, zero, never, never, zero, zero, zero, zero, zero, zero)
+
+
+def init_envelope(like: jax.Array) -> Envelope:
+    """Accumulators at the beginning of a segment, shaped like `like`."""
+    zero = jnp.zeros_like(like)
+    return Envelope(zero + jnp.inf, zero - jnp.inf, zero, zero, zero)
+
+
+def _passed(
+    passed: jax.Array, before: jax.Array, after: jax.Array, level: float, tick: jax.Array
+) -> jax.Array:
+    """When the response first passed a level, linear between ticks; inf until it does."""
+    now = (passed == jnp.inf) & (after >= level)
+    return jnp.where(now, tick - (after - level) / (after - before), passed)
+
+
+def update(
+    running: Running,
+    reference: Reference,
+    output: Output,
+    tick: jax.Array,
+    weight: jax.Array | None = None,
+) -> Running:
+    """Take in one control period.
+
+    Args:
+        running: so far.
+        reference: of the step.
+        output: of the period; shape (joints,).
+        tick: number of the period's end, counted from 1, as a float.
+        weight: 0 leaves the period out of the integrals; None is 1 throughout.
+
+    Returns:
+        The accumulators.
+    """
+    error = output.position - reference.target
+    size = jnp.abs(error)
+    response = (output.position - reference.start) * reference.per_span
+    before = (output.position_before - reference.start) * reference.per_span
+    outside = size * jnp.abs(reference.per_span) > SETTLED
+
+    def counted(value: jax.Array) -> jax.Array:
+        return value if weight is None else weight * value
+
+    # Comparisons rather than maxima: what is not a number never replaces what came before.
+    return Running(
+        highest=jnp.where(response > running.highest, response, running.highest),
+        farthest=jnp.where(size > running.farthest, size, running.farthest),
+        low=_passed(running.low, before, response, _LOW, tick),
+        high=_passed(running.high, before, response, _HIGH, tick),
+        unsettled=jnp.where(outside, tick, running.unsettled),
+        absolute_error=running.absolute_error + counted(size),
+        squared_error=running.squared_error + counted(error * error),
+        effort=running.effort + counted(output.command * output.command),
+        peak_force=jnp.maximum(running.peak_force, output.peak_force),
+        squared_force=running.squared_force + counted(output.square_force),
+    )
+
+
+def update_envelope(envelope: Envelope, output: Output, tick: jax.Array) -> Envelope:
+    """Take in one control period of a segment; arguments as in `update`."""
+    turned = (output.velocity_before < 0.0) & (output.velocity >= 0.0)
+    first = turned & (envelope.turns == 0.0)
+    return Envelope(
+        lowest=jnp.minimum(envelope.lowest, output.position),
+        highest=jnp.maximum(envelope.highest, output.position),
+        turns=envelope.turns + turned.astype(output.velocity.dtype),
+        first_turn=jnp.where(first, tick, envelope.first_turn),
+        last_turn=jnp.where(turned, tick, envelope.last_turn),
+    )
+
+
+def _simulated_verdict(
+    running: Running,
+    span: jax.Array,
+    amplitude: jax.Array,
+    growth_rate: jax.Array,
+    segment: jax.Array,
+) -> jax.Array:
+    """Verdict of a loop that is not linear, from its envelopes; shape (joints,)."""
+    scale = jnp.where(span > 0.0, span, amplitude[0])
+    diverged = running.farthest > _DIVERGED * jnp.where(scale > 0.0, scale, 1.0)
+    invalid = ~jnp.isfinite(running.squared_error) | jnp.isnan(growth_rate)
+    before, previous, last = amplitude[-3], amplitude[-2], amplitude[-1]
+    growing = (last > _GROWING * previous) & (previous > _GROWING * before)
+    # Half the decay that the linear loop would show is decay; less is a motion that keeps going.
+    decay = -jnp.expm1(jnp.minimum(growth_rate, 0.0) * segment)
+    decaying = last <= (1.0 - 0.5 * decay) * previous
+    calm = (growth_rate < 0.0) & (decaying | (last <= SETTLED * scale))
+    verdict = jnp.where(growing, Verdict.UNSTABLE, Verdict.LIMIT_CYCLE)
+    verdict = jnp.where(calm, Verdict.STABLE, verdict)
+    verdict = jnp.where(invalid, Verdict.INVALID, verdict)
+    return jnp.where(diverged, Verdict.UNSTABLE, verdict)
+
+
+def _linear_verdict(growth_rate: jax.Array) -> jax.Array:
+    verdict = jnp.where(growth_rate < 0.0, Verdict.STABLE, Verdict.UNSTABLE)
+    return jnp.where(jnp.isnan(growth_rate), Verdict.INVALID, verdict)
+
+
+def finish(
+    running: Running,
+    envelopes: Envelope,
+    reference: Reference,
+    growth_rate: jax.Array,
+    *,
+    linear: bool,
+    period: jax.Array,
+    ticks: int,
+    counted: jax.Array | float,
+) -> Metrics:
+    """The metrics of a finished rollout.
+
+    A linear loop's verdict is the sign of its growth rate. Where noise, quantisation, limits or a
+    nonlinear plant are at work it comes from the rollout: unstable if the motion has diverged or its
+    envelope keeps growing; stable if small perturbations decay and the motion of the last quarter is
+    within the settling band or still decaying; else a limit cycle, however small.
+
+    Args:
+        running: accumulators of the whole rollout.
+        envelopes: of the segments, shape (SEGMENTS, joints).
+        reference: of the step.
+        growth_rate: [1/s], shape ().
+        linear: static; whether the loop is linear and deterministic.
+        period: control period [s].
+        ticks: static; number of ticks.
+        counted: number of ticks in the integrals.
+    """
+    span = jnp.abs(reference.target - reference.start)
+    amplitude = 0.5 * (envelopes.highest - envelopes.lowest)
+    segment = period * (ticks // SEGMENTS)
+    simulated = _simulated_verdict(running, span, amplitude, growth_rate, segment)
+    each = jnp.where(linear, _linear_verdict(growth_rate), simulated)
+    verdict = jnp.max(each).astype(jnp.int8)
+    finite = jnp.isfinite(running.squared_error) & jnp.isfinite(running.effort)
+    finite &= jnp.isfinite(running.squared_force) & (verdict != Verdict.INVALID)
+
+    def known(value: jax.Array, when: jax.Array | bool = True) -> jax.Array:
+        return jnp.where(finite & when, value, jnp.nan)
+
+    stepped = span > 0.0
+    settled = running.unsettled < ticks
+    cycling = each == Verdict.LIMIT_CYCLE
+    turns = envelopes.turns[-1]
+    lapse = (envelopes.last_turn[-1] - envelopes.first_turn[-1]) * period
+    frequency = 2.0 * jnp.pi * (turns - 1.0) / jnp.where(lapse > 0.0, lapse, 1.0)
+    rise = (running.high - running.low) * period
+    quiet = jnp.where(each == Verdict.STABLE, 0.0, jnp.nan)
+    return Metrics(
+        growth_rate=growth_rate,
+        verdict=verdict,
+        overshoot=known(jnp.maximum(running.highest - 1.0, 0.0), stepped),
+        rise_time=known(rise, stepped & jnp.isfinite(running.high)),
+        settling_time=known(running.unsettled * period, stepped & settled),
+        integrated_absolute_error=known(running.absolute_error * period),
+        integrated_squared_error=known(running.squared_error * period),
+        control_effort=known(running.effort * period),
+        peak_force=known(running.peak_force),
+        rms_force=known(jnp.sqrt(running.squared_force / counted)),
+        limit_cycle_amplitude=known(jnp.where(cycling, amplitude[-1], quiet)),
+        limit_cycle_frequency=known(frequency, cycling & (turns >= 2.0)),
+    )

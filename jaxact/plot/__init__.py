@@ -1,0 +1,1 @@
+"""Pictures: one file each. Plotting never computes, and computing never plots."""

@@ -1,0 +1,116 @@
+"""Small print of a picture: what was simulated, and how it agrees with exact theory."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+from jaxact.plot import look
+from jaxact.status import Verdict
+
+if TYPE_CHECKING:
+    from jaxact.sweep.agreement import Agreement
+
+# Where any of these is active the loop is not linear: parameter, and its value when it is off.
+_NONLINEAR = {
+    "position_resolution": 0.0,
+    "velocity_resolution": 0.0,
+    "command_resolution": 0.0,
+    "position_noise": 0.0,
+    "velocity_noise": 0.0,
+    "position_bias_walk": 0.0,
+    "velocity_bias_walk": 0.0,
+    "force_limit": math.inf,
+    "force_rate_limit": math.inf,
+    "stall_force": math.inf,
+}
+_ENGINES = {"mass": "exact mass plant", "mjx": "MuJoCo MJX"}
+
+
+def simulated(results: xr.Dataset) -> str:
+    """What was simulated: engine, control rate, velocity, duration, precision, number of loops.
+
+    results: a sweep store
+    """
+    specification = json.loads(results.attrs["specification"])
+    engine = _ENGINES.get(specification["engine"], str(specification["engine"]))
+    if "model" in specification:
+        engine += f" with {specification['model']}"
+    rates = np.unique(_parameter(results, "control_rate"))
+    rate = look.quantity(rates[0], "Hz") if len(rates) == 1 else f"{len(rates)} rates"
+    words = [
+        f"Simulated: {engine}",
+        f"control at {rate}",
+        f"{specification['velocity']} velocity",
+        f"{specification['duration']:g} s",
+        f"{specification['precision']}",
+        f"{results['verdict'].size:,} loops",
+    ]
+    if "physics_step" in specification:
+        words.insert(3, f"physics step {look.quantity(specification['physics_step'], 's')}")
+    return ", ".join(words) + "."
+
+
+def compared(agreement: Agreement) -> str:
+    """How many verdicts differ from exact sampled stability, and how near the border they are."""
+    whole = agreement.compared == agreement.samples
+    of_all = "" if whole else f" of {agreement.compared:,} compared"
+    if agreement.disagreements == 0:
+        return f"No verdict{of_all} differs from the exact stability of the sampled loop."
+    share = agreement.disagreements / agreement.compared
+    count = "1 verdict" if agreement.disagreements == 1 else f"{agreement.disagreements:,} verdicts"
+    verb = "differs" if agreement.disagreements == 1 else "differ"
+    near = (
+        f"within {_percent(agreement.furthest)} of the boundary in gain"
+        if agreement.furthest < 1.0
+        else f"up to a factor {1.0 + agreement.furthest:.3g} from the boundary in gain"
+    )
+    return (
+        f"{count}{of_all} ({_percent(share)}) {verb} from the exact stability of the sampled loop: "
+        f"{near}, exact growth rate within ±{agreement.fastest:.2g}/s."
+    )
+
+
+def linear_only(results: xr.Dataset) -> str:
+    """A warning where a sweep has quantisation, noise or limits, which exact theory leaves out."""
+    active = [name for name, off in _NONLINEAR.items() if np.any(_parameter(results, name) != off)]
+    if not active:
+        return ""
+    words = ", ".join(name.replace("_", " ") for name in active)
+    return f"The exact boundary is that of the linear loop, without its {words}."
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %"
+
+
+def _parameter(results: xr.Dataset, name: str) -> np.ndarray:
+    if name in results.coords:
+        return np.asarray(results.coords[name].values, dtype=float)
+    return np.asarray(float(json.loads(results.attrs["parameters"])[name]))
+
+
+def loop(values: dict[str, float], results: dict[str, float], static: dict[str, object]) -> str:
+    """Of one loop: its gains and mass, how it was simulated, and what came out.
+
+    values: parameters by short name
+    results: figures by the names of a sweep's variables
+    static: options of a specification by name
+    """
+    engine = _ENGINES.get(str(static["engine"]), str(static["engine"]))
+    rate = look.quantity(values["control_rate"], "Hz")
+    asked = (
+        f"kp {values['kp']:g} N/m, kd {values['kd']:g} N s/m, mass {values['mass']:g} kg; "
+        f"{engine}, control at {rate}, {static['velocity']} velocity"
+    )
+    verdict = Verdict(int(results["verdict"])).label
+    found = [verdict, f"growth rate {results['growth_rate']:.3g}/s"]
+    if math.isfinite(results.get("overshoot", math.nan)):
+        found.append(f"overshoot {100.0 * results['overshoot']:.3g} %")
+    if math.isfinite(results.get("settling_time", math.nan)):
+        found.append(f"settled after {look.quantity(results['settling_time'], 's')}")
+    return f"{asked}\n{', '.join(found)}"

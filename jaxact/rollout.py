@@ -1,0 +1,224 @@
+"""One closed loop over time: a scan over control periods, with metrics or a trajectory.
+
+run        step response with metrics accumulated on the way, no trajectory kept
+trajectory the physics steps of one loop, for plots and files
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import jax
+import jax.numpy as jnp
+
+from jaxact import growth as _growth
+from jaxact import loop as _loop
+from jaxact import metrics as _metrics
+from jaxact.controller import Setpoint
+from jaxact.drive import DriveOptions
+from jaxact.growth import GrowthOptions
+from jaxact.loop import Loop, LoopState, Prepared
+from jaxact.metrics import SEGMENTS, Metrics
+
+
+@dataclass(frozen=True)
+class RolloutOptions:
+    """The static side of a rollout.
+
+    Attributes:
+        ticks: control periods; a multiple of `jaxact.metrics.SEGMENTS`.
+        unroll: control periods in one iteration of the compiled loop.
+        linear_plant: whether the plant is linear, so that a linear drive makes a linear loop.
+    """
+
+    ticks: int
+    unroll: int = 1
+    linear_plant: bool = True
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """One simulated loop at the times of its physics steps.
+
+    Attributes:
+        time: beginning of each step [s], shape (steps,).
+        setpoint: [m or rad], shape (steps, joints).
+        position, velocity: at the beginning of the step [m or rad] and per second.
+        command: held by the controller [N or N m].
+        delayed_command: as it enters the force loop, mean over the step [N or N m].
+        force: on the plant, mean over the step [N or N m].
+    """
+
+    time: jax.Array
+    setpoint: jax.Array
+    position: jax.Array
+    velocity: jax.Array
+    command: jax.Array
+    delayed_command: jax.Array
+    force: jax.Array
+
+
+jax.tree_util.register_dataclass(
+    Trajectory, data_fields=[item.name for item in fields(Trajectory)], meta_fields=[]
+)
+
+
+def whole_ticks(duration: float, control_period: float) -> int:
+    """Smallest number of ticks that covers a duration [s] and can be cut into segments."""
+    segment = duration / control_period / SEGMENTS
+    return SEGMENTS * max(1, int(-(-(segment - 1e-9) // 1)))
+
+
+def _key(key: jax.Array | None, tick: jax.Array) -> jax.Array | None:
+    return None if key is None else jax.random.fold_in(key, tick)
+
+
+def run(
+    prepared: Prepared,
+    options: DriveOptions,
+    rollout: RolloutOptions,
+    state: LoopState,
+    setpoint: Setpoint,
+    key: jax.Array | None = None,
+    *,
+    active_ticks: jax.Array | None = None,
+) -> tuple[LoopState, _metrics.Running, _metrics.Envelope]:
+    """Simulate a loop under a constant setpoint and accumulate its metrics.
+
+    Args:
+        prepared: from `jaxact.loop.prepare`.
+        options: static, of the drive.
+        rollout: static, of the rollout.
+        state: from `jaxact.loop.init`.
+        setpoint: constant; the response is measured as a step from the present position.
+        key: of this sample; each tick folds in its number. Needed only where `options.random`.
+        active_ticks: integrals stop after this many ticks; None for all.
+
+    Returns:
+        The final state, the accumulators of the rollout, and those of its segments, stacked.
+
+    Raises:
+        ValueError: the number of ticks is no multiple of the number of segments, or a random drive
+            has no key.
+    """
+    if rollout.ticks % SEGMENTS:
+        raise ValueError(f"ticks must be a multiple of {SEGMENTS}, got {rollout.ticks}")
+    if options.random and key is None:
+        raise ValueError("a drive with noise needs a random key")
+    key = key if options.random else None
+    start, _ = prepared.plant.measure(state.plant)
+    reference = _metrics.reference(start, jnp.broadcast_to(setpoint.position, start.shape))
+    length = rollout.ticks // SEGMENTS
+
+    def tick(carry, number):
+        state, running, envelope = carry
+        state, (output, _) = _loop.step(prepared, options, state, setpoint, _key(key, number))
+        count = (number + 1).astype(start.dtype)
+        weight = None if active_ticks is None else (count <= active_ticks).astype(start.dtype)
+        running = _metrics.update(running, reference, output, count, weight)
+        envelope = _metrics.update_envelope(envelope, output, count)
+        return _loop.stage(options, (state, running, envelope)), None
+
+    def segment(carry, first):
+        state, running = carry
+        inner = state, running, _metrics.init_envelope(start)
+        numbers = first + jnp.arange(length, dtype=jnp.int32)
+        (state, running, envelope), _ = jax.lax.scan(
+            tick, inner, numbers, unroll=min(rollout.unroll, length)
+        )
+        return (state, running), envelope
+
+    carry = state, _metrics.init(start)
+    firsts = length * jnp.arange(SEGMENTS, dtype=jnp.int32)
+    (state, running), envelopes = jax.lax.scan(segment, carry, firsts)
+    return state, running, envelopes
+
+
+def evaluate(
+    prepared: Prepared,
+    options: DriveOptions,
+    rollout: RolloutOptions,
+    state: LoopState,
+    setpoint: Setpoint,
+    key: jax.Array | None = None,
+    *,
+    growth_rate: jax.Array | None = None,
+    active_ticks: jax.Array | None = None,
+    growth: GrowthOptions = GrowthOptions(),
+) -> Metrics:
+    """Metrics of a step response, verdict and growth rate included.
+
+    Args:
+        prepared, options, rollout, state, setpoint, key, active_ticks: as for `run`.
+        growth_rate: [1/s] if it is known already (in float64, say), else it is measured here.
+        growth: static; how it is measured.
+
+    Returns:
+        See `jaxact.metrics.Metrics`.
+    """
+    if growth_rate is None:
+        growth_rate = _growth.growth_rate(prepared, options, state, setpoint, growth)
+    start, _ = prepared.plant.measure(state.plant)
+    _, running, envelopes = run(
+        prepared, options, rollout, state, setpoint, key, active_ticks=active_ticks
+    )
+    return _metrics.finish(
+        running,
+        envelopes,
+        _metrics.reference(start, jnp.broadcast_to(setpoint.position, start.shape)),
+        growth_rate,
+        linear=options.linear and rollout.linear_plant,
+        period=prepared.drive.drive.control_period,
+        ticks=rollout.ticks,
+        counted=rollout.ticks if active_ticks is None else active_ticks,
+    )
+
+
+def trajectory(
+    loop: Loop,
+    options: DriveOptions,
+    ticks: int,
+    setpoint: Setpoint,
+    key: jax.Array | None = None,
+    *,
+    position: jax.Array | float = 0.0,
+    velocity: jax.Array | float = 0.0,
+    setpoints: Setpoint | None = None,
+) -> Trajectory:
+    """Simulate a loop and keep every physics step.
+
+    Args:
+        loop: parameters.
+        options: static.
+        ticks: static; number of control periods.
+        setpoint: constant setpoint.
+        key: of this sample; needed only where `options.random`.
+        position: to start from [m or rad], shape (joints,) or a number.
+        velocity: to start with [m/s or rad/s], shape (joints,) or a number.
+        setpoints: one for every tick instead of the constant one, leaves of shape (ticks, joints).
+
+    Returns:
+        The trajectory; differentiable with respect to every parameter.
+    """
+    prepared = _loop.prepare(loop, options)
+    state = _loop.init(prepared, options, position, velocity)
+    start, _ = prepared.plant.measure(state.plant)
+    step = prepared.drive.step
+    shape = (options.substeps, *start.shape)
+    key = key if options.random else None
+
+    def tick(state, inputs):
+        number, given = inputs
+        given = setpoint if given is None else given
+        state, (output, record) = _loop.step(prepared, options, state, given, _key(key, number))
+        share = jnp.broadcast_to(prepared.drive.older_share, shape)
+        older, newer = state.drive.older[None], state.drive.newer[None]
+        delayed = share * older + (1.0 - share) * newer
+        held = jnp.broadcast_to(given.position, shape), jnp.broadcast_to(output.command, shape)
+        return state, (held[0], record.position, record.velocity, held[1], delayed, record.force)
+
+    numbers = jnp.arange(ticks, dtype=jnp.int32)
+    _, rows = jax.lax.scan(tick, state, (numbers, setpoints))
+    rows = [row.reshape((ticks * options.substeps, *start.shape)) for row in rows]
+    time = step * jnp.arange(ticks * options.substeps)
+    return Trajectory(time, *rows)

@@ -1,0 +1,195 @@
+"""Sensing at the control rate: bias, noise, encoder counts, and the velocity estimate.
+
+    q_m = round((q + bias + noise) / resolution) * resolution,      bias' = bias + walk sqrt(T) N(0,1)
+    v_m = the sampled velocity, with its own bias, noise and resolution, or, as drives really do it,
+    v_m' = v_m + (1 - exp(-w_f T)) ((q_m' - q_m) / T - v_m)
+
+The measurement delay is not here: the drive samples the plant as it was that long ago.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from math import inf
+
+import jax
+import jax.numpy as jnp
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Parameters of the sensing; every field a float or an array of shape (joints,).
+
+    Attributes:
+        delay: measurement delay [s].
+        position_resolution: one encoder count [m or rad]; 0 for none.
+        velocity_resolution: one count of a sampled velocity [m/s or rad/s]; 0 for none.
+        position_noise: standard deviation of each sample [m or rad].
+        velocity_noise: standard deviation of each sampled velocity [m/s or rad/s].
+        position_bias: constant offset [m or rad].
+        velocity_bias: constant offset of a sampled velocity [m/s or rad/s].
+        position_bias_walk: random walk of the offset [m/sqrt(s) or rad/sqrt(s)].
+        velocity_bias_walk: random walk of the velocity offset [m/s/sqrt(s) or rad/s/sqrt(s)].
+        velocity_filter: cutoff w_f of the differenced velocity [rad/s]; inf for no filter.
+    """
+
+    delay: jax.Array | float = 0.0
+    position_resolution: jax.Array | float = 0.0
+    velocity_resolution: jax.Array | float = 0.0
+    position_noise: jax.Array | float = 0.0
+    velocity_noise: jax.Array | float = 0.0
+    position_bias: jax.Array | float = 0.0
+    velocity_bias: jax.Array | float = 0.0
+    position_bias_walk: jax.Array | float = 0.0
+    velocity_bias_walk: jax.Array | float = 0.0
+    velocity_filter: jax.Array | float = inf
+
+
+@dataclass(frozen=True)
+class SensorOptions:
+    """Which parts of the sensor exist: static, so that what is off costs nothing.
+
+    Attributes:
+        differenced: the velocity is the filtered difference of measured positions.
+        noise: either noise is on.
+        walk: either bias walks.
+        quantise: either resolution is on.
+    """
+
+    differenced: bool = False
+    noise: bool = False
+    walk: bool = False
+    quantise: bool = False
+
+
+@dataclass(frozen=True)
+class SensorState:
+    """What the sensor remembers, each of shape (joints,), or None where it does not exist.
+
+    Attributes:
+        position: previous measured position [m or rad] (differenced velocity only).
+        velocity: previous velocity estimate [m/s or rad/s] (differenced velocity only).
+        walked: how far the two biases have walked, a pair.
+    """
+
+    position: jax.Array | None
+    velocity: jax.Array | None
+    walked: tuple[jax.Array, jax.Array] | None
+
+
+@dataclass(frozen=True)
+class SensorCoefficients:
+    """What follows from the parameters and the period and does not change during a rollout.
+
+    Attributes:
+        parameters: the sensor itself.
+        rate: 1 / T [Hz].
+        root_period: sqrt(T) [sqrt(s)].
+        filter_gain: 1 - exp(-w_f T) [-], shape (joints,).
+    """
+
+    parameters: Sensor
+    rate: jax.Array
+    root_period: jax.Array
+    filter_gain: jax.Array
+
+
+for _class in (Sensor, SensorState, SensorCoefficients):
+    jax.tree_util.register_dataclass(
+        _class, data_fields=[field.name for field in fields(_class)], meta_fields=[]
+    )
+
+
+def quantise(value: jax.Array, resolution: jax.Array) -> jax.Array:
+    """The nearest multiple of `resolution`, or the value itself where the resolution is 0.
+
+    Args:
+        value: any unit, shape (joints,).
+        resolution: same unit, broadcastable, >= 0.
+
+    Returns:
+        same unit and shape. The derivative is 0 (1 where the resolution is 0).
+    """
+    on = resolution > 0.0
+    count = jnp.where(on, resolution, 1.0)
+    return jnp.where(on, jnp.round(value / count) * count, value)
+
+
+def prepare(sensor: Sensor, period: jax.Array) -> SensorCoefficients:
+    """Coefficients for a control period T [s]; see `SensorCoefficients`."""
+    unfiltered = jnp.isinf(sensor.velocity_filter)
+    cutoff = jnp.where(unfiltered, 1.0, sensor.velocity_filter)
+    return SensorCoefficients(
+        parameters=sensor,
+        rate=1.0 / period,
+        root_period=jnp.sqrt(period),
+        filter_gain=jnp.where(unfiltered, 1.0, -jnp.expm1(-cutoff * period)),
+    )
+
+
+def init(
+    sensor: Sensor, options: SensorOptions, position: jax.Array, velocity: jax.Array
+) -> SensorState:
+    """State of a sensor that has watched a plant pass `position` at the constant `velocity`."""
+    zero = jnp.zeros_like(position)
+    measured = position + sensor.position_bias
+    if options.quantise:
+        measured = quantise(measured, jnp.asarray(sensor.position_resolution))
+    return SensorState(
+        position=measured if options.differenced else None,
+        velocity=velocity if options.differenced else None,
+        walked=(zero, zero) if options.walk else None,
+    )
+
+
+def _normal(key: jax.Array, source: int, like: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Two standard normal draws shaped like a joint array; each source has its own stream."""
+    draws = jax.random.normal(jax.random.fold_in(key, source), (2, *like.shape), like.dtype)
+    return draws[0], draws[1]
+
+
+def step(
+    coefficients: SensorCoefficients,
+    options: SensorOptions,
+    state: SensorState,
+    position: jax.Array,
+    velocity: jax.Array,
+    key: jax.Array | None,
+) -> tuple[SensorState, tuple[jax.Array, jax.Array]]:
+    """One sample of the sensor; see the module for the equations.
+
+    Args:
+        coefficients: from `prepare`.
+        options: static.
+        state: from `init` or the previous step.
+        position: true position at the sampling instant [m or rad], shape (joints,).
+        velocity: true velocity at the sampling instant [m/s or rad/s], shape (joints,).
+        key: random key of this sample and tick; needed only with noise or a walking bias.
+
+    Returns:
+        The next state, and (measured position, measured velocity).
+    """
+    sensor, walked = coefficients.parameters, state.walked
+    position = position + sensor.position_bias
+    velocity = velocity + sensor.velocity_bias
+    if walked is not None:
+        first, second = _normal(key, 1, position)
+        root = coefficients.root_period
+        walked = (
+            walked[0] + sensor.position_bias_walk * root * first,
+            walked[1] + sensor.velocity_bias_walk * root * second,
+        )
+        position, velocity = position + walked[0], velocity + walked[1]
+    if options.noise:
+        first, second = _normal(key, 0, position)
+        position = position + sensor.position_noise * first
+        velocity = velocity + sensor.velocity_noise * second
+    if options.quantise:
+        position = quantise(position, jnp.asarray(sensor.position_resolution))
+    if options.differenced:
+        difference = (position - state.position) * coefficients.rate
+        velocity = state.velocity + coefficients.filter_gain * (difference - state.velocity)
+        return SensorState(position, velocity, walked), (position, velocity)
+    if options.quantise:
+        velocity = quantise(velocity, jnp.asarray(sensor.velocity_resolution))
+    return SensorState(None, None, walked), (position, velocity)

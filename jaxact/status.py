@@ -1,0 +1,37 @@
+"""What a rollout can end as: the verdict, with a name and a sentence of advice for each."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Verdict(IntEnum):
+    """Outcome of one closed loop; the value is the code stored in result files."""
+
+    STABLE = 0
+    LIMIT_CYCLE = 1
+    UNSTABLE = 2
+    INVALID = 3
+
+    @property
+    def label(self) -> str:
+        """The name people read in tables, plots and files."""
+        return self.name.lower().replace("_", " ")
+
+    @property
+    def advice(self) -> str:
+        """One sentence: what the verdict means and what to do about it."""
+        return _ADVICE[self]
+
+
+_ADVICE = {
+    Verdict.STABLE: "Perturbations decay; see the margins for how much room is left.",
+    Verdict.LIMIT_CYCLE: (
+        "The motion stays bounded but does not decay: a saturated, quantised or noisy loop that "
+        "keeps shaking; lower the gains, or raise the resolution or the force limit."
+    ),
+    Verdict.UNSTABLE: "Perturbations grow; lower the gains or shorten the delay.",
+    Verdict.INVALID: (
+        "The simulation produced values that are not numbers; check the model and its time step."
+    ),
+}

@@ -1,0 +1,129 @@
+"""What must hold between the parts of a specification, checked before anything runs."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from jaxact.errors import UserError
+from jaxact.sweep.axes import MOST_SAMPLES, Axis
+from jaxact.sweep.specification import Specification
+
+# Longest history of a signal that a loop keeps, in control periods.
+LONGEST_HISTORY = 4096
+# Most physics steps of one rollout.
+MOST_STEPS = 100_000_000
+FEWEST_CONTROL_PERIODS = 10
+MJX_STEP = 0.00025
+
+
+def check(specification: Specification) -> None:
+    """Raise UserError if the parts of a specification do not fit each other."""
+    axes = {axis.name: axis for axis in specification.axes}
+    _check_axes(specification, axes)
+    _check_actuator(specification, axes)
+    _check_torque_speed_line(specification, axes)
+    rates = _rates(specification, axes)
+    _check_steps(specification, rates)
+    _check_duration(specification, rates)
+    _check_delays(specification, axes, rates)
+
+
+def physics_step(specification: Specification, control_rate: float) -> float:
+    """Step of the plant [s] of a loop with this control rate [Hz]."""
+    if specification.physics_step is not None:
+        return specification.physics_step
+    return 1.0 / control_rate if specification.engine == "mass" else MJX_STEP
+
+
+def _check_axes(specification: Specification, axes: dict[str, Axis]) -> None:
+    if not axes:
+        raise UserError("axes: none given; name at least one parameter to vary below [axes]")
+    sampling = specification.sampling
+    drawn = any(axis.sampled for axis in axes.values())
+    if sampling is not None and not drawn:
+        raise UserError(
+            "sampling: no axis is a range { min, max } to draw from; give one, or drop it"
+        )
+    total = math.prod(len(axis) for axis in axes.values()) * (sampling.samples if sampling else 1)
+    if total > MOST_SAMPLES:
+        sizes = " x ".join(f"{axis.name} {len(axis):,}" for axis in axes.values())
+        raise UserError(f"axes: {sizes} make {total:.3g} samples; allowed: up to {MOST_SAMPLES:,}")
+
+
+def _check_actuator(specification: Specification, axes: dict[str, Axis]) -> None:
+    given = {*axes, *specification.parameters}
+    twice = [name for name in ("wn", "zeta") if name in given]
+    if "actuator" in given and twice:
+        raise UserError(f"{twice[0]}: the actuator preset sets it already; remove one of the two")
+
+
+def _check_torque_speed_line(specification: Specification, axes: dict[str, Axis]) -> None:
+    def off(name: str) -> bool:
+        values = axes[name].ends if name in axes else (specification.nominal[name],) * 2
+        return math.isinf(values[1])
+
+    if off("stall_force") != off("no_load_speed"):
+        missing = "stall_force" if off("stall_force") else "no_load_speed"
+        raise UserError(
+            f"{missing}: a torque-speed line needs stall_force and no_load_speed, both finite"
+        )
+
+
+def _rates(specification: Specification, axes: dict[str, Axis]) -> np.ndarray:
+    """Control rates [Hz] that occur, the ends only where they are drawn from a range."""
+    if "control_rate" not in axes:
+        return np.array([specification.nominal["control_rate"]])
+    axis = axes["control_rate"]
+    fixed = specification.engine == "mjx" or specification.physics_step is not None
+    if axis.sampled and fixed:
+        raise UserError(
+            "axes.control_rate: drawn from a range its period is no multiple of the physics step;"
+            " give a list of rates"
+        )
+    return np.array(axis.ends) if axis.sampled else axis.values
+
+
+def _check_steps(specification: Specification, rates: np.ndarray) -> None:
+    for rate in rates:
+        step = physics_step(specification, rate)
+        ratio = 1.0 / (rate * step)
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+            above = 1.0 / (rate * max(math.ceil(ratio), 1))
+            raise UserError(
+                f"control_rate = {rate:g} Hz: its period {1 / rate:g} s is no multiple of the"
+                f" physics step {step:g} s; allowed e.g.: physics_step = {above:.9g}"
+            )
+
+
+def _check_duration(specification: Specification, rates: np.ndarray) -> None:
+    shortest = FEWEST_CONTROL_PERIODS / float(rates.min())
+    steps = specification.duration / physics_step(specification, float(rates.max()))
+    if specification.duration < shortest * (1 - 1e-9):
+        raise UserError(
+            f"duration = {specification.duration:g}; allowed: at least {shortest:g} s,"
+            f" {FEWEST_CONTROL_PERIODS} control periods"
+        )
+    if steps > MOST_STEPS:
+        raise UserError(
+            f"duration = {specification.duration:g} is {steps:.3g} physics steps;"
+            f" allowed: up to {MOST_STEPS:,}"
+        )
+
+
+def _check_delays(specification: Specification, axes: dict[str, Axis], rates: np.ndarray) -> None:
+    longest = {
+        name: axes[name].ends[1] if name in axes else specification.nominal[name]
+        for name in ("delay", "output_delay", "measurement_delay", "setpoint_delay")
+    }
+    # the command and the output delay are one line
+    longest["output_delay"] += longest["delay"]
+    period = 1.0 / float(rates.max())
+    for name, value in longest.items():
+        if value > LONGEST_HISTORY * period * (1 + 1e-9):
+            words = "delay + output_delay" if name == "output_delay" else name
+            raise UserError(
+                f"{words} = {value:g}: a loop's history holds {LONGEST_HISTORY} control periods;"
+                f" allowed: up to {LONGEST_HISTORY * period:g} s at {rates.max():g} Hz"
+            )

@@ -1,0 +1,178 @@
+"""The MJX plant: against the spectral radius of its own step, the exact mass, and C MuJoCo."""
+
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from exact import growth_rate as exact_growth_rate
+
+from jaxact import drive as drives
+from jaxact import growth, loop, rollout
+from jaxact.actuator import PRESETS, Actuator
+from jaxact.controller import Controller, Setpoint
+from jaxact.drive import Drive
+from jaxact.errors import UserError
+from jaxact.loop import Loop
+from jaxact.plants import Mass, mjx
+
+SUBSTEPS = 4
+KP, KD = (a.ravel() for a in np.meshgrid(np.geomspace(10, 1e5, 32), np.geomspace(0.1, 2000, 32)))
+OPTIONS = drives.options(Drive(Controller(1.0, 1.0), Actuator(delay=5e-3)), substeps=SUBSTEPS)
+
+
+@pytest.fixture(scope="module")
+def slide():
+    """Growth rate and one-period Jacobian of the slide joint, compiled once, in float64."""
+    with jax.enable_x64(True):
+        plant = mjx.load()
+
+    def start(kp, kd, wn, zeta, delay):
+        built = Loop(plant.with_mass(0.7), Drive(Controller(kp, kd), Actuator(wn, zeta, delay)))
+        prepared = loop.prepare(built, OPTIONS)
+        return prepared, loop.init(prepared, OPTIONS, 0.0, 0.0)
+
+    def rate(*values):
+        prepared, state = start(*values)
+        measure = growth.GrowthOptions(dense=True)
+        return growth.growth_rate(prepared, OPTIONS, state, Setpoint(0.0), measure)
+
+    def jacobian(*values):
+        prepared, state = start(*values)
+        flat, back = jax.flatten_util.ravel_pytree(state)
+
+        def period(vector):
+            after = loop.step(prepared, OPTIONS, back(vector), Setpoint(0.0))[0]
+            return jax.flatten_util.ravel_pytree(after)[0]
+
+        return jax.jacfwd(period)(flat)
+
+    each = (0, 0, None, None, None)
+    return jax.jit(jax.vmap(rate, each)), jax.jit(jax.vmap(jacobian, each))
+
+
+@pytest.mark.parametrize(("name", "delay"), [("ideal", 1e-3), ("hyq", 5e-3), ("starleth", 1e-3)])
+def test_verdicts_equal_the_spectral_radius_of_the_same_step(slide, name, delay):
+    rate, jacobian = slide
+    with jax.enable_x64(True):
+        arguments = (jnp.asarray(KP), jnp.asarray(KD), *PRESETS[name], delay)
+        got = np.asarray(rate(*arguments))
+        matrices = np.asarray(jacobian(*arguments))
+    # The clock of the simulator counts up and touches nothing: an eigenvalue 1 of no interest.
+    size = matrices.shape[-1]
+    alone = [
+        i
+        for i in range(size)
+        if np.allclose(matrices[:, i], np.eye(size)[i])
+        and np.allclose(matrices[:, :, i], np.eye(size)[i])
+    ]
+    keep = np.setdiff1d(np.arange(size), alone)
+    assert len(alone) == 1
+    radius = np.abs(np.linalg.eigvals(matrices[:, keep][:, :, keep])).max(axis=1)
+    decided = np.abs(radius - 1.0) > 1e-3
+    assert np.all((got > 0.0) == (radius > 1.0), where=decided)
+    np.testing.assert_allclose(got, np.log(radius) / 1e-3, atol=0.02, rtol=0.01)
+
+
+@pytest.mark.parametrize(("name", "delay"), [("ideal", 1e-3), ("hyq", 5e-3), ("starleth", 1e-3)])
+def test_boundary_in_gain_is_near_the_exact_one(slide, name, delay):
+    """Gain factor at the boundary of MJX at 0.25 ms against that of the exact sampled loop."""
+    rate, _ = slide
+    wn, zeta = PRESETS[name]
+
+    def crossing(unstable):
+        low, high = 1.0, 300.0
+        ladder = np.geomspace(low, high, 64)
+        for _ in range(3):
+            first = int(np.argmax(unstable(ladder)))
+            ladder = np.linspace(ladder[first - 1], ladder[first], 64)
+        return ladder.mean()
+
+    def simulated(factors):
+        with jax.enable_x64(True):
+            return np.asarray(rate(400.0 * factors, 20.0 * factors, wn, zeta, delay)) > 0.0
+
+    def exact(factors):
+        return exact_growth_rate(400.0 * factors, 20.0 * factors, 0.7, wn, zeta, delay) > 0.0
+
+    assert crossing(simulated) == pytest.approx(crossing(exact), rel=0.02)
+
+
+def test_positions_approach_the_exact_mass_with_the_step():
+    drive = Drive(Controller(400.0, 20.0), Actuator(110.0, 0.9, 1.3e-3))
+    errors = []
+    with jax.enable_x64(True):
+        plant = mjx.load().with_mass(0.7)
+        run = jax.jit(rollout.trajectory, static_argnums=(1, 2))
+        for substeps in (2, 4):
+            options = drives.options(drive, substeps=substeps)
+            simulated = run(Loop(plant, drive), options, 300, Setpoint(0.1)).position[:, 0]
+            exact = run(Loop(Mass(0.7), drive), options, 300, Setpoint(0.1)).position
+            errors.append(float(np.max(np.abs(np.asarray(simulated) - np.asarray(exact)))))
+    assert errors[0] < 2e-3
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.1)
+
+
+def _c_model(delay_steps, step):
+    return mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="{step}" gravity="0 0 0"/>
+        <worldbody><body><joint name="j" type="slide" axis="1 0 0"/>
+        <geom type="sphere" size="0.05" mass="0.7" contype="0" conaffinity="0"/></body></worldbody>
+        <actuator><motor joint="j" delay="{delay_steps * step}" nsample="{delay_steps + 2}"/>
+        </actuator></mujoco>"""
+    )
+
+
+@pytest.mark.parametrize("steps", [1, 5, 19])
+def test_c_mujoco_with_its_own_delay_is_the_referee(steps):
+    drive = Drive(Controller(400.0, 20.0), Actuator(delay=steps * 1e-3))
+    options = drives.options(drive)
+    run = jax.jit(rollout.trajectory, static_argnums=(1, 2))
+    path = run(Loop(mjx.load(), drive), options, 2000, Setpoint(0.1))
+    model = _c_model(steps, 1e-3)
+    data = mujoco.MjData(model)
+    want = []
+    for _ in range(2000):
+        want.append(data.qpos[0])
+        data.ctrl[0] = 400.0 * (0.1 - data.qpos[0]) - 20.0 * data.qvel[0]
+        mujoco.mj_step(model, data)
+    want = np.array(want)
+    np.testing.assert_allclose(np.asarray(path.position)[:, 0], want, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<mujoco><worldbody/></mujoco>", "has no motor"),
+        ("<mujoco><wrong/></mujoco>", "cannot compile"),
+        (
+            """<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>
+            <actuator><position name="p" joint="j" kp="3"/></actuator></mujoco>""",
+            "actuator 'p' is not a plain motor",
+        ),
+        (
+            """<mujoco><worldbody><body><joint name="j" type="ball"/><geom size="0.1"/></body>
+            </worldbody><actuator><motor name="p" joint="j"/></actuator></mujoco>""",
+            "ball or free joint",
+        ),
+    ],
+)
+def test_models_that_cannot_be_driven_say_why(tmp_path, text, message):
+    path = tmp_path / "model.xml"
+    path.write_text(text)
+    with pytest.raises(UserError, match=message) as caught:
+        mjx.load(path)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(UserError, match="no such model file"):
+        mjx.load(tmp_path / "missing.xml")
+
+
+def test_gears_turn_forces_into_controls(tmp_path):
+    path = tmp_path / "geared.xml"
+    path.write_text(mjx.SLIDE.read_text().replace('joint="slide"/>', 'joint="slide" gear="50"/>'))
+    drive = Drive(Controller(400.0, 20.0), Actuator(110.0, 0.9, 1e-3))
+    options = drives.options(drive)
+    run = jax.jit(rollout.trajectory, static_argnums=(1, 2))
+    paths = [run(Loop(mjx.load(p), drive), options, 100, Setpoint(0.1)) for p in (path, mjx.SLIDE)]
+    np.testing.assert_allclose(paths[0].position, paths[1].position, rtol=1e-5)

@@ -1,0 +1,223 @@
+"""The shape of the code: layers, no cycles, documented public names, a README that is true."""
+
+import ast
+import importlib
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import jaxact
+from jaxact.cli.main import VERBS
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "jaxact"
+
+# Layers from low to high; a module imports only from its own layer and lower ones. A package stands
+# for all its modules unless one is named itself.
+ANALYSIS = (
+    "frequency", "crossovers", "roots", "peaks", "lobes", "margins", "boundary",
+    "sampled", "pulse", "sampled_margins", "sampled_roots",
+)  # fmt: skip
+LAYERS = (
+    ("errors", "status"),
+    ("delay", "held"),
+    ("actuator", "sensor", "controller"),
+    ("drive",),
+    ("plants",),
+    ANALYSIS,
+    ("loop", "rollout", "metrics", "growth"),
+    ("sweep",),
+    ("plot",),
+    ("cli",),
+)
+# Theory and simulation are written independently, so that each can catch the other's mistakes.
+THEORY = (*ANALYSIS, "held")
+SIMULATION = ("plants", "loop", "rollout", "metrics", "growth", "sweep", "drive", "actuator")
+
+
+def _modules():
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts), path
+
+
+MODULES = dict(_modules())
+
+
+def _imports(path):
+    """Modules of jaxact that a file imports anywhere; and those it imports when it is loaded."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    anywhere = {name for node in ast.walk(tree) for name in _named(node)}
+    return anywhere, {name for node in _executed(tree) for name in _named(node)}
+
+
+def _executed(tree):
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
+            continue
+        yield node
+        yield from _executed(node)
+
+
+def _named(node):
+    if isinstance(node, ast.Import):
+        names = [alias.name for alias in node.names]
+    elif isinstance(node, ast.ImportFrom) and node.level == 0:
+        whole = [f"{node.module}.{alias.name}" for alias in node.names]
+        names = [name if name in MODULES else node.module for name in whole]
+    else:
+        return []
+    return [name for name in names if name in MODULES and name != "jaxact"]
+
+
+def _part(module):
+    return module.split(".")[1]
+
+
+def _layer(module):
+    for height, parts in enumerate(LAYERS):
+        if _part(module) in parts:
+            return height
+    raise AssertionError(f"{module} is in no layer; give it one in LAYERS")
+
+
+@pytest.mark.parametrize("module", [name for name in MODULES if name != "jaxact"])
+def test_imports_only_point_down_the_layers(module):
+    anywhere, _ = _imports(MODULES[module])
+    up = [name for name in anywhere if _layer(name) > _layer(module)]
+    assert not up, f"{module} imports {up} from a higher layer"
+
+
+def test_there_is_no_circular_import():
+    graph = {name: _imports(path)[1] - {name} for name, path in MODULES.items()}
+    done, path = set(), []
+
+    def visit(name):
+        assert name not in path, f"circular import: {' -> '.join([*path, name])}"
+        if name not in done:
+            path.append(name)
+            for other in sorted(graph[name]):
+                visit(other)
+            done.add(path.pop())
+
+    for name in graph:
+        visit(name)
+
+
+@pytest.mark.parametrize("module", [name for name in MODULES if name.split(".")[1:2] and
+                                    _part(name) in THEORY])  # fmt: skip
+def test_theory_does_not_import_simulation(module):
+    anywhere, _ = _imports(MODULES[module])
+    assert not [name for name in anywhere if _part(name) in SIMULATION]
+
+
+def test_no_module_is_a_drawer_of_odds_and_ends():
+    words = {"utils", "util", "helpers", "helper", "misc", "common", "tools"}
+    assert not [name for name in MODULES if words & set(name.lower().replace("_", ".").split("."))]
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_every_module_and_public_name_is_documented(module):
+    tree = ast.parse(MODULES[module].read_text(encoding="utf-8"))
+    assert ast.get_docstring(tree), f"{module} has no docstring"
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            assert ast.get_docstring(node), f"{module}.{node.name} has no docstring"
+
+
+@pytest.mark.parametrize("name", sorted(jaxact._PUBLIC))
+def test_public_names_exist_and_are_documented(name):
+    value = getattr(jaxact, name)
+    assert value.__doc__ and name in dir(jaxact)
+    assert f"jaxact.{name}" not in MODULES, "a module of that name would hide it"
+
+
+def test_an_unknown_public_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = jaxact.nonsense
+
+
+def _python(code):
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, cwd=ROOT
+    )
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    code = "import jaxact, jaxact.cli.main, sys; print(*sys.modules)"
+    loaded = _python(code).stdout
+    assert not {"jax", "numpy", "xarray", "mujoco", "matplotlib"} & set(loaded.split())
+
+
+def test_every_verb_is_a_module_with_a_documented_main():
+    for verb in VERBS:
+        main = importlib.import_module(f"jaxact.cli.{verb}").main
+        assert main.__doc__ and "examples:" in main.__doc__
+
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
+
+
+def test_readme_opens_with_the_map_and_the_two_commands():
+    head = README[: README.index("\n## ")]
+    picture = re.search(r"!\[[^\]]+\]\((results/paper_gain_map/\S+\.png)\)", head)
+    assert picture and head.index("make demo") < head.index("make test")
+    assert (ROOT / picture[1]).is_file()
+
+
+def test_readme_links_lead_to_files():
+    for target in re.findall(r"\]\(([^)#]+)\)", README):
+        if "://" not in target:
+            assert (ROOT / target).exists(), f"README links to {target}, which is not there"
+
+
+def test_readme_commands_exist():
+    made = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
+    lines = [line for kind, block in BLOCKS if kind == "sh" for line in block.splitlines()]
+    assert lines
+    for line in lines:
+        words = shlex.split(line, comments=True)
+        if not words:
+            continue
+        assert words[0] in ("make", "jaxact", "git", "cd", ".venv/bin/jaxact"), line
+        if words[0] == "make":
+            assert words[1] in made, line
+        if words[0].endswith("jaxact"):
+            assert words[1] in VERBS, line
+            assert words[1] != "sweep" or (ROOT / words[2]).is_file(), line
+
+
+def test_readme_commands_run(tmp_path):
+    shutil.copytree(ROOT / "experiments", tmp_path / "experiments")
+    smaller = ["--set", "axes.kp.num=6", "--set", "axes.kd.num=6"]
+    for line in (line for kind, block in BLOCKS if kind == "sh" for line in block.splitlines()):
+        words = shlex.split(line, comments=True)
+        if words[:1] != ["jaxact"]:
+            continue
+        arguments = words[1:] + (smaller if words[1] == "sweep" else [])
+        ran = subprocess.run(
+            [sys.executable, "-m", "jaxact.cli.main", *arguments],
+            capture_output=True, text=True, cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+        )  # fmt: skip
+        assert ran.returncode == 0, f"{line}: {ran.stderr}"
+    for name in ("map.pdf", "overshoot.svg", "map.nc", "results/exact_plant/sweep.zarr"):
+        assert (tmp_path / name).exists(), f"{name} was not written"
+
+
+@pytest.mark.parametrize("code", [block for kind, block in BLOCKS if kind == "python"])
+def test_readme_examples_run(code):
+    ran = _python(code)
+    assert ran.returncode == 0, ran.stderr
+    said = [line for line in code.splitlines() if "# prints " in line]
+    for line, printed in zip(said, ran.stdout.splitlines(), strict=True):
+        assert line.split("# prints ")[1] == printed

@@ -1,0 +1,214 @@
+"""The verbs that work on single loops, as a user types them: simulate, step, margins, pictures."""
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxact.cli.main import main
+
+CASES = {
+    case["name"]: case
+    for case in json.loads((Path(__file__).parent / "data" / "paper_loop.json").read_text())[
+        "paper_cases"
+    ]
+}
+KEYS = (
+    "stable unstable_roots gain_margin phase_crossover phase_margin gain_crossover delay_margin "
+    "sensitivity_peak sensitivity_peak_frequency complementary_peak complementary_peak_frequency "
+    "modulus_margin disk_margin spectral_abscissa gain_reduction_margin log_gain_to_boundary"
+).split()
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def _said(capsys, *arguments):
+    assert main(list(arguments)) == 0
+    return capsys.readouterr().out
+
+
+def _mistake(capsys, *arguments):
+    assert main(list(arguments)) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith("jaxact: ") and said.err.count("\n") == 1
+    assert not list(Path().iterdir())
+    return said.err
+
+
+@pytest.mark.parametrize("actuator", ["ideal", "hyq", "starleth"])
+def test_margins_equal_the_oracle(capsys, actuator):
+    said = _said(
+        capsys, "margins", "--actuator", actuator, "--delay", "0", "0.001", "0.005", "--json"
+    )
+    rows = [json.loads(line) for line in said.splitlines()]
+    assert len(rows) == 3
+    for row, milliseconds in zip(rows, (0, 1, 5), strict=True):
+        case = CASES[f"{actuator} {milliseconds} ms"]
+        assert set(KEYS) < set(row)
+        assert row["stable"] is True and row["unstable_roots"] == 0
+        names = {"phase_margin": "phase_margin_deg", "disk_margin": "disk_margin_balanced"}
+        for name in ("gain_margin", "phase_margin", "gain_crossover", "delay_margin", "disk_margin",
+                     "sensitivity_peak", "complementary_peak", "spectral_abscissa"):  # fmt: skip
+            expected = case[names.get(name, name)]
+            assert row[name] == (
+                expected if expected == "inf" else pytest.approx(expected, rel=1e-8)
+            )
+
+
+def test_margins_of_an_unstable_loop_are_null(capsys):
+    said = _said(capsys, "margins", "--actuator", "starleth", "--delay", "0.005", "--kp", "1200",
+                 "--kd", "60", "--control-rate", "1000", "--json")  # fmt: skip
+    row = json.loads(said)
+    for figures in (row, row["sampled"]):
+        assert figures["stable"] is False and figures["unstable_roots"] == 2
+        assert figures["gain_margin"] is figures["disk_margin"] is figures["delay_margin"] is None
+        assert figures["log_gain_to_boundary"] < 0 < figures["spectral_abscissa"]
+    # tripled gains are beyond the boundary by as much as the gain margin is short of three
+    expected = math.log(CASES["starleth 5 ms"]["gain_margin"] / 3.0)
+    assert row["log_gain_to_boundary"] == pytest.approx(expected, rel=1e-8)
+
+
+def test_margins_table_shows_both_kinds_side_by_side(capsys):
+    said = _said(
+        capsys, "margins", "--actuator", "starleth", "--delay", "5e-3", "--control-rate", "1000"
+    )
+    for words in ("continuous", "sampled", "2.402 (7.6 dB)", "10.41 ms", "in control periods",
+                  "rightmost root", "guarantees gains"):  # fmt: skip
+        assert words in said
+    wide = _said(capsys, "margins", "--kp", "100", "200", "400", "800", "1600")
+    assert len([line for line in wide.splitlines() if line.startswith(" kp")]) == 5
+
+
+def test_margins_of_a_file_of_loops(capsys, tmp_path):
+    rows = [f'[[loop]]\nname = "loop {i}"\nkp = {100 + i}\nactuator = "hyq"' for i in range(1500)]
+    Path("loops.toml").write_text("\n".join(rows))
+    said = _said(capsys, "margins", "--loops", "loops.toml", "--delay", "0.001", "--json",
+                 "--csv", "out.csv", "--store", "out.zarr")  # fmt: skip
+    found = [json.loads(line) for line in said.splitlines()]
+    assert len(found) == 1500 and found[7]["loop"]["name"] == "loop 7"
+    assert found[300]["gain_margin"] == pytest.approx(CASES["hyq 1 ms"]["gain_margin"], rel=1e-8)
+    with open("out.csv") as file:
+        table = list(csv.DictReader(file))
+    assert float(table[300]["gain_margin"]) == found[300]["gain_margin"]
+    assert table[300]["name"] == "loop 300" and float(table[300]["kp"]) == 400.0
+    import xarray
+
+    store = xarray.open_zarr("out.zarr")
+    assert float(store["gain_margin"][300]) == found[300]["gain_margin"]
+    assert store["delay_margin"].attrs["units"] == "s"
+
+
+def test_margins_of_a_sweeps_specification(capsys):
+    Path("spec.toml").write_text('[axes]\nactuator = ["hyq", "starleth"]\ndelay = [0.0, 0.001]\n')
+    said = _said(capsys, "margins", "--loops", "spec.toml", "--json")
+    names = [json.loads(line)["loop"]["name"] for line in said.splitlines()]
+    assert names == [
+        "HyQ, delay 0 ms", "HyQ, delay 1 ms", "StarLETH, delay 0 ms", "StarLETH, delay 1 ms"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["margins", "--mass", "0"], "--mass = 0.0 is out of range"),
+        (["margins", "--kp"], "give at least one value"),
+        (["margins", "--kp", "1", "1"], "more than once"),
+        (["margins", "--actuator", "hyk"], "did you mean 'hyq'?"),
+        (["margins", "--actuator", "hyq", "--wn", "100"], "preset sets it already"),
+        (["margins", "--loops", "nothing.toml"], "nothing.toml: cannot be read"),
+        (["margins", "--velocity", "guessed"], "allowed: sampled, differenced"),
+        (["margins", "--csv", "table.txt"], "must end in .csv"),
+        (["margins", "--csv", "nowhere/table.csv"], "does not exist"),
+        (["bode", "--kp", *map(str, range(1, 20))], "too many for one picture"),
+        (["bode", "--out", "bode.jpg"], "no picture format"),
+        (["nyquist", "--delay", "-1"], "--delay = -1.0 is out of range"),
+        (["sensitivity", "--zeta", "0"], "--zeta = 0.0 is out of range"),
+        (["step", "--duration", "0"], "duration = 0.0"),
+        (["step", "--engine", "bullet"], "allowed: mass, mjx"),
+        (["step", "--kp", *map(str, range(1, 20))], "too many for one picture"),
+        (["simulate", "--mass", "-1"], "--mass = -1.0 is out of range"),
+        (["simulate", "--duration", "1e4"], "can be kept"),
+        (["simulate", "--csv", "run.txt"], "must end in .csv"),
+        (["simulate", "--npz", "nowhere/run.npz"], "does not exist"),
+        (["simulate", "--set", "kp=3"], "give one with --spec"),
+        (["simulate", "--spec", "nothing.toml"], "no such file"),
+        (["simulate", "--engine", "mjx", "--model", "nothing.xml"], "no such file"),
+        (["simulate", "--joint", "3"], "1 driven joints"),
+        (["simulate", "--seed", "-1"], "seed = -1"),
+        (["simulate", "--velocity", "guessed"], "allowed: sampled, differenced"),
+    ],
+)
+def test_a_mistake_is_one_line_and_writes_nothing(capsys, arguments, message):
+    assert message in _mistake(capsys, *arguments)
+
+
+@pytest.mark.parametrize("verb", ["bode", "nyquist", "sensitivity"])
+def test_pictures_of_several_loops(capsys, verb):
+    said = _said(capsys, verb, "--actuator", "hyq", "starleth", "--delay", "0.005", "--kp", "400",
+                 "1200", "--kd", "60", "--control-rate", "1000", "--out",
+                 f"{verb}.svg")  # fmt: skip
+    assert said == f"wrote {verb}.svg\n"
+    text = Path(f"{verb}.svg").read_text()
+    assert "StarLETH" in text and "sampled at 1 kHz" in text and "unstable" in text
+
+
+def test_step_responses(capsys):
+    said = _said(capsys, "step", "--actuator", "hyq", "starleth", "--delay", "0.005", "--kp", "400",
+                 "--kd", "20", "400", "--duration", "0.2", "--out", "step.pdf")  # fmt: skip
+    assert "StarLETH, kd 20 N s/m: overshoot" in said and "kd 400 N s/m: unstable" in said
+    assert Path("step.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_simulate_writes_picture_and_numbers(capsys):
+    arguments = ["simulate", "--actuator", "starleth", "--delay", "0.005", "--csv", "run.csv",
+                 "--npz", "run.npz", "--duration", "0.2"]  # fmt: skip
+    said = _said(capsys, *arguments)
+    assert (
+        "verdict" in said and "stable" in said and "wrote simulation.png, run.csv, run.npz" in said
+    )
+    with open("run.csv") as file:
+        rows = list(csv.DictReader(file))
+    arrays = np.load("run.npz")
+    assert len(rows) == 200 and arrays["position"].shape == (200, 1)
+    column = [float(row["position [m]"]) for row in rows]
+    np.testing.assert_allclose(column, arrays["position"][:, 0], rtol=1e-8)
+    assert json.loads(str(arrays["parameters"]))["delay"] == 0.005
+    assert "exists" in _again(capsys, arguments)
+    assert main([*arguments, "--overwrite", "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["verdict"] == "stable" and figures["parameters"]["wn"] == 110.0
+
+
+def _again(capsys, arguments):
+    before = {path: path.read_bytes() for path in Path().iterdir()}
+    assert main(arguments) == 2
+    assert {path: path.read_bytes() for path in Path().iterdir()} == before
+    return capsys.readouterr().err
+
+
+def test_simulate_takes_a_specification_then_set_then_options(capsys):
+    Path("spec.toml").write_text(
+        'duration = 0.1\n[parameters]\nactuator = "hyq"\nkp = 300\n[axes]\nkd = [10, 20]\n'
+    )
+    said = _said(
+        capsys, "simulate", "--spec", "spec.toml", "--set", "kp=500", "--wn", "200", "--json"
+    )
+    own = json.loads(said)["parameters"]
+    assert (own["kp"], own["kd"], own["wn"], own["zeta"]) == (500.0, 20.0, 200.0, 0.45)
+    said = _said(capsys, "simulate", "--spec", "spec.toml", "--actuator", "starleth", "--json")
+    assert json.loads(said)["parameters"]["wn"] == 110.0
+
+
+@pytest.mark.parametrize("verb", ["simulate", "step", "margins", "bode", "nyquist", "sensitivity"])
+def test_help_names_units_examples_and_defaults(capsys, verb):
+    with pytest.raises(SystemExit) as leaving:
+        main([verb, "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert leaving.value.code == 0
+    assert "examples:" in said and "[N/m]" in said and "(default: 400)" in said

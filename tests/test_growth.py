@@ -1,0 +1,94 @@
+"""Growth rates of simulated loops against the exact spectral radius, on maps of gains."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from exact import growth_rate as exact_growth_rate
+
+from jaxact import drive as drives
+from jaxact import growth, loop
+from jaxact.actuator import PRESETS, Actuator
+from jaxact.controller import Controller, Setpoint
+from jaxact.drive import Drive
+from jaxact.loop import Loop
+from jaxact.plants import Mass
+from jaxact.sensor import Sensor
+
+TILE = 256
+KP, KD = (a.ravel() for a in np.meshgrid(np.geomspace(10, 1e5, 256), np.geomspace(0.1, 2000, 256)))
+CASES = [(name, delay) for name in PRESETS for delay in (0.0, 1e-3, 5e-3)]
+CASES += [("hyq", 0.37e-3), ("starleth", 1.83e-3), ("ideal", 0.37e-3)]
+
+OPTIONS = drives.options(Drive(Controller(1.0, 1.0), Actuator(delay=5e-3)))
+
+
+@jax.jit
+def _map(kp, kd, wn, zeta, delay):
+    def one(kp, kd):
+        drive = Drive(Controller(kp, kd), Actuator(wn, zeta, delay))
+        prepared = loop.prepare(Loop(Mass(0.7), drive), OPTIONS)
+        state = loop.init(prepared, OPTIONS, 0.0, 0.0)
+        return growth.growth_rate(prepared, OPTIONS, state, Setpoint(0.0))
+
+    return jax.lax.map(lambda tile: jax.vmap(one)(*tile), (kp, kd))
+
+
+@pytest.mark.parametrize(("name", "delay"), CASES)
+def test_every_verdict_and_growth_rate_of_a_large_map(name, delay):
+    wn, zeta = PRESETS[name]
+    with jax.enable_x64(True):
+        kp, kd = KP.reshape(-1, TILE), KD.reshape(-1, TILE)
+        got = np.asarray(_map(kp, kd, wn, zeta, delay)).ravel()
+    want = exact_growth_rate(KP, KD, 0.7, wn, zeta, delay)
+    decided = np.abs(np.expm1(want * 1e-3)) > 1e-4
+    wrong = decided & ((got > 0.0) != (want > 0.0))
+    assert not np.any(wrong), list(zip(KP[wrong], KD[wrong], got[wrong], want[wrong], strict=True))
+    near = np.abs(want) < 200.0
+    excess = np.abs(got - want)[near] - (0.01 * np.abs(want[near]) + 0.02)
+    assert np.max(excess) <= 0.0
+    assert np.sum(near) > 10_000
+
+
+@pytest.mark.parametrize("cutoff", [np.inf, 500.0])
+def test_differenced_velocity_and_long_delays(cutoff):
+    """A long line is a ring buffer; lightly damped actuators have many slow modes."""
+    kp, kd = KP[::97], KD[::97]
+    for wn, zeta, delay in ((300.0, 0.05, 12e-3), (800.0, 0.45, 20.4e-3)):
+        drive = Drive(Controller(kp, kd), Actuator(wn, zeta, delay), Sensor(velocity_filter=cutoff))
+        options = drives.options(drive, differenced=True)
+
+        @jax.jit
+        def rates(kp, kd, wn=wn, zeta=zeta, delay=delay, options=options):
+            def one(kp, kd):
+                sensor = Sensor(velocity_filter=cutoff)
+                drive = Drive(Controller(kp, kd), Actuator(wn, zeta, delay), sensor)
+                prepared = loop.prepare(Loop(Mass(0.7), drive), options)
+                state = loop.init(prepared, options, 0.0, 0.0)
+                return growth.growth_rate(prepared, options, state, Setpoint(0.0))
+
+            return jax.vmap(one)(kp, kd)
+
+        with jax.enable_x64(True):
+            got = np.asarray(rates(jnp.asarray(kp), jnp.asarray(kd)))
+        want = exact_growth_rate(kp, kd, 0.7, wn, zeta, delay, differenced=True, cutoff=cutoff)
+        decided = np.abs(np.expm1(want * 1e-3)) > 1e-4
+        assert np.all((got > 0.0) == (want > 0.0), where=decided)
+        near = np.abs(want) < 200.0
+        np.testing.assert_array_less(np.abs(got - want)[near], 0.01 * np.abs(want[near]) + 0.02)
+
+
+def test_log_spectral_radius_of_awkward_matrices():
+    rng = np.random.default_rng(0)
+    matrices = [rng.normal(size=(4, 4)) for _ in range(20)]
+    matrices.append(np.array([[1.0, 1.0, 0, 0], [0, 1.0, 0, 0], [0, 0, 0.5, 9.0], [0, 0, 0, 0.1]]))
+    matrices.append(np.diag([0.9, -0.9, 0.9, 1e-9]))
+    with jax.enable_x64(True):
+        radius = jax.jit(
+            jax.vmap(lambda m: growth.log_spectral_radius([list(row) for row in m], 18))
+        )
+        got = np.asarray(radius(jnp.asarray(np.stack(matrices))))
+        want = np.log([np.abs(np.linalg.eigvals(m)).max() for m in matrices])
+        np.testing.assert_allclose(got, want, atol=3e-5)
+        nothing = radius(jnp.zeros((1, 4, 4)).at[0, 0, 1].set(1.0))
+        assert np.isneginf(nothing[0])

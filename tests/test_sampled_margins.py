@@ -1,0 +1,279 @@
+"""Sampled margins against the oracle, against spectral radii just inside and outside, and a solver."""
+
+import dataclasses
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import theory
+
+from jaxact.sampled import SampledLoop, one_period_matrix, period_map
+from jaxact.sampled_margins import SampledMargins, sampled_margins
+from jaxact.sampled_roots import spectral_radius
+from jaxact.sampled_search import sampled_response
+
+PERIOD = 1e-3
+STEPS = 5
+FIELDS = tuple(f.name for f in dataclasses.fields(SampledMargins))
+PAPER = np.array([theory.plant_values(theory.ORACLE["paper_cases"], n) for n in theory.NAMES])
+VARIANTS = {"velocity_sampled": "sampled", "velocity_backward_difference": "differenced"}
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    with jax.enable_x64(True):
+        yield
+
+
+compiled = jax.jit(partial(sampled_margins, max_delay_steps=STEPS))
+radii = jax.jit(jax.vmap(partial(spectral_radius, max_delay_steps=STEPS + 1)))
+SIZE = 192
+
+
+def loops(values, dtype=None, *, velocity="sampled", cutoff=np.inf):
+    """SampledLoop of (6, n), padded to one compiled size."""
+    padded = np.pad(values, ((0, 0), (0, -values.shape[1] % SIZE)), mode="edge")
+    ones = np.ones(padded.shape[1])
+    arrays = [jnp.asarray(v, dtype=dtype) for v in (*padded, PERIOD * ones, cutoff * ones)]
+    return SampledLoop(*arrays, velocity=velocity)
+
+
+def evaluate(values, dtype=None, **kinds):
+    found = compiled(loops(values, dtype, **kinds))
+    return SampledMargins(*(np.asarray(getattr(found, f))[: values.shape[1]] for f in FIELDS))
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize(("dtype", "tolerance"), [("float64", 1e-9), ("float32", 1e-4)])
+def test_every_sampled_figure_of_the_oracle(variant, dtype, tolerance):
+    found = evaluate(PAPER, dtype, velocity=VARIANTS[variant])
+    cases = [case[variant] for case in theory.ORACLE["sampled_1khz"]]
+    assert found.stable.all() and not found.more_crossovers.any()
+    for name, key in {
+        "gain_margin": "gm",
+        "gain_crossover": "wgc",
+        "delay_margin": "dm",
+        "sensitivity_peak": "Ms",
+        "spectral_radius": "rho",
+    }.items():
+        expected = theory.figures(cases, key)
+        np.testing.assert_allclose(getattr(found, name), expected, rtol=tolerance, err_msg=name)
+    np.testing.assert_allclose(
+        np.degrees(found.phase_margin), theory.figures(cases, "pm"), rtol=tolerance
+    )
+    np.testing.assert_allclose(
+        found.sensitivity_peak_frequency, theory.figures(cases, "wMs"), rtol=max(tolerance, 1e-6)
+    )
+
+
+def test_the_ideal_actuator_at_one_kilohertz_has_gain_margin_seventy():
+    """It is lost at z = -1, the very end of the frequency axis, where other tools do not look."""
+    found = evaluate(PAPER[:, :1])
+    np.testing.assert_allclose(found.gain_margin[0], 70.0, rtol=1e-11)
+    np.testing.assert_allclose(found.phase_crossover[0], np.pi / PERIOD, rtol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def crowd():
+    """Random loops whose delay fits, about half of them unstable, with their sampled margins."""
+    values = theory.random_loops(4000, seed=11)
+    values = values[:, (values[5] < STEPS * PERIOD) & (values[1] < 300)]
+    with jax.enable_x64(True):
+        size = 2 * SIZE
+        values = values[:, :size]
+        return values, evaluate(values)
+
+
+def radius(values):
+    found = radii(loops(values))
+    return np.asarray(found)[: values.shape[1]]
+
+
+def test_spectral_radius_decides_and_margins_follow(crowd):
+    values, found = crowd
+    assert 0.2 < found.stable.mean() < 0.8
+    expected = [
+        np.abs(np.linalg.eigvals(theory.sampled_matrix(values[:, j], PERIOD))).max()
+        for j in range(values.shape[1])
+    ]
+    np.testing.assert_allclose(found.spectral_radius, expected, rtol=1e-8)
+    np.testing.assert_array_equal(found.unstable_roots == 0, found.stable)
+    for name in FIELDS:
+        value = getattr(found, name).astype(float)
+        assert not np.isnan(value[found.stable]).any(), name
+    assert np.isnan(found.gain_margin[~found.stable]).all()
+    assert (found.log_gain_to_boundary[~found.stable] < 0).all()
+    assert not found.more_crossovers.any()
+
+
+def test_gain_margin_is_where_the_spectral_radius_passes_one(crowd):
+    values, found = crowd
+    finite = found.stable & np.isfinite(found.gain_margin)
+    assert finite.sum() > 80
+    for step, outside in ((-1e-6, False), (1e-6, True)):
+        changed = values.copy()
+        changed[:2] *= np.where(finite, found.gain_margin * (1 + step), 1.0)
+        np.testing.assert_array_equal(radius(changed)[finite] > 1.0, outside)
+    # A few stops on the way: nothing destabilises earlier.
+    for part in (0.3, 0.7, 0.95):
+        changed = values.copy()
+        changed[:2] *= np.where(finite, 1.0 + part * (found.gain_margin - 1.0), 1.0)
+        assert (radius(changed)[finite] < 1.0).all()
+
+
+def test_the_log_distance_rescues_unstable_loops(crowd):
+    values, found = crowd
+    distance = found.log_gain_to_boundary
+    reachable = ~found.stable & np.isfinite(distance)
+    assert reachable.sum() > 20
+    for beyond, unstable in ((1e-6, False), (-1e-6, True)):
+        changed = values.copy()
+        changed[:2] *= np.where(reachable, np.exp(distance - beyond), 1.0)
+        np.testing.assert_array_equal(radius(changed)[reachable] > 1.0, unstable)
+
+
+def test_delay_margin_of_whole_periods_is_exact():
+    """A loop whose delay margin is brought to a whole period is marginal with that period more."""
+    values = PAPER[:, 8].copy()
+    scale = 1.0
+    for _ in range(40):
+        values[:2] = PAPER[:2, 8] * scale
+        margin = float(evaluate(values[:, None]).delay_margin[0])
+        scale *= (margin / (9 * PERIOD)) ** 0.5
+    np.testing.assert_allclose(margin, 9 * PERIOD, rtol=1e-9)
+    values[5] += 9 * PERIOD
+    matrix = theory.sampled_matrix(values, PERIOD)
+    np.testing.assert_allclose(np.abs(np.linalg.eigvals(matrix)).max(), 1.0, atol=1e-9)
+
+
+def test_peaks_are_the_maxima_of_a_dense_grid(crowd):
+    values, found = crowd
+    chosen = np.flatnonzero(found.stable)[:40]
+    theta = np.concatenate([np.geomspace(1e-4, np.pi, 4000), np.linspace(0, np.pi, 4000)[1:]])
+    function = jax.jit(sampled_response)
+    for j in chosen:
+        loop = jax.tree.map(lambda a, j=j: a[j], loops(values))
+        near = np.linspace(0.99, 1.01, 501) * found.sensitivity_peak_frequency[j]
+        w = np.concatenate([theta / PERIOD, np.minimum(near, np.pi / PERIOD)])
+        value = np.asarray(function(loop, jnp.asarray(w)))
+        for name, curve in (
+            ("sensitivity_peak", np.abs(1 / (1 + value))),
+            ("complementary_peak", np.abs(value / (1 + value))),
+            ("disk_margin", 0.5 * np.abs((1 - value) / (1 + value))),
+        ):
+            peak = getattr(found, name)[j]
+            peak = 1.0 / peak if name == "disk_margin" else peak
+            assert curve.max() <= peak * (1 + 1e-9), name
+            assert curve.max() >= peak * (1 - 2e-2), name
+
+
+@pytest.mark.parametrize("velocity", ["sampled", "differenced"])
+@pytest.mark.parametrize("integrator", ["exact", "euler"])
+def test_response_equals_the_resolvent(velocity, integrator):
+    """C (z - A)^-1 B of the plant with its delay line, by linear algebra."""
+    for wn, delay, cutoff in ((110.0, 2.37e-3, 500.0), (np.inf, 0.0, np.inf), (20.0, 4e-3, 50.0)):
+        arrays = (jnp.asarray(v) for v in (400.0, 20.0, 0.7, wn, 0.3, delay, PERIOD, cutoff))
+        loop = SampledLoop(*arrays, velocity=velocity, integrator=integrator, substeps=3)
+        closed = np.asarray(jax.jit(one_period_matrix, static_argnums=1)(loop, 5))
+        still = dataclasses.replace(loop, kp=jnp.asarray(0.0), kd=jnp.asarray(0.0))
+        opened = np.asarray(jax.jit(one_period_matrix, static_argnums=1)(still, 5))
+        for theta in (0.01, 0.3, 1.7, 3.0):
+            z = np.exp(1j * theta)
+            # 1 + L(z) = det(z - A_closed) / det(z - A_open).
+            size = len(closed)
+            ratio = np.linalg.det(z * np.eye(size) - closed) / np.linalg.det(
+                z * np.eye(size) - opened
+            )
+            found = complex(sampled_response(loop, jnp.asarray(theta / PERIOD)))
+            np.testing.assert_allclose(1 + found, ratio, rtol=1e-8)
+
+
+def test_response_is_accurate_far_above_a_slow_actuator():
+    """There the closed form of the sampled plant cancels to nothing; compare with aliases of L(s)."""
+    values = np.array([1.0, 0.0, 1.0, 5.0, 0.4, 0.0])
+    loop = SampledLoop(*(jnp.asarray(v) for v in values), jnp.asarray(PERIOD))
+    theta = 2.0
+    shifts = theta + 2 * np.pi * np.arange(-400, 401)
+    s = 1j * shifts / PERIOD
+    hold = (1 - np.exp(-1j * theta)) / (s * PERIOD)
+    expected = np.sum(hold * theory.response(values, shifts / PERIOD))
+    found = complex(sampled_response(loop, jnp.asarray(theta / PERIOD)))
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_a_slow_loop_approaches_the_continuous_one():
+    from jaxact.margins import margins
+
+    values = np.array([4.0, 2.0, 0.7, 110.0, 0.9, 0.0])
+    sampled = evaluate(values[:, None])
+    values[5] = 0.5 * PERIOD  # the hold's mean delay
+    continuous = jax.jit(margins)(theory.joint_loop(values))
+    for name in ("gain_margin", "phase_margin", "sensitivity_peak", "disk_margin"):
+        np.testing.assert_allclose(
+            getattr(sampled, name)[0], float(getattr(continuous, name)), rtol=2e-3
+        )
+
+
+SMOOTH = tuple(
+    f
+    for f in FIELDS
+    if f not in ("stable", "unstable_roots", "gain_reduction_margin", "more_crossovers")
+)
+
+
+@pytest.mark.parametrize("velocity", ["sampled", "differenced"])
+def test_every_derivative_equals_central_differences(velocity):
+    cutoff = 400.0
+    chosen = PAPER[:, [7, 8, 4]].copy()
+    chosen[5] = [1.37e-3, 3.9e-3, 2.2e-3]
+    unstable = chosen[:, :1].copy()
+    unstable[:2] *= 6.0
+    chosen = np.concatenate([chosen, unstable], axis=1)
+
+    def vector(values):
+        loop = SampledLoop(*values, jnp.asarray(PERIOD), jnp.asarray(cutoff), velocity=velocity)
+        found = sampled_margins(loop, max_delay_steps=STEPS)
+        return jnp.stack([getattr(found, name) for name in SMOOTH])
+
+    jacobian = np.asarray(jax.jit(jax.vmap(jax.jacfwd(vector), in_axes=1))(jnp.asarray(chosen)))
+    step = 1e-6
+    stacked = np.repeat(chosen[:, None, :], 12, axis=1)
+    for i in range(6):
+        stacked[i, 2 * i] *= 1 + step
+        stacked[i, 2 * i + 1] *= 1 - step
+    found = evaluate(stacked.reshape(6, -1), velocity=velocity, cutoff=cutoff)
+    for k, name in enumerate(SMOOTH):
+        shifted = getattr(found, name).reshape(6, 2, -1)
+        difference = (shifted[:, 0] - shifted[:, 1]).T / (2 * step * chosen.T)
+        known = np.isfinite(difference).all(axis=1)
+        assert known.sum() >= (4 if name in ("log_gain_to_boundary", "spectral_radius") else 3)
+        size = np.abs(shifted[:, 0].T / chosen.T)
+        error = np.abs(jacobian[:, k] - difference) / (size + np.abs(difference))
+        assert error[known].max() < 1e-6, name
+
+
+def test_reverse_mode_agrees_with_forward_mode():
+    values = jnp.array([400.0, 20.0, 0.7, 110.0, 0.9, 1.37e-3])
+
+    def disk(x):
+        loop = SampledLoop(*x, jnp.asarray(PERIOD))
+        return sampled_margins(loop, max_delay_steps=STEPS).disk_margin
+
+    forward, reverse = jax.jit(lambda x: (jax.jacfwd(disk)(x), jax.jacrev(disk)(x)))(values)
+    np.testing.assert_allclose(forward, reverse, rtol=1e-10)
+
+
+def test_a_delay_that_does_not_fit_is_unstable_and_not_a_number():
+    values = PAPER[:, 8:9].copy()
+    values[5] = (STEPS + 1.5) * PERIOD
+    found = evaluate(values)
+    assert not found.stable[0] and np.isnan(found.spectral_radius[0])
+    assert np.isnan(found.gain_margin[0])
+
+
+def test_integer_delays_shift_the_commands():
+    loop = SampledLoop(*(jnp.asarray(v) for v in (400.0, 20.0, 0.7, 110.0, 0.9, 3e-3, PERIOD)))
+    _, older, newer, steps = period_map(loop)
+    assert steps == 3 and np.abs(np.asarray(older)).max() < 1e-12 * np.abs(np.asarray(newer)).max()

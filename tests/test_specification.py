@@ -1,0 +1,333 @@
+"""Specifications: what is accepted, what is refused, and in which words."""
+
+import json
+import math
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from jaxact.errors import UserError
+from jaxact.sweep import checks, toml
+from jaxact.sweep.parameters import PARAMETERS, PRESETS, canonical
+from jaxact.sweep.reading import load, parse
+
+GOOD = """
+description = "a test"
+engine = "mass"
+[parameters]
+mass = 0.7
+kp = 400
+[axes]
+actuator = ["ideal", "hyq", "starleth"]
+delay = [0, 0.001, 0.005]
+kp = { min = 10, max = 1e5, num = 5, spacing = "log" }
+kd = { min = 0.5, max = 2, num = 4 }
+"""
+
+# TOML text, and what the one line must contain: the key, what was given, what is allowed
+REFUSED = {
+    "unknown option": ("engin = 'mass'", ["engin", "did you mean 'engine'"]),
+    "unknown parameter": ("[parameters]\nmas = 1", ["parameters.mas", "did you mean 'mass'"]),
+    "unknown axis": ("[axes]\nzetta = [1]", ["axes.zetta", "did you mean 'zeta'"]),
+    "unknown range key": ("[axes]\nkp = {min=1, max=2, nun=3}", ["axes.kp.nun", "'num'"]),
+    "unknown sampling key": ("[sampling]\nmethods = 'sobol'", ["sampling.methods", "'method'"]),
+    "empty key": ("'' = 1", ["unknown key"]),
+    "parameter at the top": ("kp = 3", ["kp", "[parameters]"]),
+    "option as parameter": ("[parameters]\nduration = 3", ["parameters.duration", "option"]),
+    "unknown engine": ("engine = 'mjxx'", ["engine = 'mjxx'", "'mjx'", "mass, mjx"]),
+    "unknown velocity": ("velocity = 'sample'", ["velocity", "sampled, differenced"]),
+    "negative duration": ("duration = -1", ["duration = -1", "greater than 0"]),
+    "duration NaN": ("duration = nan", ["duration = nan", "finite"]),
+    "duration text": ("duration = '2'", ["duration = '2'", "a number"]),
+    "duration true": ("duration = true", ["duration", "a number"]),
+    "short duration": ("duration = 0.001\n[axes]\nkp=[1]", ["duration = 0.001", "0.01 s"]),
+    "long duration": (
+        "duration = 1e5\n[parameters]\ncontrol_rate=1e6\n[axes]\nkp=[1]",
+        ["duration = 100000", "physics steps"],
+    ),
+    "seed fraction": ("seed = 1.5", ["seed = 1.5", "a whole number"]),
+    "tile zero": ("tile = 0", ["tile = 0", "1"]),
+    "negative mass": ("[parameters]\nmass = -1", ["parameters.mass = -1", "kg"]),
+    "zeta zero": ("[parameters]\nzeta = 0", ["parameters.zeta = 0", "1e-06 to 1000"]),
+    "zeta negative on an axis": ("[axes]\nzeta = [0.5, -1]", ["axes.zeta[1] = -1", "1e-06"]),
+    "NaN on an axis": ("[axes]\nkp = [nan]", ["axes.kp[0] = nan", "no number"]),
+    "huge": ("[parameters]\nkp = 1e300", ["parameters.kp = 1e+300", "1e+09"]),
+    "huge integer": ("[parameters]\nkp = 1" + "0" * 400, ["parameters.kp", "1e+09"]),
+    "text on an axis": ("[axes]\nkp = ['a']", ["axes.kp[0] = 'a'", "no number"]),
+    "date": ("[parameters]\nkp = 1979-05-27", ["parameters.kp = 1979-05-27", "no number"]),
+    "list as a value": ("[parameters]\nkp = [1]", ["parameters.kp = [1]", "no number"]),
+    "empty axis": ("[axes]\nkp = []", ["axes.kp = []", "empty"]),
+    "number as axis": ("[axes]\nkp = 3", ["axes.kp = 3", "a list, or a range"]),
+    "range without end": ("[axes]\nkp = {min=1, num=3}", ["axes.kp.max", "missing"]),
+    "range without number": ("[axes]\nkp = {min=1, max=3}", ["axes.kp.num", "missing"]),
+    "range turned": ("[axes]\nkp = {min=2, max=1, num=3}", ["axes.kp", "min = 2", "max = 1"]),
+    "range of one": ("[axes]\nkp = {min=1, max=2, num=1}", ["axes.kp.num = 1", "from 2"]),
+    "range to infinity": ("[axes]\nwn = {min=1, max=inf, num=3}", ["axes.wn.max", "inf"]),
+    "log from zero": (
+        "[axes]\nkp = {min=0, max=1, num=3, spacing='log'}",
+        ["axes.kp.min = 0", "above 0"],
+    ),
+    "unknown spacing": (
+        "[axes]\nkp = {min=1, max=2, num=3, spacing='logg'}",
+        ["axes.kp.spacing = 'logg'", "'log'"],
+    ),
+    "value twice": ("[axes]\nkp = [1, 2, 1.0]", ["axes.kp", "more than once"]),
+    "key twice": ("[axes]\nkp = [1]\nkp = [2]\nkd = [1]\n", ["TOML", "line 3, column"]),
+    "parameter twice": ("[axes]\nkp = [1]\nstiffness = [2]", ["axes.stiffness", "twice"]),
+    "no axis": ("engine = 'mass'", ["axes", "none given"]),
+    "too many": (
+        "[axes]\nkp = {min=1, max=2, num=100000}\nkd = {min=1, max=2, num=100000}",
+        ["kp 100,000 x kd 100,000", "10,000,000"],
+    ),
+    "unknown preset": ("[axes]\nactuator = ['hyk']", ["'hyk'", "'hyq'", "ideal, hyq, starleth"]),
+    "preset and wn": (
+        "[parameters]\nactuator = 'hyq'\nwn = 3\n[axes]\nkp = [1]",
+        ["wn", "preset"],
+    ),
+    "actuator range": ("[axes]\nactuator = {min=1, max=2, num=3}", ["axes.actuator", "hyq"]),
+    "half a torque-speed line": (
+        "[parameters]\nstall_force = 3\n[axes]\nkp = [1]",
+        ["no_load_speed", "stall_force"],
+    ),
+    "control period": (
+        "engine = 'mjx'\nphysics_step = 0.0003\n[axes]\nkp = [1]",
+        ["control_rate = 1000", "0.0003 s", "physics_step = 0.00025"],
+    ),
+    "control period on an axis": (
+        "engine = 'mjx'\n[axes]\ncontrol_rate = [1000, 3000]",
+        ["control_rate = 3000", "multiple"],
+    ),
+    "control rate drawn": (
+        "engine='mjx'\n[axes]\ncontrol_rate={min=100,max=1000}\n[sampling]\nmethod='sobol'\n"
+        "samples=4",
+        ["axes.control_rate", "list"],
+    ),
+    "delay beyond the history": ("[axes]\ndelay = [9.0]", ["delay = 9", "4.096 s"]),
+    "two delays beyond the history": (
+        "[parameters]\noutput_delay = 3\n[axes]\ndelay = [2.0]",
+        ["delay + output_delay = 5", "4.096 s"],
+    ),
+    "missing model": ("model = 'no.xml'", ["model = 'no.xml'", "no such file"]),
+    "model no path": ("model = 3", ["model = 3"]),
+    "model empty": ("model = ''", ["model = ''"]),
+    "section no table": ("axes = 3", ["axes = 3", "table"]),
+    "sampling no table": ("sampling = 3", ["sampling = 3", "table"]),
+    "sampling without number": ("[sampling]\nmethod = 'sobol'", ["sampling.samples", "missing"]),
+    "unknown method": (
+        "[sampling]\nmethod = 'sob'\nsamples = 3",
+        ["sampling.method = 'sob'", "latin-hypercube, sobol"],
+    ),
+    "nothing to sample": (
+        "[sampling]\nmethod = 'sobol'\nsamples = 3\n[axes]\nkp = [1]",
+        ["sampling", "range"],
+    ),
+    "number in a sampled range": (
+        "[sampling]\nmethod = 'sobol'\nsamples = 3\n[axes]\nkp = {min=1, max=2, num=3}",
+        ["axes.kp.num", "sampling.samples"],
+    ),
+    "syntax": ("a = 1\nb =", ["TOML", "value"]),
+    "nesting": ("a = " + "[" * 100_000, ["TOML", "nested"]),
+    "digits": ("seed = " + "9" * 5000, ["TOML", "digits"]),
+    "unprintable": ("'kp\\u0000\\nx' = 1", ["unknown key"]),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refused_in_one_line_that_says_key_given_and_allowed(case, tmp_path):
+    text, parts = REFUSED[case]
+    path = tmp_path / "sweep.toml"
+    path.write_text(text.replace("'kp\\u0000\\nx'", '"kp\\u0000\\nx"'))
+    with pytest.raises(UserError) as raised:
+        load(path)
+    message = str(raised.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message and message.isprintable()
+    for part in parts:
+        assert part in message
+
+
+def test_reads_every_part_of_a_specification():
+    specification = parse(GOOD)
+    assert specification.engine == "mass" and specification.description == "a test"
+    assert [axis.name for axis in specification.axes] == ["actuator", "delay", "kp", "kd"]
+    np.testing.assert_allclose(specification.axes[2].values, [10, 100, 1e3, 1e4, 1e5])
+    np.testing.assert_allclose(specification.axes[3].values, [0.5, 1.0, 1.5, 2.0])
+    assert specification.nominal["kp"] == 400 and specification.nominal["kd"] == 20
+
+
+def test_text_reads_back_as_the_same_specification(tmp_path):
+    (tmp_path / "leg.xml").write_text("<mujoco/>")
+    sampled = """
+    engine = "mjx"
+    model = "leg.xml"
+    [parameters]
+    actuator = "starleth"
+    force_limit = inf
+    [axes]
+    kp = { min = 1, max = 10, spacing = "log" }
+    kd = [1.0, 2.0]
+    [sampling]
+    method = "latin-hypercube"
+    samples = 16
+    """
+    for text in (GOOD, sampled):
+        specification = parse(text, tmp_path)
+        assert parse(specification.text) == specification
+
+
+def test_model_is_relative_to_the_specification(tmp_path, monkeypatch):
+    monkeypatch.chdir("/")
+    (tmp_path / "leg.xml").write_text("<mujoco/>")
+    (tmp_path / "sweep.toml").write_text("engine='mjx'\nmodel='leg.xml'\n[axes]\nkp=[1]")
+    assert load(tmp_path / "sweep.toml").model == tmp_path / "leg.xml"
+
+
+@pytest.mark.parametrize(
+    "content", [b"\xff\xfe\x00", b"\x00" * 10, b"kp" * 400_000, b"# caf\xe9\n"]
+)
+def test_a_file_that_is_no_text_is_refused(content, tmp_path):
+    path = tmp_path / "sweep.toml"
+    path.write_bytes(content)
+    with pytest.raises(UserError, match="TOML"):
+        load(path)
+
+
+@pytest.mark.parametrize("path", ["absent.toml", ".", "/dev/zero", "absent/\n/x.toml"])
+def test_a_path_that_is_no_file_is_refused(path):
+    with pytest.raises(UserError, match="file"):
+        load(Path(path))
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("kp=4", ({"kp": 4.0}, ["actuator", "delay", "kd"])),
+        ("stiffness=4", ({"kp": 4.0}, ["actuator", "delay", "kd"])),
+        ("parameters.kp=4", ({"kp": 4.0}, ["actuator", "delay", "kp", "kd"])),
+        ("parameters.stiffness=4", ({"kp": 4.0}, ["actuator", "delay", "kp", "kd"])),
+        ("wn=inf", None),
+        ("actuator=hyq", ({"actuator": "hyq", "kp": 400.0}, ["delay", "kp", "kd"])),
+        ("mass=[1, 2]", ({"mass": 0.7}, ["actuator", "delay", "kp", "kd", "mass"])),
+        ("axes.mass={min=1, max=2, num=2}", ({}, ["actuator", "delay", "kp", "kd", "mass"])),
+        ("axes.kp.num=7", ({}, ["actuator", "delay", "kp", "kd"])),
+        (" duration = 3 ", ({}, ["actuator", "delay", "kp", "kd"])),
+    ],
+)
+def test_overrides(override, expected, tmp_path):
+    path = tmp_path / "sweep.toml"
+    path.write_text(GOOD)
+    if expected is None:
+        with pytest.raises(UserError, match="^--set: wn: the actuator preset"):
+            load(path, [override])
+        return
+    parameters, axes = expected
+    specification = load(path, [override])
+    assert [axis.name for axis in specification.axes] == axes
+    assert parameters.items() <= specification.parameters.items()
+    if "num" in override and "kp" in override:
+        assert len(specification.axes[2]) == 7
+    if "duration" in override:
+        assert specification.duration == 3.0
+
+
+@pytest.mark.parametrize(
+    ("override", "part"),
+    [
+        ("kp", "key=value"),
+        ("=3", "key=value"),
+        ("kp.=3", "key=value"),
+        ("kpp=3", "did you mean 'kp'"),
+        ("mass=-1", "parameters.mass = -1"),
+        ("engine=mas", "did you mean 'mass'"),
+        ("duration=", "no value"),
+        ("duration='x", "no value"),
+        ("kp=1\nkd=3", "no value"),
+        ("kp=nan", "no number"),
+        ("axes.kp.num=0", "axes.kp.num = 0"),
+        ("axes.delay.num=3", "no table"),
+        ("a.b.c=3", "unknown key"),
+        ("actuator=spot", "no actuator preset"),
+        ("delay=[8]", "history"),
+    ],
+)
+def test_wrong_overrides_are_refused_by_name(override, part, tmp_path):
+    path = tmp_path / "sweep.toml"
+    path.write_text(GOOD)
+    with pytest.raises(UserError) as raised:
+        load(path, [override])
+    message = str(raised.value)
+    assert message.startswith("--set") and part in message and "\n" not in message
+
+
+def test_a_file_that_is_wrong_is_blamed_even_with_overrides(tmp_path):
+    path = tmp_path / "sweep.toml"
+    path.write_text(GOOD + "mass = 1\n")
+    with pytest.raises(UserError, match=r"sweep.toml: axes.mass = 1"):
+        load(path, ["duration=3"])
+
+
+def test_default_physics_step_is_the_control_period_for_the_mass_and_a_quarter_ms_for_mjx():
+    mass, mjx = parse("[axes]\nkp=[1]"), parse("engine='mjx'\n[axes]\nkp=[1]")
+    assert checks.physics_step(mass, 500.0) == 0.002
+    assert checks.physics_step(mjx, 500.0) == 0.00025
+    given = parse("physics_step=0.0005\n[axes]\nkp=[1]")
+    assert checks.physics_step(given, 500.0) == 0.0005
+
+
+def test_every_parameter_has_a_default_in_its_bounds_and_says_what_it_is():
+    for name, parameter in PARAMETERS.items():
+        assert parameter.minimum <= parameter.default <= parameter.maximum or (
+            parameter.infinite and math.isinf(parameter.default)
+        )
+        assert parameter.unit and parameter.description.endswith(".")
+        assert canonical(parameter.long_name.replace(" ", "_")) == name == canonical(name)
+
+
+def test_presets_are_those_of_the_actuator():
+    from jaxact import actuator
+
+    assert PRESETS == actuator.PRESETS
+
+
+_SCALARS = st.one_of(
+    st.text(max_size=20),
+    st.integers(),
+    st.floats(),
+    st.booleans(),
+    st.sampled_from(["kp", "hyq", "sobol", "log", 1.0, 2, 10]),
+)
+_NAMES = st.one_of(
+    st.sampled_from(["engine", "model", "duration", "seed", "axes", "parameters", "sampling"]),
+    st.sampled_from(["kp", "kd", "wn", "zeta", "delay", "mass", "actuator", "min", "max", "num"]),
+    st.sampled_from(["method", "samples", "spacing", "tile", "physics_step", "control_rate"]),
+    st.text(max_size=8),
+)
+_VALUES = st.recursive(
+    _SCALARS,
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4), st.dictionaries(_NAMES, inner, max_size=4)
+    ),
+    max_leaves=8,
+)
+
+
+@given(st.dictionaries(_NAMES, _VALUES, max_size=6))
+@example({"axes": {"kp": {"min": 1, "max": 2, "num": 10**6}, "kd": {"min": 1, "max": 1e300}}})
+def test_any_document_is_read_or_refused_in_one_line(document):
+    text = toml.dumps(document)
+    try:
+        specification = parse(text)
+    except UserError as error:
+        assert str(error) and "\n" not in str(error)
+    else:
+        assert parse(specification.text) == specification
+
+
+@given(st.dictionaries(st.text(max_size=8), _VALUES, max_size=5))
+def test_written_toml_reads_back(document):
+    back = tomllib.loads(toml.dumps(document))
+    assert json.dumps(back, sort_keys=True) == json.dumps(document, sort_keys=True)
