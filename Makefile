@@ -1,4 +1,5 @@
 # make demo    the study's stability map: sweep through MJX, picture, what it shows
+# make paper   the study's figures and claims, exact and as simulated, to results/paper/
 # make test    the whole test suite
 # make lint    style and types
 # make bench   benchmarks against rivals, to results/benchmarks/
@@ -14,7 +15,7 @@ STAMP := $(VENV)/.complete
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 STUDY := paper_gain_map
 
-.PHONY: help demo test lint bench lock clean
+.PHONY: help demo paper test lint bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -23,6 +24,9 @@ help:
 demo: $(STAMP)
 	$(BIN)/jaxact sweep experiments/$(STUDY).toml --overwrite
 	$(BIN)/jaxact plot results/$(STUDY)
+
+paper: $(STAMP)
+	$(BIN)/jaxact paper --overwrite
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n auto

@@ -17,7 +17,6 @@ from jaxact.frequency import (
     JointLoop,
     log_gain,
     log_gain_slope,
-    phase,
     phase_slope,
     servo_denominator,
 )
@@ -26,7 +25,7 @@ TURN = 2.0 * math.pi
 _CUBIC_STEPS = 44
 _BISECTIONS = 18
 _NEWTON_STEPS = 4
-_PHASE_BISECTIONS = 13
+_PHASE_BISECTIONS = 12
 _PHASE_NEWTON_STEPS = 5
 
 
@@ -220,13 +219,13 @@ def phase_crossovers(
     |L| = 1 it is the nearest one of its stretch if |L| < 1.
     """
     last = points[-1:]
-    next_level = TURN * (jnp.ceil(phase(loop, last) / TURN) - 1.0)
+    next_level = TURN * (jnp.ceil(_phase_at_once(loop, last) / TURN) - 1.0)
     end = _level_reached(loop, next_level)
     left = jnp.concatenate([jnp.zeros_like(last), points])
     right = jnp.concatenate(
         [points, jnp.where(jnp.isfinite(end), jnp.maximum(end, last), 2 * last)]
     )
-    at_points = phase(loop, points)
+    at_points = _phase_at_once(loop, points)
     start, stop = (
         jnp.concatenate([jnp.zeros_like(last), at_points]),
         jnp.concatenate([at_points, jnp.where(jnp.isfinite(end), next_level, at_points[-1:])]),
@@ -245,6 +244,14 @@ def phase_crossovers(
     present = present & (loop.kp > 0)
     w = _solve_phase(loop, level, left, right, falling)
     return w, level, jnp.where(falling, -1.0, 1.0), present
+
+
+def _phase_at_once(loop: JointLoop, w: jax.Array) -> jax.Array:
+    """`phase` by one arctangent: for kp > 0, kd >= 0 the two parts together stay within a turn."""
+    real, imaginary = servo_denominator(loop, w)
+    rate = loop.kd * w
+    lead = jnp.arctan2(rate * real - loop.kp * imaginary, loop.kp * real + rate * imaginary)
+    return lead - w * loop.delay
 
 
 def _level_reached(loop: JointLoop, level: jax.Array) -> jax.Array:
@@ -266,20 +273,20 @@ def _solve_phase(
     def halve(_: int, bracket: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = bracket
         middle = jnp.where(low > 0.0, jnp.sqrt(low * high), 0.5 * high)
-        before = (phase(loop, middle) > level) == falling
+        before = (_phase_at_once(loop, middle) > level) == falling
         return jnp.where(before, middle, low), jnp.where(before, high, middle)
 
     low, high = jax.lax.fori_loop(0, _PHASE_BISECTIONS, halve, (left, right))
 
     def newton(_: int, w: jax.Array) -> jax.Array:
         slope = phase_slope(loop, w)
-        step = (phase(loop, w) - level) * w / jnp.where(slope == 0.0, -1.0, slope)
+        step = (_phase_at_once(loop, w) - level) * w / jnp.where(slope == 0.0, -1.0, slope)
         return jnp.clip(w - step, low, high)
 
     return jax.lax.fori_loop(0, _PHASE_NEWTON_STEPS, newton, 0.5 * (low + high))
 
 
-def first_lobe(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array]:
+def marginal_phasor(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Real and imaginary part of P(w) = D(jw) exp(j w td): marginal kp = m w^2 Re P, kd = m w Im P.
 
     w: frequency [rad/s]
@@ -294,7 +301,7 @@ def slowdown_residual(loop: JointLoop, w: jax.Array) -> jax.Array:
 
     w: frequency [rad/s]
     """
-    real, imaginary = first_lobe(loop, w)
+    real, imaginary = marginal_phasor(loop, w)
     damping = jnp.where(loop.kd != 0, loop.kd, jnp.finfo(loop.kd.dtype).tiny)
     return real - loop.mass * loop.kp * (imaginary / damping) ** 2
 

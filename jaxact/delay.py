@@ -110,6 +110,25 @@ def push(line: Line, value: jax.Array) -> Line:
     return (value, *line[:-1])
 
 
+def forget(line: Line, where: tuple[jax.Array, ...] | jax.Array, *, pushed: bool) -> Line:
+    """The line with zeros for the values that are too old to be read any more.
+
+    Args:
+        line: the delay line; a ring buffer with its newest value first.
+        where: what `weights` returned for the same length.
+        pushed: static; whether another value is pushed before the next reading.
+    """
+    if isinstance(line, Ring):
+        ages = jnp.arange(line.values.shape[0]).reshape((-1,) + (1,) * (line.values.ndim - 1))
+        oldest = jnp.broadcast_to(where, line.values.shape[1:])[None] - int(pushed)
+        return Ring(values=jnp.where(ages <= oldest, line.values, 0.0), newest=line.newest)
+    kept = []
+    for age, value in enumerate(line):
+        later = where[age + 1 :] if pushed else where[age:]
+        kept.append(sum(later, start=jnp.zeros_like(value)) * value)
+    return tuple(kept)
+
+
 def read(line: Line, where: tuple[jax.Array, ...] | jax.Array) -> jax.Array:
     """The value that was pushed the selected number of ticks before the newest one.
 

@@ -496,6 +496,21 @@ def _limits(coefficients, options, applied, velocity):
     return low, high
 
 
+def forget(coefficients: Coefficients, state: DriveState) -> DriveState:
+    """The state between two periods with zeros for what can have no effect any more.
+
+    A delay line may be far longer than this drive's delay. What lies beyond it is history, not
+    state; a measure of how a perturbation grows must not look at it.
+    """
+    commands = _delay.forget(state.commands, coefficients.command_at, pushed=True)
+    measurements = state.measurements
+    if measurements is not None:
+        where = coefficients.measurement_at
+        measurements = tuple(_delay.forget(line, where, pushed=False) for line in measurements)
+    older = jnp.zeros_like(state.older)
+    return replace(state, commands=commands, measurements=measurements, older=older)
+
+
 def capture(state: DriveState, position: jax.Array, velocity: jax.Array) -> DriveState:
     """Store the plant's state at the measuring instant of this period, [m or rad] and per second.
 

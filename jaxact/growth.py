@@ -22,6 +22,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from jaxact import delay as _delay
+from jaxact import drive as _drive
 from jaxact import loop as _loop
 from jaxact.controller import Setpoint
 from jaxact.drive import DriveOptions
@@ -37,8 +38,8 @@ class GrowthOptions:
         settle: blocks before the Krylov space is built.
         dimension: of the Krylov space.
         squarings: of the small matrix; the last one looks 2^squarings blocks ahead.
-        dense: write the propagation of one period out as a matrix first. Cheaper where one period of
-            the plant costs more than the product of a matrix and a vector.
+        dense: write the propagation of one period out as a matrix first. Cheaper where one period
+            of the plant costs more than the product of a matrix and a vector.
     """
 
     block: int = 4
@@ -98,7 +99,9 @@ def propagation(
 
     def advance(vector: list[jax.Array]) -> list[jax.Array]:
         after, _ = jax.lax.scan(body, merge(vector), None, length=periods)
-        return _split(_aligned(after))[0]
+        after = _aligned(after)
+        kept = _drive.forget(prepared.drive, after.drive)
+        return _split(LoopState(after.plant, kept))[0]
 
     return vector, jax.linearize(advance, vector)[1]
 
@@ -158,7 +161,8 @@ def _krylov(apply: Callable, start: list[jax.Array], dimension: int) -> list[lis
 
     A space that is exhausted early leaves zero rows and columns, which add no eigenvalue but 0.
     """
-    exhausted = jnp.sqrt(jnp.finfo(start[0].dtype).eps)
+    # Below this share of an image, what is new in it is rounding, amplified by the delay lines.
+    exhausted = jnp.finfo(start[0].dtype).eps ** 0.375
     basis = [_scaled(start, _inverse(jnp.sqrt(_dot(start, start))))]
     matrix = [[jnp.zeros(())] * dimension for _ in range(dimension)]
     for column in range(dimension):

@@ -90,10 +90,11 @@ def damped_oscillation(x: jax.Array, damping_ratio: jax.Array) -> tuple[jax.Arra
     fast_over_slow = jnp.expm1(-2.0 * root * x)
     creeping = (slow * (1.0 + 0.5 * fast_over_slow), -0.5 * slow * fast_over_slow / root)
 
-    return tuple(
+    cosine, sine = (
         jnp.where(small, a, jnp.where(under, b, c))
         for a, b, c in zip(near_critical, oscillating, creeping, strict=True)
     )
+    return cosine, sine
 
 
 def _sum_series(power: jax.Array, odd: int) -> jax.Array:

@@ -88,7 +88,9 @@ def _refine_in_window(
 ) -> np.ndarray:
     """Frequencies inserted until no step inside the window is long, however small the window."""
     for _ in range(30):
-        x, y = (_scaled(a, limits) for a, limits in zip(gains(grid), (kp_range, kd_range)))
+        x, y = (
+            _scaled(a, limits) for a, limits in zip(gains(grid), (kp_range, kd_range), strict=True)
+        )
         steps, near = np.zeros(len(grid) - 1), np.ones(len(grid) - 1, dtype=bool)
         for axis in (x, y):
             axis = np.clip(np.nan_to_num(axis, nan=-1.0), -1.0, 2.0)

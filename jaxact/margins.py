@@ -6,18 +6,20 @@ iteration. Margins of an unstable loop mean nothing and are NaN; its number of u
 its distance to the boundary are given all the same.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxact.crossovers import (
     TURN,
-    first_lobe,
     gain_crossovers,
     gain_extremes,
     insert_sorted,
+    marginal_phasor,
     phase_crossovers,
     phase_extremes,
     slowdown_frequency,
@@ -63,10 +65,14 @@ _TILE = 256
 class Margins:
     """Margins of a batch of loops, each of the batch's shape; NaN where the loop is unstable.
 
+    A loop has one or three gain crossovers, never more, and all are found, so nothing can overflow.
+
     stable: bool
     unstable_roots: closed-loop roots not in the open left half plane, int32
     log_gain_to_boundary: ln of the common factor on all gains to the nearest boundary of the
-        stable region [-], > 0 if stable (inf if no factor destabilises), < 0 if unstable
+        stable region [-], > 0 if stable (inf if no factor destabilises), < 0 if unstable. Where no
+        common factor stabilises, kd/kp <= td + 2 zeta/wn, it is ln k of slowing the loop down to
+        (kp k^2, kd k) on the first lobe of the boundary, which always exists for kp, kd > 0.
     gain_margin: smallest factor above 1 on all gains that destabilises [-], inf if none
     gain_reduction_margin: largest factor below 1 that destabilises [-], 0 if none
     phase_crossover: frequency of `gain_margin` [rad/s], inf if there is none
@@ -113,7 +119,26 @@ def margins(loop: JointLoop) -> Margins:
     return jax.tree.map(lambda a: a.reshape(shape), result)
 
 
-def _in_tiles(function, loop: JointLoop, number: int):  # type: ignore[no-untyped-def]
+class _Found(NamedTuple):
+    """What the search found: frequencies [rad/s], constant, candidates on axis 0 and loops on 1.
+
+    gain, gain_present: gain crossovers, shape (3, n)
+    phase, level, direction, phase_present: critical crossings as `phase_crossovers` gives them
+    peaks: of |S|, |T|, |S - 1/2|, shape (3, n)
+    slow: of `slowdown_frequency`, shape (1, n)
+    """
+
+    gain: jax.Array
+    gain_present: jax.Array
+    phase: jax.Array
+    level: jax.Array
+    direction: jax.Array
+    phase_present: jax.Array
+    peaks: jax.Array
+    slow: jax.Array
+
+
+def _in_tiles(function: Callable[[JointLoop], _Found], loop: JointLoop, number: int) -> _Found:
     """`function` over tiles of the batch: the search's work arrays then stay in cache."""
     if number <= _TILE:
         return function(loop)
@@ -130,15 +155,15 @@ def _in_tiles(function, loop: JointLoop, number: int):  # type: ignore[no-untype
     )
 
 
-def _search(loop: JointLoop):  # type: ignore[no-untyped-def]
+def _search(loop: JointLoop) -> _Found:
     """Refined crossovers and peaks of a tile of loops; fields of shape (1, n)."""
     extremes = gain_extremes(loop)
     w_gain, gain_present = gain_crossovers(loop, extremes)
     points = sort_rows(jnp.concatenate([phase_extremes(loop), extremes, w_gain]))
-    critical = phase_crossovers(loop, points)
-    nodes = _peak_nodes(loop, points, critical[0], critical[3])
-    peaks = locate_peaks(loop, nodes)
-    return (w_gain, gain_present), critical, peaks, slowdown_frequency(loop)
+    w_phase, level, direction, phase_present = phase_crossovers(loop, points)
+    nodes = _peak_nodes(loop, points, w_phase, phase_present)
+    peaks, slow = locate_peaks(loop, nodes), slowdown_frequency(loop)
+    return _Found(w_gain, gain_present, w_phase, level, direction, phase_present, peaks, slow)
 
 
 def _peak_nodes(
@@ -172,12 +197,13 @@ def _newton_frequency(w: jax.Array, residual: jax.Array, slope: jax.Array) -> ja
     return w * (1.0 - jnp.where((slope != 0.0) & bounded, step, 0.0))
 
 
-def _assemble(loop: JointLoop, found) -> Margins:  # type: ignore[no-untyped-def]
+def _assemble(loop: JointLoop, found: _Found) -> Margins:
     """Margins from the frequencies found; the only part that is differentiated."""
-    (w_gain, gain_present), (w_phase, level, direction, phase_present), w_peak, w_slow = found
-    w_gain = _newton_frequency(w_gain, log_gain(loop, w_gain), log_gain_slope(loop, w_gain))
-    turned = phase(loop, w_phase) - level
-    w_phase = _newton_frequency(w_phase, turned, phase_slope(loop, w_phase))
+    gain_present, phase_present = found.gain_present, found.phase_present
+    loudness, fall = log_gain(loop, found.gain), log_gain_slope(loop, found.gain)
+    w_gain = _newton_frequency(found.gain, loudness, fall)
+    turned, turning = phase(loop, found.phase) - found.level, phase_slope(loop, found.phase)
+    w_phase = _newton_frequency(found.phase, turned, turning)
     phases = phase(loop, w_gain)
     unstable = encirclements(jax.lax.stop_gradient(phases), gain_present, loop)
     stable = unstable == 0
@@ -186,18 +212,15 @@ def _assemble(loop: JointLoop, found) -> Margins:  # type: ignore[no-untyped-def
     above = phase_present & (log_factor > 0)
     below = phase_present & (log_factor < 0)
     up = jnp.where(above, log_factor, jnp.inf)
-    down = jnp.where(below, log_factor, -jnp.inf)
-    log_up, log_down = (
-        jnp.min(up, axis=0, keepdims=True),
-        jnp.max(down, axis=0, keepdims=True),
-    )
-    distance = _signed_distance(loop, stable, log_factor, direction, phase_present, w_slow)
+    log_up = jnp.min(up, axis=0, keepdims=True)
+    log_down = jnp.max(jnp.where(below, log_factor, -jnp.inf), axis=0, keepdims=True)
+    distance = _signed_distance(loop, found, stable, log_factor)
 
     wrapped = phases - TURN * jnp.round(jax.lax.stop_gradient(phases) / TURN)
     phase_margin, gain_crossover = _smallest(jnp.abs(wrapped), gain_present, wrapped, w_gain)
     remaining = phases - TURN * jnp.floor(jax.lax.stop_gradient(phases) / TURN)
     delays = jnp.where(gain_present, remaining / w_gain, jnp.inf)
-    sensitivity, complementary, disk, w_peak = _peaks(loop, w_peak)
+    sensitivity, complementary, disk, w_peak = _peaks(loop, found.peaks)
 
     def only_stable(value: jax.Array) -> jax.Array:
         return jnp.where(stable, value, jnp.nan)
@@ -252,12 +275,7 @@ def _peaks(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array, jax.Arr
 
 
 def _signed_distance(
-    loop: JointLoop,
-    stable: jax.Array,
-    log_factor: jax.Array,
-    direction: jax.Array,
-    present: jax.Array,
-    w_slow: jax.Array,
+    loop: JointLoop, found: _Found, stable: jax.Array, log_factor: jax.Array
 ) -> jax.Array:
     """ln of the common factor on the gains to the nearest edge of the stable set, signed.
 
@@ -266,6 +284,7 @@ def _signed_distance(
     If even small gains are unstable, kd/kp <= td + 2 zeta/wn, no common factor helps; the
     distance is then that of slowing the loop down, (kp k^2, kd k), and |ln k| is what is given.
     """
+    present, direction = found.phase_present, found.direction
     constant = jax.lax.stop_gradient(log_factor)
     earlier = present[None] & (constant[None] < constant[:, None])
     passed = jnp.sum(jnp.where(earlier, -direction[None], 0.0), axis=1)
@@ -273,7 +292,9 @@ def _signed_distance(
     nearest = jnp.min(jnp.where(edge, jnp.abs(log_factor), jnp.inf), axis=0, keepdims=True)
     lag = loop.delay + 2.0 * loop.damping_ratio / loop.natural_frequency
     rescued = loop.kd > loop.kp * lag
-    slowed = jnp.where(rescued | stable, -jnp.inf, _log_slowdown(loop, w_slow, rescued | stable))
+    slowed = jnp.where(
+        rescued | stable, -jnp.inf, _log_slowdown(loop, found.slow, rescued | stable)
+    )
     return jnp.where(stable, nearest, jnp.where(rescued, -nearest, slowed))
 
 
@@ -287,6 +308,6 @@ def _log_slowdown(loop: JointLoop, w: jax.Array, unused: jax.Array) -> jax.Array
     w = jnp.where(unused, 0.5, w)
     residual, slope = jax.jvp(lambda x: slowdown_residual(safe, x), (w,), (w,))
     w = _newton_frequency(w, residual, slope)
-    factor = safe.mass * w * w * first_lobe(safe, w)[0] / jnp.where(safe.kp > 0, safe.kp, 1.0)
+    factor = safe.mass * w * w * marginal_phasor(safe, w)[0] / jnp.where(safe.kp > 0, safe.kp, 1.0)
     usable = (factor > 0) & (safe.kp > 0)
     return jnp.where(usable, 0.5 * jnp.log(jnp.where(usable, factor, 1.0)), -jnp.inf)

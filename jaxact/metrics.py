@@ -241,9 +241,9 @@ def finish(
     """The metrics of a finished rollout.
 
     A linear loop's verdict is the sign of its growth rate. Where noise, quantisation, limits or a
-    nonlinear plant are at work it comes from the rollout: unstable if the motion has diverged or its
-    envelope keeps growing; stable if small perturbations decay and the motion of the last quarter is
-    within the settling band or still decaying; else a limit cycle, however small.
+    nonlinear plant are at work it comes from the rollout: unstable if the motion has diverged or
+    its envelope keeps growing; stable if small perturbations decay and the motion of the last
+    quarter is within the settling band or still decaying; else a limit cycle, however small.
 
     Args:
         running: accumulators of the whole rollout.

@@ -144,20 +144,22 @@ def evaluate(
     *,
     growth_rate: jax.Array | None = None,
     active_ticks: jax.Array | None = None,
-    growth: GrowthOptions = GrowthOptions(),
+    growth: GrowthOptions | None = None,
 ) -> Metrics:
     """Metrics of a step response, verdict and growth rate included.
 
     Args:
         prepared, options, rollout, state, setpoint, key, active_ticks: as for `run`.
         growth_rate: [1/s] if it is known already (in float64, say), else it is measured here.
-        growth: static; how it is measured.
+        growth: static; how it is measured; None for the usual way.
 
     Returns:
         See `jaxact.metrics.Metrics`.
     """
     if growth_rate is None:
-        growth_rate = _growth.growth_rate(prepared, options, state, setpoint, growth)
+        growth_rate = _growth.growth_rate(
+            prepared, options, state, setpoint, growth or GrowthOptions()
+        )
     start, _ = prepared.plant.measure(state.plant)
     _, running, envelopes = run(
         prepared, options, rollout, state, setpoint, key, active_ticks=active_ticks

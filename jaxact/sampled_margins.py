@@ -106,7 +106,7 @@ def sampled_margins(loop: SampledLoop, *, max_delay_steps: int) -> SampledMargin
     """
     values = [jnp.asarray(getattr(loop, name)) for name in _ARRAYS]
     dtype = jnp.result_type(*values, float)
-    values = jnp.broadcast_arrays(*(v.astype(dtype) for v in values))
+    values = list(jnp.broadcast_arrays(*(v.astype(dtype) for v in values)))
     shape = values[0].shape
     kind = (loop.velocity, loop.integrator, loop.substeps)
 

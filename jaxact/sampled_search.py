@@ -112,10 +112,11 @@ def peak_slopes(
     below = log_slopes(1.0 + value, 1.0)
     of_value, of_minus = log_slopes(value, 1.0), log_slopes(1.0 - value, -1.0)
     rows = jnp.arange(3)[:, None]
-    return tuple(
+    slope, curvature = (
         jnp.where(rows == 0, 0.0, jnp.where(rows == 1, a, b)) - c
         for a, b, c in zip(of_value, of_minus, below, strict=True)
     )
+    return slope, curvature
 
 
 def peak_heights(value: jax.Array) -> jax.Array:

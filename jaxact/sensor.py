@@ -1,6 +1,6 @@
 """Sensing at the control rate: bias, noise, encoder counts, and the velocity estimate.
 
-    q_m = round((q + bias + noise) / resolution) * resolution,      bias' = bias + walk sqrt(T) N(0,1)
+    q_m = round((q + bias + noise) / resolution) * resolution,  bias' = bias + walk sqrt(T) N(0, 1)
     v_m = the sampled velocity, with its own bias, noise and resolution, or, as drives really do it,
     v_m' = v_m + (1 - exp(-w_f T)) ((q_m' - q_m) / T - v_m)
 

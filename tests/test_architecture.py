@@ -22,7 +22,8 @@ PACKAGE = ROOT / "jaxact"
 # for all its modules unless one is named itself.
 ANALYSIS = (
     "frequency", "crossovers", "roots", "peaks", "lobes", "margins", "boundary",
-    "sampled", "pulse", "sampled_margins", "sampled_roots",
+    "sampled", "pulse", "sampled_roots", "sampled_search", "sampled_margins", "marginal",
+    "gain_limits",
 )  # fmt: skip
 LAYERS = (
     ("errors", "status"),
@@ -34,6 +35,7 @@ LAYERS = (
     ("loop", "rollout", "metrics", "growth"),
     ("sweep",),
     ("plot",),
+    ("paper",),
     ("cli",),
 )
 # Theory and simulation are written independently, so that each can catch the other's mistakes.

@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 import theory
 
-from jaxact.boundary import (
-    BoundaryCurve,
-    continuous_boundary,
-    continuous_limits,
-    first_lobe,
-    sampled_boundary,
-    sampled_limits,
-)
+from jaxact.boundary import BoundaryCurve, continuous_boundary, sampled_boundary
+from jaxact.gain_limits import continuous_limits, first_lobe, sampled_limits
 
 PERIOD = 1e-3
 WINDOW = {"kp_range": (10.0, 1e5), "kd_range": (0.1, 2000.0)}
@@ -28,15 +22,16 @@ PLANTS = {
 
 
 def beside(curve, index, window, distance=1e-3):
-    """Gains a little to the left and to the right of points of a curve, in the logarithmic plane."""
+    """Gains a little to the left and right of points of a curve, in the logarithmic plane."""
     width = [math.log(high / low) for low, high in (window["kp_range"], window["kd_range"])]
     x, y = np.log(curve.kp) / width[0], np.log(curve.kd) / width[1]
     dx, dy = x[index + 1] - x[index - 1], y[index + 1] - y[index - 1]
     length = np.hypot(dx, dy)
     for sign in (1.0, -1.0):
         shift_kp, shift_kd = -sign * distance * dy / length, sign * distance * dx / length
-        yield curve.kp[index] * np.exp(shift_kp * width[0]), curve.kd[index] * np.exp(
-            shift_kd * width[1]
+        yield (
+            curve.kp[index] * np.exp(shift_kp * width[0]),
+            curve.kd[index] * np.exp(shift_kd * width[1]),
         )
 
 

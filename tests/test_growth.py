@@ -10,7 +10,7 @@ from jaxact import drive as drives
 from jaxact import growth, loop
 from jaxact.actuator import PRESETS, Actuator
 from jaxact.controller import Controller, Setpoint
-from jaxact.drive import Drive
+from jaxact.drive import Drive, DriveOptions
 from jaxact.loop import Loop
 from jaxact.plants import Mass
 from jaxact.sensor import Sensor
@@ -92,3 +92,26 @@ def test_log_spectral_radius_of_awkward_matrices():
         np.testing.assert_allclose(got, want, atol=3e-5)
         nothing = radius(jnp.zeros((1, 4, 4)).at[0, 0, 1].set(1.0))
         assert np.isneginf(nothing[0])
+
+
+@pytest.mark.parametrize("slots", [6, 16, 46])
+def test_a_line_much_longer_than_the_delay_changes_nothing(slots):
+    """Just inside the gain margin, where a false mode would change the verdict."""
+    wn, zeta, delay = 100.0, 0.45, 5e-3
+    factors = np.linspace(0.2, 3.0, 600)
+    options = DriveOptions(command_slots=slots)
+
+    @jax.jit
+    def rates(factors):
+        def one(factor):
+            drive = Drive(Controller(400.0 * factor, 20.0 * factor), Actuator(wn, zeta, delay))
+            prepared = loop.prepare(Loop(Mass(0.7), drive), options)
+            state = loop.init(prepared, options, 0.0, 0.0)
+            return growth.growth_rate(prepared, options, state, Setpoint(0.0))
+
+        return jax.vmap(one)(factors)
+
+    with jax.enable_x64(True):
+        got = np.asarray(rates(jnp.asarray(factors)))
+    want = exact_growth_rate(400.0 * factors, 20.0 * factors, 0.7, wn, zeta, delay)
+    np.testing.assert_array_less(np.abs(got - want), 0.01 * np.abs(want) + 0.02)

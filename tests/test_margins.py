@@ -174,7 +174,9 @@ def test_peaks_are_the_maxima_of_a_dense_grid(crowd, crowd_margins):
         centre = crowd_margins.gain_crossover[j]
         near = crowd_margins.sensitivity_peak_frequency[j]
         near = near if np.isfinite(near) else centre
-        w = np.concatenate([np.geomspace(3e-3, 3e2, 6000) * centre, np.linspace(0.9, 1.1, 999) * near])
+        w = np.concatenate(
+            [np.geomspace(3e-3, 3e2, 6000) * centre, np.linspace(0.9, 1.1, 999) * near]
+        )
         value = theory.response(crowd[0][:, j], w)
         for name, curve in (
             ("sensitivity_peak", np.abs(1 / (1 + value))),

@@ -81,9 +81,7 @@ def test_differenced_velocity_equals_the_matrix_exponential(delay, cutoff, wn):
     values = (400.0, 20.0, 0.7, wn, 0.9, delay)
     expected = theory.sampled_matrix(values, PERIOD, differenced=True, cutoff=cutoff)
     loop = sampled_loop(values, velocity="differenced", velocity_filter=cutoff)
-    assert radius_of(loop, 5) == pytest.approx(
-        np.abs(np.linalg.eigvals(expected)).max(), rel=1e-12
-    )
+    assert radius_of(loop, 5) == pytest.approx(np.abs(np.linalg.eigvals(expected)).max(), rel=1e-12)
 
 
 @pytest.mark.parametrize("variant", ["velocity_sampled", "velocity_backward_difference"])
@@ -103,9 +101,7 @@ def test_euler_variant_equals_its_own_simulation(wn, delay):
     """v += h F/m, q += h v with the mean force of each substep, stepped one by one."""
     kp, kd, mass, zeta, substeps = 300.0, 15.0, 0.7, 0.4, 4
     h = PERIOD / substeps
-    loop = sampled_loop(
-        (kp, kd, mass, wn, zeta, delay), integrator="euler", substeps=substeps
-    )
+    loop = sampled_loop((kp, kd, mass, wn, zeta, delay), integrator="euler", substeps=substeps)
     matrix = np.asarray(matrix_of(loop, 3))
 
     random = np.random.default_rng(1)

@@ -187,7 +187,7 @@ def _sampled(loops: Loops, found: dict[str, np.ndarray], index: int, velocity: s
 
     from jaxact.plot.look import quantity
     from jaxact.plot.response import LoopResponse
-    from jaxact.sampled_margins import sampled_response
+    from jaxact.sampled_search import sampled_response
 
     values = loops.one(index)
     nyquist = math.pi * values["control_rate"]

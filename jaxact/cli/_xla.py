@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from importlib import metadata
 from pathlib import Path
 
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
+POOL = "NPROC"
 DEVICE_COUNT = "JAX_NUM_CPU_DEVICES"
 _OLD_DEVICE_COUNT = "--xla_force_host_platform_device_count"
 
@@ -15,14 +17,23 @@ def prepare(*, all_cores: bool = False) -> None:
 
     all_cores: one CPU device for each core this process may use, so that a sweep uses them all
 
+    JAX 0.10 can wait for ever for threads of its own pool, which has one for each core, when large
+    operations of several devices wait for each other; a larger pool does not run dry.
+
     XLA prefers 256-bit vectors by itself even where the CPU has 512-bit ones, which costs a sweep
     of the mass plant up to half its speed.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if VECTOR_WIDTH not in flags and _has_wide_vectors():
         os.environ["XLA_FLAGS"] = f"{flags} {VECTOR_WIDTH}=512".strip()
+    if POOL not in os.environ and _may_run_dry():
+        os.environ[POOL] = "8"
     if all_cores and DEVICE_COUNT not in os.environ and _OLD_DEVICE_COUNT not in flags:
         os.environ[DEVICE_COUNT] = str(cores())
+
+
+def _may_run_dry() -> bool:
+    return metadata.version("jax").startswith("0.10.") and cores() < 8
 
 
 def cores() -> int:

@@ -27,6 +27,7 @@ VERBS = {
     "bode": "draw the Bode plot of loops, with the margins drawn in",
     "nyquist": "draw the Nyquist plot of loops, with the disk margin drawn in",
     "sensitivity": "draw the sensitivity functions of loops, with their peaks",
+    "paper": "reproduce the reference study's figures and judge its claims, exact and simulated",
     "export": "write the results of a sweep as one NetCDF file",
     "parameters": "list every parameter of a loop: unit, default, bounds, meaning",
     "info": "show versions, devices, precision and caches: what a bug report needs",

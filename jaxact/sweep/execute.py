@@ -1,4 +1,4 @@
-"""Running a sweep: samples in tiles, tiles over all local devices, memory bounded whatever the size.
+"""Running a sweep: samples in tiles, tiles over all local devices, memory bounded by the tile.
 
 A tile is a fixed number of loops simulated side by side, small on a CPU so that their state stays
 in the first-level cache. Samples are sent to the devices in batches of a fixed number of tiles, so
@@ -12,11 +12,11 @@ boundary hangs on it.
 from __future__ import annotations
 
 import functools
+import os
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -111,6 +111,22 @@ def _devices(specification: Specification) -> int:
     return asked
 
 
+def _refuse_deadlock(specification: Specification) -> None:
+    """JAX 0.10 on few cores can wait for ever for its own threads on a large model.
+
+    Raises:
+        UserError: it could happen here, and how to prevent it.
+    """
+    old = jax.__version__.startswith("0.10.") and jax.default_backend() == "cpu"
+    threads = int(os.environ.get("NPROC") or os.cpu_count() or 1)
+    if old and specification.model is not None and threads < 8:
+        raise UserError(
+            "JAX 0.10 can hang on this machine with a model of one's own: set the environment "
+            "variable NPROC=8 before Python starts, or use Python 3.12 or newer, which gets a "
+            "newer JAX"
+        )
+
+
 def plans(specification: Specification, samples: Samples) -> list[Plan]:
     """Cut a sweep into groups of samples that one compiled kernel serves.
 
@@ -118,9 +134,10 @@ def plans(specification: Specification, samples: Samples) -> list[Plan]:
     usually there is one.
 
     Raises:
-        UserError: a control period is no multiple of the physics step, or there are too few
-            devices.
+        UserError: a control period is no multiple of the physics step, there are too few devices,
+            or this version of JAX could hang.
     """
+    _refuse_deadlock(specification)
     rates = _distinct(samples.values["control_rate"])
     steps = substeps(specification, rates)
     kinds = np.unique(steps)
@@ -149,17 +166,18 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
     )
     if specification.engine == "mass" and jax.default_backend() == "cpu":
         options = replace(options, staged=True)
+    ticks = _rollout.whole_ticks(specification.duration, 1.0 / fastest)
     varied = {axis.name for axis in specification.axes} | set(specification.parameters)
     mass = specification.engine == "mass"
     return Case(
         engine=specification.engine,
         drive=options,
         rollout=RolloutOptions(
-            ticks=_rollout.whole_ticks(specification.duration, 1.0 / fastest),
+            ticks=ticks,
             unroll=int(__import__("os").environ.get("UN", "4")) if mass else 1,
             linear_plant=mass or specification.model is None,
         ),
-        mixed_rates=bool(np.any(rates != fastest)),
+        masked=bool(np.any(np.ceil(specification.duration * rates - 1e-4) < ticks)),
         duration=specification.duration,
         own_mass=specification.model is None or "mass" in varied,
         growth=GrowthOptions(dense=not mass),
@@ -199,7 +217,7 @@ def _compiled(stage: str, case: Case, devices: int, model: Path | None, double: 
     return jax.jit(jax.shard_map(tiles, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))
 
 
-def _batches(plan: Plan, samples: Samples) -> Iterator[tuple[np.ndarray, int]]:
+def batches(plan: Plan, samples: Samples) -> Iterator[tuple[np.ndarray, int]]:
     """Numbers of the samples of each batch, filled up, and how many of them count."""
     size = len(samples) if plan.members is None else plan.members.size
     for first in range(0, size, plan.batch):
@@ -208,33 +226,48 @@ def _batches(plan: Plan, samples: Samples) -> Iterator[tuple[np.ndarray, int]]:
         yield (places if plan.members is None else plan.members[places]), count
 
 
-def _run_batch(
-    plan: Plan, specification: Specification, samples: Samples, numbers: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Metrics of one batch of samples, each of shape (batch,)."""
-    model, case = specification.model, plan.case
+def _tiled(plan: Plan, samples: Samples, numbers: np.ndarray, dtype: type) -> dict[str, jax.Array]:
+    """The parameters of a batch of samples, each of shape (devices * tiles, tile)."""
     shape = (plan.devices * plan.tiles, plan.tile)
-    values = {name: value[numbers].reshape(shape) for name, value in samples.values.items()}
+    return {
+        name: jnp.asarray(value[numbers].reshape(shape).astype(dtype))
+        for name, value in samples.values.items()
+    }
+
+
+def growth_batch(
+    plan: Plan, specification: Specification, samples: Samples, numbers: np.ndarray
+) -> np.ndarray:
+    """Growth rates of one batch of samples [1/s], shape (batch,), in float64."""
     with jax.enable_x64(True):
-        grow = _compiled("growth_rate", case, plan.devices, model, True)
-        growth = grow({name: jnp.asarray(value) for name, value in values.items()})
-        growth = np.asarray(growth)
+        grow = _compiled("growth_rate", plan.case, plan.devices, specification.model, True)
+        return np.asarray(grow(_tiled(plan, samples, numbers, np.float64))).reshape(-1)
+
+
+def simulate_batch(
+    plan: Plan,
+    specification: Specification,
+    samples: Samples,
+    numbers: np.ndarray,
+    growth: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """Metrics of one batch of samples whose growth rates [1/s] are known; each (batch,)."""
     double = specification.precision == "float64"
     with jax.enable_x64(True) if double else nullcontext():
         dtype = np.float64 if double else np.float32
-        keys = _keys(specification.seed, numbers.reshape(shape))
-        simulate = _compiled("metrics", case, plan.devices, model, double)
+        values = _tiled(plan, samples, numbers, dtype)
+        shape = values["kp"].shape
+        simulate = _compiled("metrics", plan.case, plan.devices, specification.model, double)
         result: Metrics = simulate(
-            {name: jnp.asarray(value.astype(dtype)) for name, value in values.items()},
-            jnp.asarray(growth.astype(dtype)),
-            keys,
+            values,
+            jnp.asarray(growth.reshape(shape).astype(dtype)),
+            _keys(specification.seed, numbers.reshape(shape)),
         )
         rows = {
             name: np.asarray(getattr(result, name)).reshape(-1)
             for name in Metrics.__dataclass_fields__
         }
-    rows["growth_rate"] = growth.reshape(-1)
-    return rows
+    return rows | {"growth_rate": growth}
 
 
 def _keys(seed: int, numbers: np.ndarray) -> jax.Array:
@@ -268,8 +301,9 @@ def run(
     results: dict[str, np.ndarray] = {}
     done = 0
     for plan in plans(specification, samples):
-        for numbers, count in _batches(plan, samples):
-            rows = _run_batch(plan, specification, samples, numbers)
+        for numbers, count in batches(plan, samples):
+            growth = growth_batch(plan, specification, samples, numbers)
+            rows = simulate_batch(plan, specification, samples, numbers, growth)
             for name, row in rows.items():
                 if name not in results:
                     results[name] = np.zeros(len(samples), row.dtype)

@@ -13,7 +13,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxact import drive as _drive
 from jaxact import growth as _growth
 from jaxact import loop as _loop
 from jaxact import rollout as _rollout
@@ -38,8 +37,8 @@ class Case:
         engine: "mass" or "mjx".
         drive: static options of the drive.
         rollout: static options of the rollout.
-        mixed_rates: control rates differ between samples, so that the slower ones run longer than
-            the duration and stop counting.
+        masked: some samples run longer than the duration, because control rates differ or because
+            ticks are rounded up to whole segments, and their integrals stop before the end.
         duration: simulated time [s].
         own_mass: the samples' mass is given to the model.
         growth: how the growth rate is measured.
@@ -48,7 +47,7 @@ class Case:
     engine: str
     drive: DriveOptions
     rollout: RolloutOptions
-    mixed_rates: bool
+    masked: bool
     duration: float
     own_mass: bool = True
     growth: GrowthOptions = field(default_factory=GrowthOptions)
@@ -130,7 +129,7 @@ def metrics(
     """Metrics of one sample, each of shape (); figures of several joints are their worst."""
     prepared, state, setpoint = _start(case, template, values)
     active = None
-    if case.mixed_rates:
+    if case.masked:
         active = jnp.ceil(case.duration * values["control_rate"] - 1e-4)
     result = _rollout.evaluate(
         prepared,

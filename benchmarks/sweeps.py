@@ -1,0 +1,71 @@
+"""The sweeps of this machine: mass plant and MJX, as a user runs them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from jaxact.sweep import execute, reading
+from jaxact.sweep.samples import Samples, expand
+from jaxact.sweep.specification import Specification
+
+LOOP = {"actuator": "hyq", "delay": 0.005}
+
+
+def specification(engine: str, gains: int, duration: float, **options: object) -> Specification:
+    """A grid of gains x gains around the study's loop with HyQ's actuator and 5 ms."""
+    text = [f'engine = "{engine}"', f"duration = {duration}"]
+    text += [f"{name} = {value}" for name, value in options.items() if name == "physics_step"]
+    text += ["[parameters]", 'actuator = "hyq"', "delay = 0.005"]
+    text += [f"{name} = {value}" for name, value in options.items() if name != "physics_step"]
+    text += ["[axes]", f'kp = {{min = 10, max = 2000, num = {gains}, spacing = "log"}}']
+    text += [f'kd = {{min = 5, max = 60, num = {gains}, spacing = "log"}}']
+    return reading.parse("\n".join(text))
+
+
+def steps(asked: Specification, samples: Samples) -> int:
+    """Loop steps (control periods of one loop) in a sweep."""
+    return sum(plan.case.rollout.ticks for plan in execute.plans(asked, samples)) * len(samples)
+
+
+def whole(asked: Specification) -> Callable[[], float]:
+    """The whole sweep: growth rates, rollouts with metrics, verdicts; units: loop steps."""
+    samples = expand(asked)
+    units = steps(asked, samples)
+
+    def run() -> float:
+        execute.run(asked, samples)
+        return units
+
+    return run
+
+
+def rollouts(asked: Specification) -> Callable[[], float]:
+    """Only the rollouts with their metrics, growth rates given; units: loop steps."""
+    samples = expand(asked)
+    (plan,) = execute.plans(asked, samples)
+    growth = np.zeros(plan.batch)
+    units = steps(asked, samples)
+
+    def run() -> float:
+        for numbers, _ in execute.batches(plan, samples):
+            execute.simulate_batch(plan, asked, samples, numbers, growth)
+        return units
+
+    return run
+
+
+def with_everything(asked: Specification) -> Specification:
+    """The same sweep with the full drive: three delays, quantisation, noise."""
+    full = {
+        "measurement_delay": 0.0012,
+        "setpoint_delay": 0.002,
+        "position_resolution": 1e-5,
+        "velocity_resolution": 1e-3,
+        "command_resolution": 0.01,
+        "position_noise": 1e-5,
+        "velocity_noise": 1e-3,
+    }
+    return dataclasses.replace(asked, parameters=dict(asked.parameters) | full)

@@ -1,0 +1,138 @@
+"""Everything that the pictures and the claims are made from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxact.paper import exact, simulated, study
+from jaxact.paper.study import Cases
+
+# Frequencies of the sensitivity's curves and of its simulated points [rad/s].
+_LOW, _HIGH, _CURVE, _MARKS = 3.0, 1000.0, 500, 25
+_TRIPLED = 3.0
+
+Margins = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Results:
+    """The numbers; indices are z damping ratios, d delays, n natural frequencies, r robots.
+
+    natural_frequency: of the curves [rad/s], shape (n,)
+    marked: which of them are simulated, indices, shape (m,)
+    robot_frequency: natural frequencies of the robots' actuators [rad/s], shape (r,)
+    curves: margins of the curves, "continuous" and "sampled", each array of shape (z, d, n)
+    robots: the same of the robots, shape (r, d)
+    boundary: natural frequency at which the nominal loops become stable [rad/s], "continuous" and
+        "sampled", shape (z, d); NaN where all of a curve is stable
+    tripled_boundary: the same of the tripled gains
+    simulated_curves: "gain_margin" [-] and "delay_margin" [s] by bisection, shape (z, d, m)
+    simulated_robots: the same of the robots, shape (r, d)
+    growth_rate: of the robots, simulated at the nominal and at the tripled gains [1/s], (r, d)
+    frequency: of the sensitivity [rad/s], shape (k,)
+    sensitivity: |S| [-], "continuous" and "sampled", shape (z, d, s, k) with s natural frequencies
+    measured_frequency: of the simulated sensitivity [rad/s], shape (j,)
+    measured_sensitivity: |S| measured from simulated step responses [-], shape (z, d, s, j)
+    measured_reference: the exact |S| of the sampled loop there [-], shape (z, d, s, j)
+    """
+
+    natural_frequency: np.ndarray
+    marked: np.ndarray
+    robot_frequency: np.ndarray
+    curves: Mapping[str, Margins]
+    robots: Mapping[str, Margins]
+    boundary: Mapping[str, np.ndarray]
+    tripled_boundary: Mapping[str, np.ndarray]
+    simulated_curves: Margins
+    simulated_robots: Margins
+    growth_rate: Mapping[str, np.ndarray]
+    frequency: np.ndarray
+    sensitivity: Mapping[str, np.ndarray]
+    measured_frequency: np.ndarray
+    measured_sensitivity: np.ndarray
+    measured_reference: np.ndarray
+
+
+def compute() -> Results:
+    """All of it, in float64."""
+    wn = study.frequencies()
+    curves, robots = study.curves(wn), study.robots()
+    marked = np.arange(0, len(wn), study.MARKED_EVERY)
+    points = study.curves(wn[marked])
+    margins = {
+        "continuous": _together(exact.continuous_margins, curves, robots),
+        "sampled": _together(exact.sampled_at_1_khz, curves, robots),
+    }
+    bisected = {
+        "gain_margin": _together(_named(simulated.gain_margins), points, robots),
+        "delay_margin": _together(_named(simulated.delay_margins), points, robots),
+    }
+    shown = study.curves(np.array(study.SHOWN))
+    w = np.geomspace(_LOW, _HIGH, _CURVE)
+    w_marks = np.geomspace(_LOW, _HIGH, _MARKS)
+    sampled = exact.sampled_sensitivity(shown, np.concatenate([w, w_marks]))
+    of_curves = {kind: found[0] for kind, found in margins.items()}
+    return Results(
+        natural_frequency=wn,
+        marked=marked,
+        robot_frequency=np.asarray(robots.natural_frequency)[:, 0],
+        curves=of_curves,
+        robots={kind: found[1] for kind, found in margins.items()},
+        boundary={kind: _reaching(wn, found, 1.0) for kind, found in of_curves.items()},
+        tripled_boundary={
+            kind: _reaching(wn, found, _TRIPLED) for kind, found in of_curves.items()
+        },
+        simulated_curves={name: found[0][""] for name, found in bisected.items()},
+        simulated_robots={name: found[1][""] for name, found in bisected.items()},
+        growth_rate={
+            "nominal": simulated.growth_rates(robots),
+            "tripled": simulated.growth_rates(robots, factor=_TRIPLED),
+        },
+        frequency=w,
+        sensitivity={
+            "continuous": exact.continuous_sensitivity(shown, w),
+            "sampled": sampled[..., :_CURVE],
+        },
+        measured_frequency=w_marks,
+        measured_sensitivity=simulated.sensitivity(shown, w_marks),
+        measured_reference=sampled[..., _CURVE:],
+    )
+
+
+def _reaching(wn: np.ndarray, margins: Margins, factor: float) -> np.ndarray:
+    """Natural frequency at which the curves reach a gain margin [rad/s], shape (z, d).
+
+    From the signed distance to the boundary, which passes through zero smoothly; NaN where a curve
+    never has a smaller margin.
+    """
+    distance = margins["log_gain_to_boundary"] - np.log(factor)
+    found = np.full(distance.shape[:2], np.nan)
+    for place in np.ndindex(found.shape):
+        row = distance[place]
+        below = np.flatnonzero(row <= 0.0)
+        if below.size and below[-1] + 1 < len(row):
+            last = below[-1]
+            pair = slice(last, last + 2)
+            found[place] = np.exp(np.interp(0.0, row[pair], np.log(wn[pair])))
+    return found
+
+
+def _named(function: Callable[[Cases], np.ndarray]) -> Callable[[Cases], Margins]:
+    return lambda cases: {"": function(cases)}
+
+
+def _together(
+    function: Callable[[Cases], Margins], first: Cases, second: Cases
+) -> tuple[Margins, Margins]:
+    """One call for two groups of loops, so that it is compiled once."""
+    a, b = first.flat(), second.flat()
+    both = Cases(*(np.concatenate(pair) for pair in zip(a.columns, b.columns, strict=True)))
+    found = function(both)
+    count = a.shape[0]
+    return (
+        {name: array[:count].reshape(first.shape) for name, array in found.items()},
+        {name: array[count:].reshape(second.shape) for name, array in found.items()},
+    )

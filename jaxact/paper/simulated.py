@@ -1,0 +1,162 @@
+"""The same figures found by simulating the loops, without any of the exact formulas.
+
+Margins come from bisection on the sign of simulated growth rates. The sensitivity comes from one
+step response: the command answers the setpoint r with u = kp S r, so that for a step of height r
+
+    S(exp(jwT)) = sum_k (u_k - u_{k-1}) exp(-jwTk) / (kp r).
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact import drive as _drive
+from jaxact import loop as _loop
+from jaxact import rollout
+from jaxact.actuator import Actuator
+from jaxact.controller import Controller, Setpoint
+from jaxact.drive import Drive
+from jaxact.growth import growth_rate
+from jaxact.loop import Loop
+from jaxact.paper.study import CONTROL_RATE, DELAYS, KD, KP, MASS, Cases
+from jaxact.plants import Mass
+
+LARGEST_GAIN = 200.0  # no margin of the sampled loops is larger [-]
+LONGEST_DELAY = 0.040  # nor any delay margin [s]
+_RUNGS, _ROUNDS = 33, 3
+_TILE = 1024
+_STEP = 0.1  # [m]
+_DURATION = 20.0  # of the step response [s]
+
+
+def growth_rates(cases: Cases, factor: float = 1.0) -> np.ndarray:
+    """Growth rate of a perturbation of the simulated loops [1/s]; the cases' shape.
+
+    cases: with delays up to those of the study
+    factor: on both nominal gains [-]
+    """
+    return _growth(cases, np.full(cases.shape, factor), np.zeros(cases.shape))
+
+
+def gain_margins(cases: Cases) -> np.ndarray:
+    """Smallest factor above 1 on both gains that makes the simulated loop grow [-].
+
+    cases: delays up to those of the study; NaN where a loop grows already, inf where
+        none does up to LARGEST_GAIN
+
+    Bisected to 3e-6 of its value.
+    """
+    ladder = np.geomspace(1.0, LARGEST_GAIN, _RUNGS)
+    return _first_growing(lambda wide, rung: _growth(wide, rung, 0.0 * rung), cases, ladder)
+
+
+def delay_margins(cases: Cases) -> np.ndarray:
+    """Smallest added delay that makes the simulated loop grow [s].
+
+    cases: delays up to those of the study; NaN where a loop grows already, inf where
+        none does up to LONGEST_DELAY
+
+    Bisected to 0.02 microseconds.
+    """
+    ladder = np.linspace(0.0, LONGEST_DELAY, _RUNGS)
+    return _first_growing(lambda wide, rung: _growth(wide, 1.0 + 0.0 * rung, rung), cases, ladder)
+
+
+def sensitivity(cases: Cases, w: np.ndarray) -> np.ndarray:
+    """|S(exp(jwT))| [-] measured from simulated step responses, shape (*cases.shape, k).
+
+    cases: at the nominal gains, stable
+    w: frequency [rad/s], up to pi CONTROL_RATE, shape (k,)
+    """
+    ticks = round(_DURATION * CONTROL_RATE)
+    row = cases.flat()
+    with jax.enable_x64(True):
+        options = _drive.options(_drive_of(row, 1.0, 0.0))
+
+        def command(wn: jax.Array, zeta: jax.Array, delay: jax.Array) -> jax.Array:
+            loop = Loop(Mass(jnp.asarray(MASS)), _drive_of(Cases(wn, zeta, delay), 1.0, 0.0))
+            run = rollout.trajectory(loop, options, ticks, Setpoint(jnp.asarray(_STEP)))
+            return run.command.reshape(ticks)
+
+        commands = np.asarray(jax.jit(jax.vmap(command))(*map(jnp.asarray, row.columns)))
+    changes = np.diff(commands, axis=-1, prepend=0.0)
+    turned = np.exp(-1j * np.outer(np.arange(ticks), w) / CONTROL_RATE)
+    return np.abs(changes @ turned / (KP * _STEP)).reshape((*cases.shape, len(w)))
+
+
+def _drive_of(cases: Cases, factor: jax.Array | float, added_delay: jax.Array | float) -> Drive:
+    return Drive(
+        Controller(kp=KP * factor, kd=KD * factor),
+        Actuator(cases.natural_frequency, cases.damping_ratio, cases.delay + added_delay),  # type: ignore[arg-type]
+        control_period=1.0 / CONTROL_RATE,
+    )
+
+
+def _growth(cases: Cases, factor: np.ndarray, added_delay: np.ndarray) -> np.ndarray:
+    """Growth rates [1/s]; all of the cases' shape, in tiles of one size, compiled once."""
+    row = cases.flat()
+    columns = (*row.columns, factor.reshape(-1), added_delay.reshape(-1))
+    count = factor.size
+    padded = [np.pad(column, (0, -count % _TILE), mode="edge") for column in columns]
+    with jax.enable_x64(True):
+        tiles = [
+            _growth_kernel()(*(jnp.asarray(column[first : first + _TILE]) for column in padded))
+            for first in range(0, count, _TILE)
+        ]
+        return np.concatenate(tiles)[:count].reshape(cases.shape)
+
+
+@functools.cache
+def _growth_kernel() -> Callable[..., jax.Array]:
+    """Growth rates of a tile of loops, whose delays reach up to the longest that is asked for."""
+    longest = max(DELAYS) + LONGEST_DELAY
+    every_part = Cases(np.array([1.0]), np.array([1.0]), np.array([longest]))
+    options = _drive.options(_drive_of(every_part, 1.0, 0.0))
+
+    def growth(
+        wn: jax.Array, zeta: jax.Array, delay: jax.Array, factor: jax.Array, added: jax.Array
+    ) -> jax.Array:
+        loop = Loop(Mass(jnp.asarray(MASS)), _drive_of(Cases(wn, zeta, delay), factor, added))
+        prepared = _loop.prepare(loop, options)
+        still = jnp.zeros(())
+        state = _loop.init(prepared, options, still, still)
+        return growth_rate(prepared, options, state, Setpoint(still))
+
+    return jax.jit(jax.vmap(growth))
+
+
+def _first_growing(
+    measure: Callable[[Cases, np.ndarray], np.ndarray], cases: Cases, ladder: np.ndarray
+) -> np.ndarray:
+    """Where along a rising ladder the growth rate first turns positive; the cases' shape.
+
+    measure: growth rates of cases with an axis of rungs added, at values of the same shape
+    """
+    row = cases.flat()
+    rungs = np.broadcast_to(ladder, (*row.shape, len(ladder)))
+    low, high, start, end = _bracket(measure, row, rungs)
+    for _ in range(_ROUNDS):
+        share = np.linspace(0.0, 1.0, _RUNGS)
+        inside = low[:, None] + (high - low)[:, None] * share
+        low, high, _, _ = _bracket(measure, row, inside)
+    found = 0.5 * (low + high)
+    found = np.where(end, np.inf, found)
+    return np.where(start, np.nan, found).reshape(cases.shape)
+
+
+def _bracket(
+    measure: Callable[[Cases, np.ndarray], np.ndarray], row: Cases, rungs: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The rungs around the first one that grows; whether that is the first of all, or none."""
+    wide = Cases(*(np.broadcast_to(column[:, None], rungs.shape) for column in row.columns))
+    grows = measure(wide, rungs) >= 0.0
+    none = ~np.any(grows, axis=1)
+    first = np.where(none, rungs.shape[1] - 1, np.argmax(grows, axis=1))
+    lower = np.maximum(first - 1, 0)
+    every = np.arange(len(rungs))
+    return rungs[every, lower], rungs[every, first], grows[:, 0], none

@@ -1,0 +1,172 @@
+"""Running sweeps: the same bits however a sweep is cut up, and no sweep that hangs."""
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from exact import growth_rate as exact_growth_rate
+
+from jaxact.errors import UserError
+from jaxact.status import Verdict
+from jaxact.sweep import execute, reading
+from jaxact.sweep.samples import expand
+
+NOISY = """
+engine = "mass"
+duration = 0.2
+tile = 16
+[parameters]
+actuator = "starleth"
+position_noise = 1e-4
+position_resolution = 1e-4
+force_limit = 60
+[axes]
+delay = [0.0, 0.0013]
+kp = { min = 10, max = 2000, num = 9, spacing = "log" }
+kd = { min = 1, max = 100, num = 5, spacing = "log" }
+"""
+
+
+def _asked(text, *changes):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "sweep.toml"
+        path.write_text(text)
+        return reading.load(path, changes)
+
+
+def _run(text, *changes):
+    asked = _asked(text, *changes)
+    return execute.run(asked, expand(asked))
+
+
+def _same(a, b):
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    return _run(NOISY)
+
+
+def test_one_or_two_devices_give_the_same_bits(noisy):
+    assert len(jax.local_devices()) == 2
+    _same(noisy, _run(NOISY, "devices=1"))
+
+
+def test_a_sample_does_not_depend_on_its_neighbours(noisy):
+    """The second half of the samples alone, at other places of other tiles, keyed by number."""
+    asked = reading.parse(NOISY)
+    samples = expand(asked)
+    (plan,) = execute.plans(asked, samples)
+    members = np.arange(len(samples))[::-1].copy()
+    turned = execute.Plan(plan.case, members, plan.tile, plan.tiles, plan.devices)
+    for numbers, count in execute.batches(turned, samples):
+        growth = execute.growth_batch(turned, asked, samples, numbers)
+        rows = execute.simulate_batch(turned, asked, samples, numbers, growth)
+        for name, row in rows.items():
+            np.testing.assert_array_equal(row[:count], noisy[name][numbers[:count]], err_msg=name)
+
+
+def test_other_tiles_give_the_same_figures(noisy):
+    other = _run(NOISY, "tile=8")
+    np.testing.assert_allclose(other["growth_rate"], noisy["growth_rate"], atol=1e-6)
+    assert np.mean(other["verdict"] == noisy["verdict"]) > 0.97
+    calm = noisy["verdict"] == Verdict.STABLE
+    for name in ("rms_force", "integrated_absolute_error"):
+        np.testing.assert_allclose(other[name][calm], noisy[name][calm], rtol=1e-2)
+
+
+def test_progress_counts_every_sample_once():
+    asked = reading.parse(NOISY)
+    calls = []
+    samples = expand(asked)
+    execute.run(asked, samples, progress=lambda done, total: calls.append((done, total)))
+    assert calls[-1] == (90, 90)
+    assert [done for done, _ in calls] == sorted({done for done, _ in calls})
+
+
+def test_control_rates_may_differ_between_samples():
+    text = """
+    engine = "mass"
+    duration = 0.5
+    [parameters]
+    actuator = "starleth"
+    delay = 0.002
+    [axes]
+    control_rate = [250, 500, 1000]
+    kp = [200, 400, 6000]
+    """
+    got = _run(text)
+    rates = np.repeat([250.0, 500.0, 1000.0], 3)
+    gains = np.tile([200.0, 400.0, 6000.0], 3)
+    for place, (rate, kp) in enumerate(zip(rates, gains, strict=True)):
+        want = exact_growth_rate([kp], [20.0], 0.7, 110.0, 0.9, 0.002, period=1 / rate)[0]
+        assert got["growth_rate"][place] == pytest.approx(want, rel=0.01, abs=0.02)
+        if kp > 200.0:
+            continue
+        alone = _run(text, f"kp=[{kp}]", f"control_rate=[{rate}]")
+        # integrals end with the duration, whatever the fastest rate of the sweep
+        for name in ("integrated_absolute_error", "overshoot", "rms_force"):
+            np.testing.assert_allclose(got[name][place], alone[name][0], rtol=1e-3, err_msg=name)
+
+
+def test_physics_steps_group_the_samples():
+    text = """
+    engine = "mass"
+    duration = 0.1
+    physics_step = 0.0005
+    [parameters]
+    actuator = "hyq"
+    [axes]
+    control_rate = [500, 1000]
+    kp = [200, 400]
+    """
+    asked = reading.parse(text)
+    samples = expand(asked)
+    groups = execute.plans(asked, samples)
+    assert [plan.case.drive.substeps for plan in groups] == [2, 4]
+    got = execute.run(asked, samples)
+    for place, (rate, kp) in enumerate(((500, 200), (500, 400), (1000, 200), (1000, 400))):
+        want = exact_growth_rate([kp], [20.0], 0.7, 800.0, 0.45, 0.0, period=1 / rate)[0]
+        assert got["growth_rate"][place] == pytest.approx(want, rel=0.01, abs=0.02)
+
+
+def test_too_many_devices_and_odd_periods_are_refused():
+    with pytest.raises(UserError, match="devices = 9"):
+        _run(NOISY, "devices=9")
+    with pytest.raises(UserError, match="multiple"):
+        _run(NOISY, "physics_step=0.0003")
+
+
+def test_double_precision_changes_little(noisy):
+    double = _run(NOISY, "precision=float64", "position_noise=0", "position_resolution=0")
+    single = _run(NOISY, "position_noise=0", "position_resolution=0")
+    assert double["rms_force"].dtype == np.float64
+    calm = (single["verdict"] == Verdict.STABLE) & (double["verdict"] == Verdict.STABLE)
+    assert calm.sum() > 20
+    np.testing.assert_allclose(single["rms_force"][calm], double["rms_force"][calm], rtol=1e-3)
+
+
+@pytest.mark.parametrize("devices", [1, 2])
+@pytest.mark.parametrize("tile", [32, 1024])
+def test_no_sweep_hangs(tmp_path, devices, tile):
+    """In a process of its own, so that one that waits for ever can be ended."""
+    sweep = tmp_path / "sweep.toml"
+    sweep.write_text(
+        'engine = "mjx"\nduration = 0.02\nphysics_step = 0.001\n[axes]\n'
+        "kp = {min = 10, max = 1000, num = 64}\nkd = {min = 5, max = 50, num = 32}\n"
+    )
+    command = [sys.executable, "-m", "jaxact.cli.main", "sweep", str(sweep), "--quiet"]
+    command += ["--out", str(tmp_path / "out"), "--set", f"tile={tile}"]
+    command += ["--set", f"devices={devices}"]
+    environment = {key: value for key, value in os.environ.items() if key != "NPROC"}
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=300, env=environment, check=False
+    )
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,262 @@
+"""The study's figures and claims: numbers against the oracle and other formulas, text, files."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.optimize
+from theory import figures, plant_values, response
+
+from jaxact.cli import paper as verb
+from jaxact.cli.main import main
+from jaxact.paper import pictures, results, study
+from jaxact.paper.claims import claims
+from jaxact.paper.report import report
+from jaxact.plot import look
+
+ORACLE = json.loads((Path(__file__).parent / "data" / "paper_loop.json").read_text())
+ROBOTS, SWEEP, SAMPLED = (
+    ORACLE["paper_cases"], ORACLE["frequency_sweep"], ORACLE["sampled_1khz"]
+)  # fmt: skip
+FILES = [f"{name}.png" for name in pictures.PICTURES] + ["claims.md"]
+
+
+@pytest.fixture(scope="module")
+def found():
+    return results.compute()
+
+
+def _in_order(cases):
+    """Oracle's list of nine as an array (robots, delays)."""
+    names = [f"{robot} {1e3 * delay:g} ms" for robot in study.ROBOTS for delay in study.DELAYS]
+    assert [case["name"] for case in cases] == names
+    return lambda values: np.array(values, float).reshape((3, 3))
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "unit"),
+    [
+        ("gain_margin", "gain_margin", 1.0),
+        ("phase_margin", "phase_margin_deg", math.pi / 180.0),
+        ("delay_margin", "delay_margin", 1.0),
+        ("sensitivity_peak", "sensitivity_peak", 1.0),
+        ("sensitivity_peak_frequency", "sensitivity_peak_frequency", 1.0),
+    ],
+)
+def test_continuous_margins_are_the_oracles(found, ours, theirs, unit):
+    tolerance = 1e-6 if ours.endswith("frequency") else 1e-9
+    want = _in_order(ROBOTS)(figures(ROBOTS, theirs)) * unit
+    np.testing.assert_allclose(found.robots["continuous"][ours], want, rtol=tolerance)
+    compared = 0
+    for case, value in zip(SWEEP, figures(SWEEP, theirs) * unit, strict=True):
+        near = np.isclose(found.natural_frequency, case["natural_frequency"], rtol=1e-12)
+        z, d = study.DAMPING_RATIOS.index(case["damping_ratio"]), study.DELAYS.index(case["delay"])
+        for got in found.curves["continuous"][ours][z, d][near]:
+            # At 50 rad/s one loop is 0.8 % from the boundary: its peak is as sensitive.
+            np.testing.assert_allclose(got, value, rtol=10 * tolerance)
+            compared += 1
+    assert compared == 30
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "unit"),
+    [
+        ("gain_margin", "gm", 1.0),
+        ("phase_margin", "pm", math.pi / 180.0),
+        ("delay_margin", "dm", 1.0),
+        ("sensitivity_peak", "Ms", 1.0),
+        ("sensitivity_peak_frequency", "wMs", 1.0),
+    ],
+)
+def test_sampled_margins_are_the_oracles(found, ours, theirs, unit):
+    want = _in_order(SAMPLED)([case["velocity_sampled"][theirs] * unit for case in SAMPLED])
+    tolerance = 1e-6 if ours.endswith("frequency") else 1e-9
+    np.testing.assert_allclose(found.robots["sampled"][ours], want, rtol=tolerance)
+
+
+def test_bisected_margins_are_the_oracles(found):
+    order = _in_order(SAMPLED)
+    want = {
+        name: order([case["velocity_sampled"][key] for case in SAMPLED])
+        for name, key in (("gain_margin", "gm"), ("delay_margin", "dm"))
+    }
+    np.testing.assert_allclose(found.simulated_robots["gain_margin"], want["gain_margin"], 1e-3)
+    np.testing.assert_allclose(found.simulated_robots["delay_margin"], want["delay_margin"], 1e-3)
+    radius = order([case["velocity_sampled"]["rho"] for case in SAMPLED])
+    rates = np.log(radius) * study.CONTROL_RATE
+    np.testing.assert_allclose(found.growth_rate["nominal"], rates, rtol=1e-3)
+
+
+def test_simulated_marks_lie_on_the_exact_curves(found):
+    for name, atol in (("gain_margin", 0.0), ("delay_margin", 5e-6)):
+        exact = found.curves["sampled"][name][..., found.marked]
+        np.testing.assert_allclose(found.simulated_curves[name], exact, rtol=1e-3, atol=atol)
+    np.testing.assert_allclose(found.measured_sensitivity, found.measured_reference, rtol=1e-5)
+
+
+def test_sensitivity_curves_follow_the_definition(found):
+    for z, zeta in enumerate(study.DAMPING_RATIOS):
+        for d, delay in enumerate(study.DELAYS):
+            for s, wn in enumerate(study.SHOWN):
+                loop = (study.KP, study.KD, study.MASS, wn, zeta, delay)
+                want = np.abs(1.0 / (1.0 + response(loop, found.frequency)))
+                np.testing.assert_allclose(found.sensitivity["continuous"][z, d, s], want, 1e-9)
+
+
+@pytest.mark.parametrize(("name", "factor"), [("boundary", 1.0), ("tripled_boundary", 3.0)])
+def test_slowest_stable_actuators_solve_the_characteristic_equation(found, name, factor):
+    for z, zeta in enumerate(study.DAMPING_RATIOS):
+        for d, delay in enumerate(study.DELAYS):
+
+            def closed(point, zeta=zeta, delay=delay):
+                wn, w = np.exp(point)
+                gains = factor * study.KP, factor * study.KD
+                value = 1.0 + response((*gains, study.MASS, wn, zeta, delay), w)
+                return value.real, value.imag
+
+            got = getattr(found, name)["continuous"][z, d]
+            if math.isnan(got):
+                got = study.LOWEST
+            wn, w = np.exp(scipy.optimize.fsolve(closed, np.log([got, 0.7 * got]), xtol=1e-12))
+            assert np.hypot(*closed(np.log([wn, w]))) < 1e-9
+            if math.isnan(getattr(found, name)["continuous"][z, d]):
+                assert wn < study.LOWEST
+            else:
+                assert got == pytest.approx(wn, rel=1e-3)
+
+
+def test_every_curve_covers_the_studys_range(found):
+    assert found.natural_frequency[[0, -1]] == pytest.approx([50.0, 800.0])
+    assert set(study.DAMPING_RATIOS) == {0.45, 0.9} and study.DELAYS == (0.0, 1e-3, 5e-3)
+    values = plant_values(ROBOTS, "natural_frequency").reshape((3, 3))[:, 0]
+    np.testing.assert_array_equal(found.robot_frequency, values)
+
+
+def test_claims_are_judged_as_they_are_known_to_be(found):
+    judged = claims(found)
+
+    def by_word(word):
+        (claim,) = [claim for claim in judged if word in claim.says]
+        return claim
+
+    assert len(judged) == 8
+    infinite = by_word("is infinite")
+    assert infinite.holds == "in some cases" and "70 / 34.6 / 9.48" in infinite.true
+    assert [case for case in infinite.cases if case[2]] == [("continuous", "0 ms", True)]
+    drop = by_word("drops")
+    good = {group for group, _, ok in drop.cases if ok}
+    assert all(ok for group, _, ok in drop.cases if group.startswith("HyQ to StarLETH"))
+    assert "ideal to StarLETH (continuous): 5 ms" in drop.where and len(good) == 6
+    assert by_word("delay margin, in degrees").holds == "no"
+    peak = by_word("40 rad/s")
+    wrong = {group for group, _, ok in peak.cases if not ok}
+    assert wrong == {"ζ 0.45 over the whole range"}
+    assert by_word("nominal").holds == "yes"
+    assert by_word("without actuator dynamics").holds == "yes"
+    tripled = by_word("once the actuator is modelled")
+    assert [case[:2] for case in tripled.cases if case[2]] == [("StarLETH", "5 ms")]
+
+
+def test_claims_follow_the_numbers(found):
+    """Nothing is typed in: other numbers give other verdicts."""
+    robots = {kind: dict(found.robots[kind]) for kind in found.robots}
+    for kind in robots:
+        robots[kind]["gain_margin"] = np.array([[np.inf] * 3, [50.0] * 3, [50.0] * 3])
+        robots[kind]["sensitivity_peak_frequency"] = np.full((3, 3), 99.0)
+    rates = {"nominal": found.growth_rate["nominal"], "tripled": -np.ones((3, 3))}
+    other = claims(replace(found, robots=robots, growth_rate=rates))
+    assert [claim.holds for claim in other] == [
+        "yes", "yes", "no", "no", "in some cases", "yes", "yes", "no",
+    ]  # fmt: skip
+
+
+def test_report_is_a_table_of_computed_numbers(found):
+    text = report(found)
+    rows = [line for line in text.splitlines() if line.startswith("| ")]
+    columns = {len(row.replace("\\|", "").split("|")) - 2 for row in rows}
+    assert columns == {3, 4, 10}
+    assert "nan" not in text and "inf " not in text
+    for figure in ("16.466", "3.9300", "54.524", "7.9420", "2.4023", "10.508"):
+        assert figure in text
+    assert "In 751 of the 751 stable loops" in text
+    assert text == report(found)
+    for line in study.ASSUMED:
+        assert line in text
+
+
+def test_pictures_show_the_families(found):
+    for name, picture in pictures.PICTURES.items():
+        figure = picture(found)
+        rows = {"figure_2_gain_margin": 1}.get(name, 2)
+        columns = 3 if name == "figure_4_sensitivity" else 2
+        assert len(figure.axes) == rows * columns
+        assert all("[" in axes.get_ylabel() for axes in figure.axes[::columns])
+        assert all("rad/s" in axes.get_xlabel() for axes in figure.axes[-columns:])
+    left, right = pictures.gain_margin(found).axes
+    curves = [line for line in left.lines if len(line.get_xdata()) > 30]
+    assert len(curves) == 6 and left.get_xscale() == left.get_yscale() == "log"
+    marks = [line for line in right.lines if line.get_marker() in ("o", "s")]
+    assert len(marks) == 6
+    starts = [float(line.get_ydata()[0]) for line in curves]
+    assert starts == pytest.approx([1.008, 1, 1, 1, 1, 1])
+
+
+def test_command_writes_everything_and_refuses_to_replace(found, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(results, "compute", lambda: found)
+    out = tmp_path / "new" / "paper"
+    assert main(["paper", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert sorted(path.name for path in out.iterdir()) == sorted(FILES)
+    assert all(f"wrote {out / name}" in said for name in FILES) and "in some cases: " in said
+    assert (out / "claims.md").read_text(encoding="utf-8") == report(found)
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    assert main(["paper", "--out", str(out)]) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and "--overwrite" in said.err and said.err.count("\n") == 1
+    assert main(["paper", "--out", str(out), "--overwrite"]) == 0
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--format", "jpg"], "allowed: png, svg, pdf"),
+        (["--out", "file/paper"], "output file/paper: cannot be written"),
+        (["--out", "file"], "output file: cannot be written"),
+        (["extra"], "see `jaxact paper --help`"),
+    ],
+)
+def test_a_mistake_is_one_line_and_computes_nothing(tmp_path, monkeypatch, capsys, options,
+                                                    message):  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(results, "compute", lambda: pytest.fail("computed"))
+    Path("file").write_text("x")
+    assert main(["paper", *options]) == 2
+    said = capsys.readouterr()
+    assert said.err.startswith("jaxact: ") and message in said.err and said.err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_an_interrupted_run_leaves_nothing(found, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(results, "compute", lambda: found)
+
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(look, "write", stop)
+    assert main(["paper", "--out", str(tmp_path / "a" / "b")]) == 130
+    assert not list(tmp_path.iterdir()) and "interrupted" in capsys.readouterr().err
+
+
+def test_the_committed_claims_are_what_the_command_writes(found):
+    committed = Path(__file__).parent.parent / "results" / "paper" / verb.CLAIMS
+    assert committed.is_file()
+    lines = committed.read_text(encoding="utf-8").splitlines()
+    for claim in claims(found):
+        (row,) = [line for line in lines if line.startswith(f"| {claim.says} |")]
+        assert f"| {claim.holds} | {claim.where} |" in row
+    for name in FILES:
+        assert (committed.parent / name).is_file()
