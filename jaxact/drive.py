@@ -506,7 +506,11 @@ def forget(coefficients: Coefficients, state: DriveState) -> DriveState:
     measurements = state.measurements
     if measurements is not None:
         where = coefficients.measurement_at
-        measurements = tuple(_delay.forget(line, where, pushed=False) for line in measurements)
+        positions, velocities = measurements
+        measurements = (
+            _delay.forget(positions, where, pushed=False),
+            _delay.forget(velocities, where, pushed=False),
+        )
     older = jnp.zeros_like(state.older)
     return replace(state, commands=commands, measurements=measurements, older=older)
 
