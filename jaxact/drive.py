@@ -14,94 +14,36 @@ takes the velocity when the force acts, not when it was commanded.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxact import actuator as _actuator
 from jaxact import controller as _controller
 from jaxact import delay as _delay
 from jaxact import sensor as _sensor
-from jaxact.actuator import Actuator, Response
-from jaxact.controller import Controller, Setpoint
-from jaxact.sensor import Sensor, SensorCoefficients, SensorOptions, SensorState
+from jaxact.actuator import Response
+from jaxact.controller import Setpoint
+from jaxact.drive_options import Drive, DriveOptions, options
+from jaxact.sensor import SensorCoefficients, SensorState
 
-
-@dataclass(frozen=True)
-class Drive:
-    """Parameters of a drive; every leaf a float or an array of shape (joints,).
-
-    Attributes:
-        controller: gains, feedforward, D/A resolution, setpoint delay.
-        actuator: force loop, command delay, limits.
-        sensor: measurement delay, bias, noise, resolution, velocity filter.
-        output_delay: delay of the force after the actuator [s].
-        control_period: T [s], one number for all joints.
-    """
-
-    controller: Controller
-    actuator: Actuator = field(default_factory=Actuator)
-    sensor: Sensor = field(default_factory=Sensor)
-    output_delay: jax.Array | float = 0.0
-    control_period: jax.Array | float = 1e-3
-
-
-@dataclass(frozen=True)
-class DriveOptions:
-    """The static side of a drive: lengths of the delay lines, and which parts exist at all.
-
-    Build it with `options` from concrete parameters (of all samples of a sweep at once).
-
-    Attributes:
-        substeps: physics steps in a control period.
-        command_slots: length of the line of commands (command and output delay).
-        measurement_slots: length of the line of measurements; 0 without measurement delay.
-        setpoint_slots: length of the line of setpoints; 0 without setpoint delay.
-        sensor: static side of the sensor.
-        quantised_command: the D/A converter has a resolution.
-        limited: a force limit or a force-speed line exists.
-        rate_limited: a force rate limit exists.
-        staged: results that several later ones need are computed once and kept, rather than left to
-            the compiler, which on CPUs computes them anew for each; changes nothing else.
-    """
-
-    substeps: int = 1
-    command_slots: int = 1
-    measurement_slots: int = 0
-    setpoint_slots: int = 0
-    sensor: SensorOptions = field(default_factory=SensorOptions)
-    quantised_command: bool = False
-    limited: bool = False
-    rate_limited: bool = False
-    staged: bool = False
-
-    @property
-    def random(self) -> bool:
-        """Whether a step draws random numbers and needs a key."""
-        return self.sensor.noise or self.sensor.walk
-
-    @property
-    def linear(self) -> bool:
-        """Whether the drive is linear and deterministic."""
-        return not (
-            self.random
-            or self.sensor.quantise
-            or self.quantised_command
-            or self.limited
-            or self.rate_limited
-        )
-
-    def linearised(self) -> DriveOptions:
-        """The same drive without noise, quantisation and limits."""
-        return replace(
-            self,
-            sensor=SensorOptions(differenced=self.sensor.differenced),
-            quantised_command=False,
-            limited=False,
-            rate_limited=False,
-        )
+__all__ = [
+    "Capture",
+    "Coefficients",
+    "Drive",
+    "DriveOptions",
+    "DriveState",
+    "Force",
+    "actuate",
+    "at_substep",
+    "capture",
+    "forget",
+    "init",
+    "options",
+    "prepare",
+    "tick",
+]
 
 
 @dataclass(frozen=True)
@@ -187,54 +129,9 @@ class Force:
     partial: tuple[jax.Array, jax.Array] | None
 
 
-for _class in (Drive, DriveState, Capture, Coefficients, Force):
+for _class in (DriveState, Capture, Coefficients, Force):
     jax.tree_util.register_dataclass(
         _class, data_fields=[item.name for item in fields(_class)], meta_fields=[]
-    )
-
-
-def options(drive: Drive, *, substeps: int = 1, differenced: bool = False) -> DriveOptions:
-    """The static options that serve all of these drives.
-
-    Args:
-        drive: concrete parameters (not traced), leaves of any shape: one drive or many.
-        substeps: physics steps in a control period.
-        differenced: velocity from differenced positions instead of sampled.
-
-    Returns:
-        Options with delay lines long enough for the longest delays, and with every part that at
-        least one drive uses.
-
-    Raises:
-        ValueError: substeps is not positive.
-    """
-    if substeps < 1:
-        raise ValueError(f"substeps must be at least 1, got {substeps}")
-
-    def used(*values: jax.Array | float) -> bool:
-        return any(bool(np.any(np.asarray(value) != 0.0)) for value in values)
-
-    def finite(*values: jax.Array | float) -> bool:
-        return any(bool(np.any(np.isfinite(np.asarray(value)))) for value in values)
-
-    sensor, actuator, period = drive.sensor, drive.actuator, drive.control_period
-    total = np.asarray(actuator.delay, float) + np.asarray(drive.output_delay, float)
-    setpoint_delay = drive.controller.setpoint_delay
-    measured_late, commanded_late = used(sensor.delay), used(setpoint_delay)
-    return DriveOptions(
-        substeps=substeps,
-        command_slots=_delay.slots(total, period),
-        measurement_slots=_delay.slots(sensor.delay, period) if measured_late else 0,
-        setpoint_slots=_delay.slots(setpoint_delay, period) + 1 if commanded_late else 0,
-        sensor=SensorOptions(
-            differenced=differenced,
-            noise=used(sensor.position_noise, sensor.velocity_noise),
-            walk=used(sensor.position_bias_walk, sensor.velocity_bias_walk),
-            quantise=used(sensor.position_resolution, sensor.velocity_resolution),
-        ),
-        quantised_command=used(drive.controller.command_resolution),
-        limited=finite(actuator.force_limit, actuator.stall_force),
-        rate_limited=finite(actuator.force_rate_limit),
     )
 
 

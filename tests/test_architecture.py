@@ -29,6 +29,7 @@ LAYERS = (
     ("errors", "status"),
     ("delay", "held"),
     ("actuator", "sensor", "controller"),
+    ("drive_options",),
     ("drive",),
     ("plants",),
     ANALYSIS,
@@ -40,7 +41,17 @@ LAYERS = (
 )
 # Theory and simulation are written independently, so that each can catch the other's mistakes.
 THEORY = (*ANALYSIS, "held")
-SIMULATION = ("plants", "loop", "rollout", "metrics", "growth", "sweep", "drive", "actuator")
+SIMULATION = (
+    "plants",
+    "loop",
+    "rollout",
+    "metrics",
+    "growth",
+    "sweep",
+    "drive",
+    "drive_options",
+    "actuator",
+)
 
 
 def _modules():
