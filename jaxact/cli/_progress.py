@@ -6,6 +6,8 @@ import contextlib
 import sys
 from collections.abc import Callable, Iterator
 
+from jaxact.cli import _signals
+
 
 @contextlib.contextmanager
 def bar(total: int, *, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
@@ -15,7 +17,7 @@ def bar(total: int, *, quiet: bool = False) -> Iterator[Callable[[int, int], Non
     quiet: show nothing; nothing is shown either where standard error is no terminal
     """
     if quiet or not sys.stderr.isatty():
-        yield lambda done, total: None
+        yield lambda done, total: _signals.check()
         return
     from rich.console import Console
     from rich.progress import (
@@ -46,6 +48,7 @@ def bar(total: int, *, quiet: bool = False) -> Iterator[Callable[[int, int], Non
         task = progress.add_task("compiling", total=total)
 
         def move(done: int, total: int) -> None:
+            _signals.check()
             progress.update(task, description="simulating", completed=done, total=total)
 
         yield move

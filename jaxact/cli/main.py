@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import importlib
 import os
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from jaxact import __version__
-from jaxact.cli import _options, _xla
+from jaxact.cli import _options, _signals, _xla
+from jaxact.cli._signals import Terminated
 from jaxact.errors import UserError
 
 VERBS = {
@@ -36,10 +36,6 @@ VERBS = {
 USAGE_ERROR = 2
 INTERRUPTED = 130
 TERMINATED = 143
-
-
-class _Terminated(BaseException):
-    """The process was asked to end (SIGTERM)."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("jaxact: interrupted; nothing unfinished was kept", file=sys.stderr)
         return INTERRUPTED
-    except _Terminated:
+    except Terminated:
         return TERMINATED
     except BrokenPipeError:
         # the reader of our output (`| head`) has gone; keep Python from complaining at exit
@@ -106,14 +102,9 @@ def _one_line(error: UserError) -> str:
     return " ".join(str(error).split())
 
 
-def _terminate(number: int, frame: object) -> NoReturn:
-    # an exception, so that half-written files are removed on the way out
-    raise _Terminated
-
-
 def entry() -> NoReturn:
     """Run the command line of this process and end it."""
-    signal.signal(signal.SIGTERM, _terminate)
+    _signals.listen()
     code = main()
     if code in (INTERRUPTED, TERMINATED):
         # devices may be computing still, and would crash while the interpreter is taken down

@@ -39,7 +39,7 @@ MJX_STEP = 0.25e-3
 
 # Loops in a tile, where none is given: measured on CPUs, where the state should stay in the
 # first-level cache, and GPUs, which want many.
-_TILES = {("mass", "cpu"): 128, ("mjx", "cpu"): 32, ("mass", "gpu"): 65536, ("mjx", "gpu"): 4096}
+_TILES = {("mass", "cpu"): 64, ("mjx", "cpu"): 32, ("mass", "gpu"): 65536, ("mjx", "gpu"): 4096}
 # Control periods that one call to a device simulates: about a second of work.
 _WORK = {"mass": 2e8, "mjx": 5e6}
 
