@@ -26,7 +26,7 @@ from jaxact import sensor as _sensor
 from jaxact.actuator import Response
 from jaxact.controller import Setpoint
 from jaxact.drive_options import Drive, DriveOptions, options
-from jaxact.sensor import SensorCoefficients, SensorState
+from jaxact.sensor import Draws, SensorCoefficients, SensorState
 
 __all__ = [
     "Capture",
@@ -44,6 +44,10 @@ __all__ = [
     "prepare",
     "tick",
 ]
+
+
+NO_DRAWS = Draws()
+"""The random numbers of a drive without noise and walking biases: none."""
 
 
 @dataclass(frozen=True)
@@ -289,7 +293,7 @@ def tick(
     position: jax.Array,
     velocity: jax.Array,
     setpoint: Setpoint,
-    key: jax.Array | None = None,
+    draws: Draws = NO_DRAWS,
 ) -> tuple[DriveState, jax.Array]:
     """Sense and control, once per control period.
 
@@ -301,7 +305,8 @@ def tick(
             uses what `capture` stored instead.
         velocity: of the plant now [m/s or rad/s], shape (joints,).
         setpoint: given now; it reaches the controller after the setpoint delay.
-        key: random key of this sample and tick; needed only where `options.random`.
+        draws: random numbers of this tick, from `jaxact.sensor.draw`; needed only where
+            `options.random`.
 
     Returns:
         The next state, and the command [N or N m], shape (joints,).
@@ -313,7 +318,7 @@ def tick(
     if setpoints is not None:
         setpoints, setpoint = _late_setpoint(coefficients, setpoints, setpoint)
     sensor, (measured, rate) = _sensor.step(
-        coefficients.sensor, options.sensor, state.sensor, position, velocity, key
+        coefficients.sensor, options.sensor, state.sensor, position, velocity, draws
     )
     command = _controller.step(
         coefficients.drive.controller,

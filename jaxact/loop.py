@@ -1,6 +1,6 @@
 """Plant and drive closed to a loop: one control period, as a pure function over pytrees.
 
-    step(prepared, options, state, setpoint, key) -> (state, output)
+    step(prepared, options, state, setpoint, draws) -> (state, output)
 
 The controller ticks once, then physics takes `options.substeps` steps under the force of the drive.
 """
@@ -15,7 +15,8 @@ import jax.numpy as jnp
 
 from jaxact import drive as _drive
 from jaxact.controller import Setpoint
-from jaxact.drive import Coefficients, Drive, DriveOptions, DriveState
+from jaxact.drive import NO_DRAWS, Coefficients, Drive, DriveOptions, DriveState
+from jaxact.sensor import Draws
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,7 @@ def step(
     options: DriveOptions,
     state: LoopState,
     setpoint: Setpoint,
-    key: jax.Array | None = None,
+    draws: Draws = NO_DRAWS,
 ) -> tuple[LoopState, tuple[Output, Record]]:
     """One control period of the closed loop.
 
@@ -168,13 +169,14 @@ def step(
         options: static.
         state: from `init` or the previous step.
         setpoint: given at this tick.
-        key: random key of this sample and tick; needed only where `options.random`.
+        draws: random numbers of this tick, from `jaxact.sensor.draw`; needed only where
+            `options.random`.
 
     Returns:
         The next state, and (what happened, each physics step of it).
     """
     before = prepared.plant.measure(state.plant)
-    drive, command = _drive.tick(prepared.drive, options, state.drive, *before, setpoint, key)
+    drive, command = _drive.tick(prepared.drive, options, state.drive, *before, setpoint, draws)
     drive, command = stage(options, (drive, command))
     carry = LoopState(state.plant, drive), before
     substeps = _drive.at_substep(prepared.drive)

@@ -14,11 +14,13 @@ import jax.numpy as jnp
 from jaxact import growth as _growth
 from jaxact import loop as _loop
 from jaxact import metrics as _metrics
+from jaxact import sensor as _sensor
 from jaxact.controller import Setpoint
 from jaxact.drive import DriveOptions
 from jaxact.growth import GrowthOptions
 from jaxact.loop import Loop, LoopState, Prepared
 from jaxact.metrics import SEGMENTS, Metrics
+from jaxact.sensor import Draws
 
 
 @dataclass(frozen=True)
@@ -69,8 +71,18 @@ def whole_ticks(duration: float, control_period: float) -> int:
     return SEGMENTS * max(1, int(-(-(segment - 1e-9) // 1)))
 
 
-def _key(key: jax.Array | None, tick: jax.Array) -> jax.Array | None:
-    return None if key is None else jax.random.fold_in(key, tick)
+def _draws(
+    options: DriveOptions, key: jax.Array | None, numbers: jax.Array, like: jax.Array
+) -> Draws:
+    """Random numbers of many ticks: each tick folds its number into the sample's key."""
+    if not options.random:
+        return Draws()
+    if key is None:
+        raise ValueError("a drive with noise needs a random key")
+    each = jax.vmap(
+        lambda number: _sensor.draw(options.sensor, jax.random.fold_in(key, number), like)
+    )
+    return each(numbers)
 
 
 def run(
@@ -103,16 +115,14 @@ def run(
     """
     if rollout.ticks % SEGMENTS:
         raise ValueError(f"ticks must be a multiple of {SEGMENTS}, got {rollout.ticks}")
-    if options.random and key is None:
-        raise ValueError("a drive with noise needs a random key")
-    key = key if options.random else None
     start, _ = prepared.plant.measure(state.plant)
     reference = _metrics.reference(start, jnp.broadcast_to(setpoint.position, start.shape))
     length = rollout.ticks // SEGMENTS
 
-    def tick(carry, number):
+    def tick(carry, inputs):
+        number, draws = inputs
         state, running, envelope = carry
-        state, (output, _) = _loop.step(prepared, options, state, setpoint, _key(key, number))
+        state, (output, _) = _loop.step(prepared, options, state, setpoint, draws)
         count = (number + 1).astype(start.dtype)
         weight = None if active_ticks is None else (count <= active_ticks).astype(start.dtype)
         running = _metrics.update(running, reference, output, count, weight)
@@ -123,8 +133,9 @@ def run(
         state, running = carry
         inner = state, running, _metrics.init_envelope(start)
         numbers = first + jnp.arange(length, dtype=jnp.int32)
+        inputs = numbers, _draws(options, key, numbers, start)
         (state, running, envelope), _ = jax.lax.scan(
-            tick, inner, numbers, unroll=min(rollout.unroll, length)
+            tick, inner, inputs, unroll=min(rollout.unroll, length)
         )
         return (state, running), envelope
 
@@ -207,20 +218,20 @@ def trajectory(
     start, _ = prepared.plant.measure(state.plant)
     step = prepared.drive.step
     shape = (options.substeps, *start.shape)
-    key = key if options.random else None
+    numbers = jnp.arange(ticks, dtype=jnp.int32)
 
     def tick(state, inputs):
-        number, given = inputs
+        given, draws = inputs
         given = setpoint if given is None else given
-        state, (output, record) = _loop.step(prepared, options, state, given, _key(key, number))
+        state, (output, record) = _loop.step(prepared, options, state, given, draws)
         share = jnp.broadcast_to(prepared.drive.older_share, shape)
         older, newer = state.drive.older[None], state.drive.newer[None]
         delayed = share * older + (1.0 - share) * newer
         held = jnp.broadcast_to(given.position, shape), jnp.broadcast_to(output.command, shape)
         return state, (held[0], record.position, record.velocity, held[1], delayed, record.force)
 
-    numbers = jnp.arange(ticks, dtype=jnp.int32)
-    _, rows = jax.lax.scan(tick, state, (numbers, setpoints))
+    draws = _draws(options, key, numbers, start)
+    _, rows = jax.lax.scan(tick, state, (setpoints, draws), length=ticks)
     rows = [row.reshape((ticks * options.substeps, *start.shape)) for row in rows]
     time = step * jnp.arange(ticks * options.substeps)
     return Trajectory(time, *rows)

@@ -142,10 +142,37 @@ def init(
     )
 
 
-def _normal(key: jax.Array, source: int, like: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Two standard normal draws shaped like a joint array; each source has its own stream."""
-    draws = jax.random.normal(jax.random.fold_in(key, source), (2, *like.shape), like.dtype)
-    return draws[0], draws[1]
+@dataclass(frozen=True)
+class Draws:
+    """Standard normal numbers of one tick: for position and velocity, shape (2, joints).
+
+    Attributes:
+        noise: of the samples; None without noise.
+        walk: of the biases; None where none walks.
+    """
+
+    noise: jax.Array | None = None
+    walk: jax.Array | None = None
+
+
+jax.tree_util.register_dataclass(Draws, data_fields=["noise", "walk"], meta_fields=[])
+
+
+def draw(options: SensorOptions, key: jax.Array | None, like: jax.Array) -> Draws:
+    """Random numbers of one tick from its key; noise and walk have streams of their own.
+
+    Not part of `step`, so that a rollout can draw for many ticks at once, which is far cheaper.
+
+    Args:
+        options: static.
+        key: random key of this sample and tick; needed only with noise or a walking bias.
+        like: any joint quantity, shape (joints,).
+    """
+
+    def normal(source: int) -> jax.Array:
+        return jax.random.normal(jax.random.fold_in(key, source), (2, *like.shape), like.dtype)
+
+    return Draws(normal(0) if options.noise else None, normal(1) if options.walk else None)
 
 
 def step(
@@ -154,7 +181,7 @@ def step(
     state: SensorState,
     position: jax.Array,
     velocity: jax.Array,
-    key: jax.Array | None,
+    draws: Draws,
 ) -> tuple[SensorState, tuple[jax.Array, jax.Array]]:
     """One sample of the sensor; see the module for the equations.
 
@@ -164,7 +191,7 @@ def step(
         state: from `init` or the previous step.
         position: true position at the sampling instant [m or rad], shape (joints,).
         velocity: true velocity at the sampling instant [m/s or rad/s], shape (joints,).
-        key: random key of this sample and tick; needed only with noise or a walking bias.
+        draws: random numbers of this tick, from `draw`.
 
     Returns:
         The next state, and (measured position, measured velocity).
@@ -173,7 +200,7 @@ def step(
     position = position + sensor.position_bias
     velocity = velocity + sensor.velocity_bias
     if walked is not None:
-        first, second = _normal(key, 1, position)
+        first, second = draws.walk[0], draws.walk[1]
         root = coefficients.root_period
         walked = (
             walked[0] + sensor.position_bias_walk * root * first,
@@ -181,9 +208,8 @@ def step(
         )
         position, velocity = position + walked[0], velocity + walked[1]
     if options.noise:
-        first, second = _normal(key, 0, position)
-        position = position + sensor.position_noise * first
-        velocity = velocity + sensor.velocity_noise * second
+        position = position + sensor.position_noise * draws.noise[0]
+        velocity = velocity + sensor.velocity_noise * draws.noise[1]
     if options.quantise:
         position = quantise(position, jnp.asarray(sensor.position_resolution))
     if options.differenced:

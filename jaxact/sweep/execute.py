@@ -191,7 +191,10 @@ def _plan(
     usual = _TILES[case.engine, platform]
     tile = min(specification.tile or usual, max(1, size))
     per_tile = tile * case.rollout.ticks * case.drive.substeps
-    tiles = max(1, min(int(_WORK[case.engine] / per_tile), -(-size // (tile * devices))))
+    most = max(1, int(_WORK[case.engine] / per_tile)) * tile * devices
+    # Batches of equal size, so that the last one is not mostly filling.
+    batches = -(-size // most)
+    tiles = -(-size // (batches * tile * devices))
     return Plan(case=case, members=members, tile=tile, tiles=tiles, devices=devices)
 
 
@@ -261,21 +264,14 @@ def simulate_batch(
         result: Metrics = simulate(
             values,
             jnp.asarray(growth.reshape(shape).astype(dtype)),
-            _keys(specification.seed, numbers.reshape(shape)),
+            jnp.full(shape, specification.seed, jnp.uint32),
+            jnp.asarray(numbers.reshape(shape).astype(np.uint32)),
         )
         rows = {
             name: np.asarray(getattr(result, name)).reshape(-1)
             for name in Metrics.__dataclass_fields__
         }
     return rows | {"growth_rate": growth}
-
-
-def _keys(seed: int, numbers: np.ndarray) -> jax.Array:
-    """Random keys of samples, by their numbers."""
-    root = jax.random.key(seed)
-    return jax.vmap(jax.vmap(lambda number: jax.random.fold_in(root, number)))(
-        jnp.asarray(numbers.astype(np.uint32))
-    )
 
 
 def run(

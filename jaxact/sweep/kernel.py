@@ -124,9 +124,18 @@ def growth_rate(case: Case, template: Any, values: Values) -> jax.Array:
 
 
 def metrics(
-    case: Case, template: Any, values: Values, growth_rate: jax.Array, key: jax.Array
+    case: Case,
+    template: Any,
+    values: Values,
+    growth_rate: jax.Array,
+    seed: jax.Array,
+    number: jax.Array,
 ) -> Metrics:
-    """Metrics of one sample, each of shape (); figures of several joints are their worst."""
+    """Metrics of one sample, each of shape (); figures of several joints are their worst.
+
+    Its random numbers follow from the sweep's seed and its own number alone.
+    """
+    key = jax.random.fold_in(jax.random.key(seed), number)
     prepared, state, setpoint = _start(case, template, values)
     active = None
     if case.masked:
