@@ -188,6 +188,13 @@ def _driven(model: mujoco.MjModel, name: str) -> list[tuple[int, int]]:
                 f"{label} is not a plain motor; replace it by <motor>, the drive brings its own "
                 "gains and dynamics"
             )
+        if model.actuator_delay[index] > 0.0 or model.actuator_history[index, 0] > 0:
+            raise UserError(
+                f"{label} has a delay of its own, which MJX would ignore; remove it from the model "
+                "and give it to the drive as `delay`"
+            )
+        if model.actuator_gear[index, 0] * model.actuator_gainprm[index, 0] == 0.0:
+            raise UserError(f"{label} has a gear or gain of 0 and can give no force")
         joint = int(model.actuator_trnid[index, 0])
         if int(model.jnt_type[joint]) not in _SINGLE:
             raise UserError(f"{label} acts on a ball or free joint; only slide and hinge joints")

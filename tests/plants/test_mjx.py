@@ -156,6 +156,16 @@ def test_c_mujoco_with_its_own_delay_is_the_referee(steps):
             </worldbody><actuator><motor name="p" joint="j"/></actuator></mujoco>""",
             "ball or free joint",
         ),
+        (
+            """<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>
+            <actuator><motor name="p" joint="j" delay="0.01" nsample="9"/></actuator></mujoco>""",
+            "actuator 'p' has a delay of its own",
+        ),
+        (
+            """<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>
+            <actuator><motor name="p" joint="j" gear="0"/></actuator></mujoco>""",
+            "gear or gain of 0",
+        ),
     ],
 )
 def test_models_that_cannot_be_driven_say_why(tmp_path, text, message):
