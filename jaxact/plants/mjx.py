@@ -7,6 +7,7 @@ so that gears and limits in the model keep their meaning. Other actuators are re
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import io
 import sys
 from collections.abc import Iterator
@@ -217,6 +218,18 @@ def compile_model(path: Path) -> mujoco.MjModel:
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise UserError(f"{path}: MuJoCo cannot compile this model: {reason}") from error
+
+
+def digest(path: Path) -> str:
+    """A fingerprint of what a model file compiles to, with all that it includes.
+
+    Raises:
+        UserError: as `compile_model`.
+    """
+    model = compile_model(path)
+    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return hashlib.sha256(buffer.tobytes()).hexdigest()
 
 
 def load(path: Path = SLIDE) -> MjxPlant:

@@ -118,7 +118,8 @@ def _refuse_deadlock(specification: Specification) -> None:
         UserError: it could happen here, and how to prevent it.
     """
     old = jax.__version__.startswith("0.10.") and jax.default_backend() == "cpu"
-    threads = int(os.environ.get("NPROC") or os.cpu_count() or 1)
+    asked = os.environ.get("NPROC", "")
+    threads = int(asked) if asked.isdigit() else os.cpu_count() or 1
     if old and specification.model is not None and threads < 8:
         raise UserError(
             "JAX 0.10 can hang on this machine with a model of one's own: set the environment "
@@ -179,6 +180,7 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
         ),
         masked=bool(np.any(np.ceil(specification.duration * rates - 1e-4) < ticks)),
         duration=specification.duration,
+        model=kernel.model_digest(specification.engine, specification.model),
         own_mass=specification.model is None or "mass" in varied,
         growth=GrowthOptions(dense=not mass),
     )

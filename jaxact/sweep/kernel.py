@@ -40,6 +40,8 @@ class Case:
         masked: some samples run longer than the duration, because control rates differ or because
             ticks are rounded up to whole segments, and their integrals stop before the end.
         duration: simulated time [s].
+        model: digest of the compiled model, empty for the built-in one: a file edited since then
+            is another model.
         own_mass: the samples' mass is given to the model.
         growth: how the growth rate is measured.
     """
@@ -49,6 +51,7 @@ class Case:
     rollout: RolloutOptions
     masked: bool
     duration: float
+    model: str = ""
     own_mass: bool = True
     growth: GrowthOptions = field(default_factory=GrowthOptions)
 
@@ -99,6 +102,15 @@ def plant_template(engine: str, model: Path | None) -> Any:
     from jaxact.plants import mjx  # imports MuJoCo, which the mass plant does not need
 
     return mjx.load() if model is None else mjx.load(model)
+
+
+def model_digest(engine: str, model: Path | None) -> str:
+    """Fingerprint of a user's model for `Case`; empty where there is none."""
+    if engine == "mass" or model is None:
+        return ""
+    from jaxact.plants import mjx  # as above
+
+    return mjx.digest(model)
 
 
 def loop_of(values: Values, template: Any, *, own_mass: bool = True) -> Loop:

@@ -12,6 +12,7 @@ import pytest
 from exact import growth_rate as exact_growth_rate
 
 from jaxact.errors import UserError
+from jaxact.plants import mjx
 from jaxact.status import Verdict
 from jaxact.sweep import execute, reading
 from jaxact.sweep.samples import expand
@@ -170,3 +171,19 @@ def test_no_sweep_hangs(tmp_path, devices, tile):
         command, capture_output=True, text=True, timeout=300, env=environment, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_a_model_edited_between_two_sweeps_is_another_model(tmp_path):
+    model, sweep = tmp_path / "own.xml", tmp_path / "sweep.toml"
+    sweep.write_text(
+        'engine = "mjx"\nmodel = "own.xml"\nduration = 0.02\nphysics_step = 0.001\n'
+        "[axes]\nkp = [400]\n"
+    )
+    rates = []
+    for mass in (0.7, 2.8):
+        model.write_text(mjx.SLIDE.read_text().replace('mass="0.7"', f'mass="{mass}"'))
+        asked = reading.load(sweep)
+        rates.append(float(execute.run(asked, expand(asked))["growth_rate"][0]))
+    # -kd / (2 m) for an undelayed, lightly damped loop, up to sampling
+    assert rates[1] == pytest.approx(-20.0 / (2 * 2.8), rel=0.1)
+    assert rates[0] == pytest.approx(-20.0 / (2 * 0.7), rel=0.1)
