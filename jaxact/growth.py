@@ -40,6 +40,9 @@ class GrowthOptions:
         squarings: of the small matrix; the last one looks 2^squarings blocks ahead.
         dense: write the propagation of one period out as a matrix first. Cheaper where one period
             of the plant costs more than the product of a matrix and a vector.
+        stacked: keep the Krylov space in one array: for spaces of many dimensions, as the many slow
+            modes of a robot ask for. Otherwise each number of the small matrix is a variable of its
+            own, which vector units like better.
     """
 
     block: int = 4
@@ -47,9 +50,10 @@ class GrowthOptions:
     dimension: int = 8
     squarings: int = 18
     dense: bool = False
+    stacked: bool = False
 
 
-def _aligned(state: LoopState) -> LoopState:
+def aligned(state: LoopState) -> LoopState:
     """The same state with every ring buffer turned so that its newest value comes first."""
 
     def turn(node: Any) -> Any:
@@ -61,7 +65,7 @@ def _aligned(state: LoopState) -> LoopState:
     return jax.tree.map(turn, state, is_leaf=lambda node: isinstance(node, _delay.Ring))
 
 
-def _split(state: LoopState) -> tuple[list[jax.Array], Callable[[list[jax.Array]], LoopState]]:
+def split(state: LoopState) -> tuple[list[jax.Array], Callable[[list[jax.Array]], LoopState]]:
     """The real leaves of a state, in order, and a function that puts others in their place."""
     leaves, structure = jax.tree.flatten(state)
     real = [jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves]
@@ -92,16 +96,16 @@ def propagation(
         The real leaves of the state in order, and the linear map on lists of that form.
     """
     smooth = options.linearised()
-    vector, merge = _split(_aligned(state))
+    vector, merge = split(aligned(state))
 
     def body(state: LoopState, _: None) -> tuple[LoopState, None]:
         return _loop.step(prepared, smooth, state, setpoint)[0], None
 
     def advance(vector: list[jax.Array]) -> list[jax.Array]:
         after, _ = jax.lax.scan(body, merge(vector), None, length=periods)
-        after = _aligned(after)
+        after = aligned(after)
         kept = _drive.forget(prepared.drive, after.drive)
-        return _split(LoopState(after.plant, kept))[0]
+        return split(LoopState(after.plant, kept))[0]
 
     return vector, jax.linearize(advance, vector)[1]
 
@@ -123,6 +127,12 @@ def _dense(vector: list[jax.Array], apply: Callable, block: int) -> Propagation:
     return [flat], repeated
 
 
+def _flat(vector: list[jax.Array], apply: Callable) -> Propagation:
+    """The same map on a single flat vector."""
+    flat, unravel = ravel_pytree(vector)
+    return [flat], lambda parts: [ravel_pytree(apply(unravel(parts[0])))[0]]
+
+
 def _perturbation(state: LoopState, prepared: Prepared) -> list[jax.Array]:
     """A perturbation that moves every joint's position and velocity and nothing else.
 
@@ -137,7 +147,7 @@ def _perturbation(state: LoopState, prepared: Prepared) -> list[jax.Array]:
         # Unequal amounts, so that no symmetric mode of a robot is missed.
         weight = 1.0 + 0.37 * jnp.cos(1.7 * joints)
         plant = prepared.plant.init(q + amount * weight, v - amount * velocity_scale * weight)
-        return _split(LoopState(plant, state.drive))[0]
+        return split(LoopState(plant, state.drive))[0]
 
     dtype = prepared.drive.step.dtype
     return jax.jvp(displaced, (jnp.zeros((), dtype),), (jnp.ones((), dtype),))[1]
@@ -194,19 +204,28 @@ def log_spectral_radius(matrix: list[list[jax.Array]], squarings: int) -> jax.Ar
         log rho(A), shape (); -inf for a nilpotent matrix.
     """
 
-    def norm(matrix: list[list[jax.Array]]) -> jax.Array:
-        return jnp.sqrt(sum(entry * entry for row in matrix for entry in row))
-
-    def scale(matrix: list[list[jax.Array]], factor: jax.Array) -> list[list[jax.Array]]:
-        return [[factor * entry for entry in row] for row in matrix]
-
-    def square(carry, _):
-        matrix, log_size, power, _ = carry
+    def square(matrix: list[list[jax.Array]]) -> list[list[jax.Array]]:
         columns = list(zip(*matrix, strict=True))
-        product = [
+        return [
             [sum(x * y for x, y in zip(row, column, strict=True)) for column in columns]
             for row in matrix
         ]
+
+    def norm(matrix: list[list[jax.Array]]) -> jax.Array:
+        return jnp.sqrt(sum(entry * entry for row in matrix for entry in row))
+
+    return _log_radius(matrix, square, norm, squarings)
+
+
+def _log_radius(matrix: Any, square: Callable, norm: Callable, squarings: int) -> jax.Array:
+    """Logarithm of the spectral radius of a matrix in any form that can be squared and measured."""
+
+    def scale(matrix: Any, factor: jax.Array) -> Any:
+        return jax.tree.map(lambda entry: factor * entry, matrix)
+
+    def advance(carry, _):
+        matrix, log_size, power, _ = carry
+        product = square(matrix)
         size = norm(product)
         growth = (log_size + jnp.log(size)) / power
         product = scale(product, _inverse(size))
@@ -214,8 +233,34 @@ def log_spectral_radius(matrix: list[list[jax.Array]], squarings: int) -> jax.Ar
 
     size = norm(matrix)
     carry = (scale(matrix, _inverse(size)), jnp.log(size), jnp.ones_like(size), size)
-    (_, _, _, growth), _ = jax.lax.scan(square, carry, None, length=squarings)
+    (_, _, _, growth), _ = jax.lax.scan(advance, carry, None, length=squarings)
     return growth
+
+
+def _arnoldi(apply: Callable, start: jax.Array, dimension: int) -> jax.Array:
+    """As `_krylov` for a map of one flat vector; the small matrix as an array (dimension,) * 2."""
+    exhausted = jnp.finfo(start.dtype).eps ** 0.375
+    basis = jnp.zeros((dimension + 1, start.size), start.dtype)
+    basis = basis.at[0].set(start * _inverse(jnp.linalg.norm(start)))
+
+    def column(carry, number):
+        basis, matrix = carry
+        image = apply(basis[number])
+        size = jnp.linalg.norm(image)
+        entries = basis @ image
+        image = image - entries @ basis
+        # Once more, for what rounding has left of the earlier directions.
+        again = basis @ image
+        image, entries = image - again @ basis, entries + again
+        rest = jnp.linalg.norm(image)
+        rest = jnp.where(rest > exhausted * size, rest, 0.0)
+        basis = basis.at[number + 1].set(image * _inverse(rest))
+        matrix = matrix.at[:, number].set(entries).at[number + 1, number].set(rest)
+        return (basis, matrix), None
+
+    matrix = jnp.zeros((dimension + 1, dimension), start.dtype)
+    (_, matrix), _ = jax.lax.scan(column, (basis, matrix), jnp.arange(dimension))
+    return matrix[:-1]
 
 
 def growth_rate(
@@ -237,10 +282,13 @@ def growth_rate(
     Returns:
         [1/s], shape ().
     """
-    tangent = _perturbation(_aligned(state), prepared)
+    tangent = _perturbation(aligned(state), prepared)
     if measure.dense:
         start, apply = propagation(prepared, options, state, setpoint, 1)
         start, apply = _dense(start, apply, measure.block)
+        tangent = [ravel_pytree(tangent)[0]]
+    elif measure.stacked:
+        start, apply = _flat(*propagation(prepared, options, state, setpoint, measure.block))
         tangent = [ravel_pytree(tangent)[0]]
     else:
         start, apply = propagation(prepared, options, state, setpoint, measure.block)
@@ -262,6 +310,10 @@ def growth_rate(
 
     dimension = min(measure.dimension, sum(leaf.size for leaf in start))
     unit = [x / y for x, y in zip(settled, scale, strict=True)]
-    matrix = _krylov(scaled_apply, unit, dimension)
     period = prepared.drive.drive.control_period
-    return log_spectral_radius(matrix, measure.squarings) / (measure.block * period)
+    if measure.stacked:
+        stacked = _arnoldi(lambda vector: scaled_apply([vector])[0], unit[0], dimension)
+        log_radius = _log_radius(stacked, lambda x: x @ x, jnp.linalg.norm, measure.squarings)
+    else:
+        log_radius = log_spectral_radius(_krylov(scaled_apply, unit, dimension), measure.squarings)
+    return log_radius / (measure.block * period)

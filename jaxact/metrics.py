@@ -205,18 +205,24 @@ def _simulated_verdict(
     amplitude: jax.Array,
     growth_rate: jax.Array,
     segment: jax.Array,
+    rest_amplitude: jax.Array | float,
 ) -> jax.Array:
     """Verdict of a loop that is not linear, from its envelopes; shape (joints,)."""
     scale = jnp.where(span > 0.0, span, amplitude[0])
-    diverged = running.farthest > _DIVERGED * jnp.where(scale > 0.0, scale, 1.0)
+    # Of a robot at rest, the first motion is rounding, and no scale for what follows.
+    size = jnp.maximum(scale, rest_amplitude)
+    diverged = running.farthest > _DIVERGED * jnp.where(size > 0.0, size, 1.0)
     invalid = ~jnp.isfinite(running.squared_error) | jnp.isnan(growth_rate)
     before, previous, last = amplitude[-3], amplitude[-2], amplitude[-1]
     growing = (last > _GROWING * previous) & (previous > _GROWING * before)
     # Half the decay that the linear loop would show is decay; less is a motion that keeps going.
     decay = -jnp.expm1(jnp.minimum(growth_rate, 0.0) * segment)
     decaying = last <= (1.0 - 0.5 * decay) * previous
-    calm = (growth_rate < 0.0) & (decaying | (last <= SETTLED * scale))
-    verdict = jnp.where(growing, Verdict.UNSTABLE, Verdict.LIMIT_CYCLE)
+    small = jnp.maximum(SETTLED * scale, rest_amplitude)
+    calm = (growth_rate < 0.0) & (decaying | (last <= small))
+    # A perturbation that grows, but has not had the time to.
+    hidden = (growth_rate > 0.0) & (last <= rest_amplitude)
+    verdict = jnp.where(growing | hidden, Verdict.UNSTABLE, Verdict.LIMIT_CYCLE)
     verdict = jnp.where(calm, Verdict.STABLE, verdict)
     verdict = jnp.where(invalid, Verdict.INVALID, verdict)
     return jnp.where(diverged, Verdict.UNSTABLE, verdict)
@@ -237,6 +243,7 @@ def finish(
     period: jax.Array,
     ticks: int,
     counted: jax.Array | float,
+    rest_amplitude: jax.Array | float = 0.0,
 ) -> Metrics:
     """The metrics of a finished rollout.
 
@@ -254,11 +261,12 @@ def finish(
         period: control period [s].
         ticks: static; number of ticks.
         counted: number of ticks in the integrals.
+        rest_amplitude: a motion smaller than this counts as at rest [m or rad].
     """
     span = jnp.abs(reference.target - reference.start)
     amplitude = 0.5 * (envelopes.highest - envelopes.lowest)
     segment = period * (ticks // SEGMENTS)
-    simulated = _simulated_verdict(running, span, amplitude, growth_rate, segment)
+    simulated = _simulated_verdict(running, span, amplitude, growth_rate, segment, rest_amplitude)
     each = jnp.where(linear, _linear_verdict(growth_rate), simulated)
     verdict = jnp.max(each).astype(jnp.int8)
     finite = jnp.isfinite(running.squared_error) & jnp.isfinite(running.effort)

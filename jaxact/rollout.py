@@ -6,7 +6,9 @@ trajectory the physics steps of one loop, for plots and files
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -49,6 +51,8 @@ class Trajectory:
         command: held by the controller [N or N m].
         delayed_command: as it enters the force loop, mean over the step [N or N m].
         force: on the plant, mean over the step [N or N m].
+        configuration: of the whole plant at each control tick, shape (ticks, ...), where it was
+            asked for.
     """
 
     time: jax.Array
@@ -58,6 +62,7 @@ class Trajectory:
     command: jax.Array
     delayed_command: jax.Array
     force: jax.Array
+    configuration: jax.Array | None = None
 
 
 jax.tree_util.register_dataclass(
@@ -94,8 +99,9 @@ def run(
     key: jax.Array | None = None,
     *,
     active_ticks: jax.Array | None = None,
+    setpoints: Setpoint | None = None,
 ) -> tuple[LoopState, _metrics.Running, _metrics.Envelope]:
-    """Simulate a loop under a constant setpoint and accumulate its metrics.
+    """Simulate a loop and accumulate its metrics.
 
     Args:
         prepared: from `jaxact.loop.prepare`.
@@ -105,6 +111,8 @@ def run(
         setpoint: constant; the response is measured as a step from the present position.
         key: of this sample; each tick folds in its number. Needed only where `options.random`.
         active_ticks: integrals stop after this many ticks; None for all.
+        setpoints: one for every tick instead of the constant one, leaves of shape (ticks, joints);
+            errors are measured against them, the rest against the constant one.
 
     Returns:
         The final state, the accumulators of the rollout, and those of its segments, stacked.
@@ -120,20 +128,23 @@ def run(
     length = rollout.ticks // SEGMENTS
 
     def tick(carry, inputs):
-        number, draws = inputs
+        number, draws, given = inputs
         state, running, envelope = carry
-        state, (output, _) = _loop.step(prepared, options, state, setpoint, draws)
+        wanted = setpoint if given is None else given
+        state, (output, _) = _loop.step(prepared, options, state, wanted, draws)
         count = (number + 1).astype(start.dtype)
         weight = None if active_ticks is None else (count <= active_ticks).astype(start.dtype)
-        running = _metrics.update(running, reference, output, count, weight)
+        aim = reference if given is None else replace(reference, target=given.position)
+        running = _metrics.update(running, aim, output, count, weight)
         envelope = _metrics.update_envelope(envelope, output, count)
         return _loop.stage(options, (state, running, envelope)), None
 
-    def segment(carry, first):
+    def segment(carry, inputs):
+        first, given = inputs
         state, running = carry
         inner = state, running, _metrics.init_envelope(start)
         numbers = first + jnp.arange(length, dtype=jnp.int32)
-        inputs = numbers, _draws(options, key, numbers, start)
+        inputs = numbers, _draws(options, key, numbers, start), given
         (state, running, envelope), _ = jax.lax.scan(
             tick, inner, inputs, unroll=min(rollout.unroll, length)
         )
@@ -141,7 +152,8 @@ def run(
 
     carry = state, _metrics.init(start)
     firsts = length * jnp.arange(SEGMENTS, dtype=jnp.int32)
-    (state, running), envelopes = jax.lax.scan(segment, carry, firsts)
+    parts = jax.tree.map(lambda row: row.reshape((SEGMENTS, length, *row.shape[1:])), setpoints)
+    (state, running), envelopes = jax.lax.scan(segment, carry, (firsts, parts))
     return state, running, envelopes
 
 
@@ -156,11 +168,14 @@ def evaluate(
     growth_rate: jax.Array | None = None,
     active_ticks: jax.Array | None = None,
     growth: GrowthOptions | None = None,
+    setpoints: Setpoint | None = None,
+    rest_amplitude: jax.Array | float = 0.0,
 ) -> Metrics:
     """Metrics of a step response, verdict and growth rate included.
 
     Args:
-        prepared, options, rollout, state, setpoint, key, active_ticks: as for `run`.
+        prepared, options, rollout, state, setpoint, key, active_ticks, setpoints: as for `run`.
+        rest_amplitude: a motion smaller than this counts as at rest [m or rad].
         growth_rate: [1/s] if it is known already (in float64, say), else it is measured here.
         growth: static; how it is measured; None for the usual way.
 
@@ -173,7 +188,14 @@ def evaluate(
         )
     start, _ = prepared.plant.measure(state.plant)
     _, running, envelopes = run(
-        prepared, options, rollout, state, setpoint, key, active_ticks=active_ticks
+        prepared,
+        options,
+        rollout,
+        state,
+        setpoint,
+        key,
+        active_ticks=active_ticks,
+        setpoints=setpoints,
     )
     return _metrics.finish(
         running,
@@ -184,6 +206,7 @@ def evaluate(
         period=prepared.drive.drive.control_period,
         ticks=rollout.ticks,
         counted=rollout.ticks if active_ticks is None else active_ticks,
+        rest_amplitude=rest_amplitude,
     )
 
 
@@ -198,7 +221,7 @@ def trajectory(
     velocity: jax.Array | float = 0.0,
     setpoints: Setpoint | None = None,
 ) -> Trajectory:
-    """Simulate a loop and keep every physics step.
+    """Simulate a loop from its parameters and keep every physics step.
 
     Args:
         loop: parameters.
@@ -215,6 +238,31 @@ def trajectory(
     """
     prepared = _loop.prepare(loop, options)
     state = _loop.init(prepared, options, position, velocity)
+    return follow(prepared, options, ticks, state, setpoint, key, setpoints=setpoints)
+
+
+def follow(
+    prepared: Prepared,
+    options: DriveOptions,
+    ticks: int,
+    state: LoopState,
+    setpoint: Setpoint,
+    key: jax.Array | None = None,
+    *,
+    setpoints: Setpoint | None = None,
+    configuration: Callable[[Any], jax.Array] | None = None,
+) -> Trajectory:
+    """Simulate a loop from a state and keep every physics step.
+
+    Args:
+        prepared: from `jaxact.loop.prepare`.
+        options, ticks, setpoint, key, setpoints: as for `trajectory`.
+        state: to start from.
+        configuration: static; what to keep of the plant's state at every control tick.
+
+    Returns:
+        The trajectory.
+    """
     start, _ = prepared.plant.measure(state.plant)
     step = prepared.drive.step
     shape = (options.substeps, *start.shape)
@@ -223,15 +271,17 @@ def trajectory(
     def tick(state, inputs):
         given, draws = inputs
         given = setpoint if given is None else given
+        kept = None if configuration is None else configuration(state.plant)
         state, (output, record) = _loop.step(prepared, options, state, given, draws)
         share = jnp.broadcast_to(prepared.drive.older_share, shape)
         older, newer = state.drive.older[None], state.drive.newer[None]
         delayed = share * older + (1.0 - share) * newer
         held = jnp.broadcast_to(given.position, shape), jnp.broadcast_to(output.command, shape)
-        return state, (held[0], record.position, record.velocity, held[1], delayed, record.force)
+        row = (held[0], record.position, record.velocity, held[1], delayed, record.force)
+        return state, (row, kept)
 
     draws = _draws(options, key, numbers, start)
-    _, rows = jax.lax.scan(tick, state, (setpoints, draws), length=ticks)
+    _, (rows, kept) = jax.lax.scan(tick, state, (setpoints, draws), length=ticks)
     rows = [row.reshape((ticks * options.substeps, *start.shape)) for row in rows]
     time = step * jnp.arange(ticks * options.substeps)
-    return Trajectory(time, *rows)
+    return Trajectory(time, *rows, configuration=kept)

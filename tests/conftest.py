@@ -1,14 +1,19 @@
 """Strict JAX, two CPU devices, and reproducible properties, for every test."""
 
 import os
+import tempfile
+
+import hypothesis
 
 # Before JAX starts: it reads these once.
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 os.environ.setdefault("MPLBACKEND", "agg")
-
-import hypothesis
+# Compiled kernels of the command line are kept for these tests only, for all workers together.
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    _cache = tempfile.TemporaryDirectory(prefix="jaxact-tests-")
+    os.environ["XDG_CACHE_HOME"] = _cache.name
 
 hypothesis.settings.register_profile(
     "jaxact",

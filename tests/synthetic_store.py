@@ -1,9 +1,12 @@
 """Result stores made of exact theory, so that pictures are tested without simulating."""
 
+import tempfile
+
 import numpy as np
 from scipy.linalg import expm
 
-from jaxact.sweep import reading, store
+from jaxact.sweep import conduct, place, reading, store
+from jaxact.sweep.planning import Planned
 from jaxact.sweep.samples import expand
 
 GRID = """
@@ -67,8 +70,8 @@ def radius(values, index):
     return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
-def dataset(text):
-    """A sweep's dataset whose growth rates and verdicts are exact."""
+def exact(text):
+    """A specification, its loops, and results of them that are exact."""
     specification = reading.parse(text)
     samples = expand(specification)
     radii = np.array([radius(samples.values, index) for index in range(len(samples))])
@@ -80,11 +83,61 @@ def dataset(text):
         "overshoot": np.exp(-np.abs(growth) / 30.0),
         "settling_time": np.where(verdict == 0, 4.0 / np.abs(growth), np.nan),
     }
-    return store.dataset(specification, samples, results)
+    return specification, samples, results
+
+
+def fake_plan(specification, samples, *, loops=10**6):
+    """A plan that no device was asked for."""
+    return Planned(
+        tile=specification.tile or 64, loops=loops, devices=1, engine=specification.engine,
+        digest="", platform="cpu", device="1 x none", memory=0, peak=0, seconds=0.0, measured=False,
+    )  # fmt: skip
+
+
+def teller(results, *, upto=None):
+    """Workers that know the results already, and stop after some chunks."""
+
+    def work(work, numbers, begin):
+        absent = np.full(len(work.samples), np.nan)
+        for count, number in enumerate(numbers):
+            if count == upto:
+                raise KeyboardInterrupt
+            if count == 0:
+                begin()
+            first, size = work.store.layout.span(number)
+            rows = {
+                name: results.get(name, absent)[first : first + size] for name in store.VARIABLES
+            }
+            work.store.write(number, rows, work.store.tile)
+            yield number
+
+    return work
+
+
+def run(folder, specification, samples, results, *, upto=None, loops=10**6, **options):
+    """Run a sweep whose results are known already."""
+    how = conduct.How(
+        planner=lambda asked, all_: fake_plan(asked, all_, loops=loops),
+        workers=teller(results, upto=upto),
+        **options,
+    )
+    return conduct.sweep(specification, place.at(folder), how)
+
+
+def dataset_of(specification, samples, results):
+    """The dataset of a sweep with these results, in memory; without the variables not given."""
+    with tempfile.TemporaryDirectory() as folder:
+        run(folder, specification, samples, results)
+        whole = store.open_result(folder).load()
+    return whole[[name for name in store.VARIABLES if name in results]]
+
+
+def dataset(text):
+    """A sweep's dataset whose growth rates and verdicts are exact."""
+    return dataset_of(*exact(text))
 
 
 def write(folder, text):
     """A results folder with such a store in it."""
-    with store.destination(folder / store.STORE) as partial:
-        store.write(dataset(text), partial)
+    run(folder, *exact(text))
     return folder

@@ -23,7 +23,7 @@ PACKAGE = ROOT / "jaxact"
 ANALYSIS = (
     "frequency", "crossovers", "roots", "peaks", "lobes", "margins", "boundary",
     "sampled", "pulse", "sampled_roots", "sampled_search", "sampled_margins", "marginal",
-    "gain_limits",
+    "gain_limits", "multiloop", "multiloop_disk", "multiloop_limits", "robot_margins",
 )  # fmt: skip
 LAYERS = (
     ("errors", "status"),
@@ -32,9 +32,11 @@ LAYERS = (
     ("drive_options",),
     ("drive",),
     ("plants",),
+    ("linearize",),
     ANALYSIS,
-    ("loop", "rollout", "metrics", "growth"),
+    ("loop", "rollout", "metrics", "growth", "batch_rollout", "robot_loop"),
     ("sweep",),
+    ("tune",),
     ("plot",),
     ("paper",),
     ("cli",),

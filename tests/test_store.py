@@ -1,4 +1,4 @@
-"""The result store: what is in it, that others can read it, and that it is written whole or not."""
+"""The result store: what is in it, and that others can read it."""
 
 import json
 import math
@@ -6,11 +6,12 @@ import warnings
 
 import numpy as np
 import pytest
+import synthetic_store
 import xarray as xr
 
 from jaxact.errors import UserError
 from jaxact.status import Verdict
-from jaxact.sweep import reading, store
+from jaxact.sweep import at_once, reading, store
 from jaxact.sweep.samples import expand
 from jaxact.sweep.summary import summary
 
@@ -31,25 +32,33 @@ def results():
     return _results(TEXT)
 
 
-def _results(text):
+def _made(text):
     specification = reading.parse(text)
     samples = expand(specification)
     numbers = np.arange(len(samples), dtype=float)
-    verdict = numbers % 4
-    return store.dataset(specification, samples, {"growth_rate": -numbers, "verdict": verdict})
+    return specification, samples, {"growth_rate": -numbers, "verdict": numbers % 4}
+
+
+def _results(text):
+    return synthetic_store.dataset_of(*_made(text))
 
 
 def _write(results, path, **options):
-    with store.destination(path, **options) as folder:
-        store.write(results, folder)
+    with at_once.destination(path, **options) as folder:
+        at_once.write(results, folder)
 
 
-def test_plain_xarray_opens_it_without_warnings(results, tmp_path):
-    _write(results, tmp_path / "sweep.zarr")
+@pytest.mark.parametrize("loops", [1, 4, 100])
+def test_plain_xarray_opens_it_without_warnings_however_it_is_cut_up(loops, tmp_path):
+    specification, samples, results = _made(TEXT)
+    synthetic_store.run(tmp_path, specification, samples, results, loops=loops)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        back = xr.open_zarr(tmp_path / "sweep.zarr")
-        xr.testing.assert_identical(back.load(), results)
+        back = xr.open_zarr(tmp_path / "sweep.zarr").load()
+    for name, values in results.items():
+        np.testing.assert_array_equal(back[name].values.ravel(), values)
+    assert back.sizes == {"actuator": 2, "delay": 2, "kd": 3}
+    assert np.isnan(back["overshoot"]).all()
     assert json.loads((tmp_path / "sweep.zarr/zarr.json").read_text())["zarr_format"] == 3
 
 
@@ -67,7 +76,7 @@ def test_verdict_explains_its_codes(results):
     verdict = results["verdict"]
     assert verdict.dtype == np.int8
     meanings = verdict.attrs["flag_meanings"].split()
-    named = dict(zip(verdict.attrs["flag_values"].tolist(), meanings, strict=True))
+    named = dict(zip(verdict.attrs["flag_values"], meanings, strict=True))
     assert named == {kind.value: kind.label.replace(" ", "_") for kind in Verdict}
 
 
@@ -147,13 +156,13 @@ def test_nothing_but_a_store_of_ours_is_ever_replaced(results, tmp_path):
 
 def test_failure_leaves_nothing_behind_and_the_old_store_whole(results, tmp_path):
     path = tmp_path / "deep" / "er" / "sweep.zarr"
-    with pytest.raises(KeyboardInterrupt), store.destination(path) as folder:
+    with pytest.raises(KeyboardInterrupt), at_once.destination(path) as folder:
         (folder / "half").write_text("half")
         raise KeyboardInterrupt
     assert list(tmp_path.iterdir()) == []
     _write(results, path)
-    with pytest.raises(ZeroDivisionError), store.destination(path, overwrite=True) as folder:
-        store.write(results.isel(kd=[0]), folder)
+    with pytest.raises(ZeroDivisionError), at_once.destination(path, overwrite=True) as folder:
+        at_once.write(results.isel(kd=[0]), folder)
         raise ZeroDivisionError
     assert store.open_result(path).sizes["kd"] == 3
     assert [item.name for item in path.parent.iterdir()] == ["sweep.zarr"]
@@ -162,13 +171,16 @@ def test_failure_leaves_nothing_behind_and_the_old_store_whole(results, tmp_path
 def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file" / "sweep.zarr", tmp_path / ("x" * 300) / "sweep.zarr"):
-        with pytest.raises(UserError, match="cannot be written"), store.destination(path):
+        with pytest.raises(UserError, match="cannot be written"), at_once.destination(path):
             raise AssertionError("the work must not begin")
     assert [item.name for item in tmp_path.iterdir()] == ["file"]
 
 
 def test_a_full_disk_is_one_line_and_leaves_nothing(results, tmp_path):
-    with pytest.raises(UserError, match="No space left"), store.destination(tmp_path / "s") as out:
+    with (
+        pytest.raises(UserError, match="No space left"),
+        at_once.destination(tmp_path / "s") as out,
+    ):
         assert out.is_dir()
         raise OSError(28, "No space left on device")
     assert list(tmp_path.iterdir()) == []

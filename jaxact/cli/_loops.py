@@ -14,7 +14,8 @@ from tyro.conf import arg
 
 from jaxact.errors import UserError, nearest, shown
 from jaxact.sweep import reading, toml
-from jaxact.sweep.parameters import PARAMETERS, PRESETS, canonical, check, check_actuator
+from jaxact.sweep.axes import MOST_SAMPLES
+from jaxact.sweep.parameters import PARAMETERS, PRESETS, canonical, check, check_actuator, of
 from jaxact.sweep.samples import Samples, expand
 from jaxact.sweep.specification import Specification
 
@@ -119,12 +120,16 @@ def is_given(value: Any) -> bool:
     return first is not None and first is not UNSET and first not in (UNSET_NUMBER, UNSET_NAME)
 
 
-def specified(document: Mapping[str, Any]) -> Specification:
-    """The checked specification of options on the command line: their messages name the option."""
+def specified(document: Mapping[str, Any], overrides: Sequence[str] = ()) -> Specification:
+    """The checked specification of options on the command line: their messages name the option.
+
+    document: as in a file; what is None is left out
+    overrides: `key=value` each, applied over it
+    """
     axes = dict(document.get("axes", {})) or _NO_AXIS
     present = {name: value for name, value in document.items() if value is not None}
     try:
-        return reading.parse(toml.dumps({**present, "axes": axes}))
+        return reading.parse(toml.dumps({**present, "axes": axes}), overrides=overrides)
     except UserError as error:
         said = str(error)
         for section in ("parameters.", "axes."):
@@ -149,7 +154,7 @@ def combinations(chosen: Mapping[str, Any], **document: Any) -> Loops:
     """
     fixed = {name: values[0] for name, values in chosen.items() if len(values) == 1}
     varied = {name: list(values) for name, values in chosen.items() if len(values) > 1}
-    return _expanded(specified({**document, "parameters": fixed, "axes": varied}))
+    return expanded(specified({**document, "parameters": fixed, "axes": varied}))
 
 
 def from_file(path: Path, chosen: Mapping[str, Any]) -> Loops:
@@ -163,7 +168,7 @@ def from_file(path: Path, chosen: Mapping[str, Any]) -> Loops:
         if chosen:
             name = next(iter(chosen))
             raise UserError(f"--{name}: {path} has axes of its own; change them there")
-        return _expanded(reading.load(path))
+        return expanded(reading.load(path))
     return _listed(path, document["loop"], chosen)
 
 
@@ -216,8 +221,11 @@ def _resolved(row: Mapping[str, Any], key: str, base: Mapping[str, float]) -> di
     return found
 
 
-def _expanded(specification: Specification) -> Loops:
+def expanded(specification: Specification) -> Loops:
+    """The loops of a specification, named by what tells them apart."""
     samples = expand(specification)
+    if len(samples) > MOST_SAMPLES:
+        raise UserError(f"axes: make {len(samples):,} loops; allowed here: up to {MOST_SAMPLES:,}")
     values = {name: np.asarray(array, dtype=float) for name, array in samples.values.items()}
     columns = []
     for name, place in samples.coords.items():
@@ -243,7 +251,7 @@ def _word(name: str, value: Any) -> str:
 
     if name == "actuator":
         return quantity(str(value))
-    return f"{name.replace('_', ' ')} {quantity(value, PARAMETERS[name].unit)}"
+    return f"{name.replace('_', ' ')} {quantity(value, of(name).unit)}"
 
 
 def without_preset(preset: Any) -> dict[str, float]:

@@ -45,7 +45,7 @@ def bar(total: int, *, quiet: bool = False) -> Iterator[Callable[[int, int], Non
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("compiling", total=total)
+        task = progress.add_task("compiling", total=total or None)
 
         def move(done: int, total: int) -> None:
             _signals.check()

@@ -10,8 +10,8 @@ from tyro.conf import Positional, arg
 
 def main(
     result: Annotated[
-        Positional[Path],
-        arg(metavar="RESULT", help="Results folder of a sweep, or its sweep.zarr."),
+        Positional[str],
+        arg(metavar="RESULT", help="Results folder of a sweep, or its sweep.zarr; path or URL."),
     ],
     file: Annotated[
         Positional[Path], arg(metavar="FILE", help="NetCDF file to write, e.g. map.nc.")

@@ -12,6 +12,7 @@ from tyro.conf import arg
 
 from jaxact import __version__
 from jaxact.cli import _xla
+from jaxact.sweep import cache
 
 PACKAGES = (
     "jax", "jaxlib", "mujoco", "mujoco-mjx", "optax", "numpy", "scipy", "xarray", "zarr",
@@ -50,7 +51,7 @@ def collect() -> dict[str, Any]:
         "jax devices": [f"{device} ({device.device_kind})" for device in jax.devices()],
         "float64 by default": bool(jax.config.jax_enable_x64),
         "sweep precision": "float32, or float64 with --set precision=float64",
-        "compilation cache": jax.config.jax_compilation_cache_dir,
+        "cache": str(jax.config.jax_compilation_cache_dir or cache.folder()),
         "XLA_FLAGS": os.environ.get("XLA_FLAGS", ""),
         "JAX_PLATFORMS": os.environ.get("JAX_PLATFORMS", ""),
     }

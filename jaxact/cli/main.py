@@ -14,12 +14,14 @@ from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from jaxact import __version__
-from jaxact.cli import _options, _signals, _xla
+from jaxact.cli import _gl, _options, _signals, _xla
 from jaxact.cli._signals import Terminated
 from jaxact.errors import UserError
 
 VERBS = {
     "sweep": "simulate thousands of loops over a grid or a sample of parameters, keep the results",
+    "status": "show how far a sweep is: done, missing, damaged, rate, time left",
+    "validate": "check every chunk of a result, and compute some of its loops again",
     "plot": "draw the stability map of a sweep, with the exact boundary over it",
     "simulate": "simulate one loop, keep its trajectory as a picture and as numbers",
     "step": "simulate and draw the step responses of loops over each other",
@@ -27,9 +29,12 @@ VERBS = {
     "bode": "draw the Bode plot of loops, with the margins drawn in",
     "nyquist": "draw the Nyquist plot of loops, with the disk margin drawn in",
     "sensitivity": "draw the sensitivity functions of loops, with their peaks",
+    "render": "film a robot twice, side by side: bare, and with the drive model",
+    "tune": "find the best gains of a joint by gradient descent on its margins, and certify them",
     "paper": "reproduce the reference study's figures and judge its claims, exact and simulated",
     "export": "write the results of a sweep as one NetCDF file",
     "parameters": "list every parameter of a loop: unit, default, bounds, meaning",
+    "check": "show what will be driven in a robot model, and every field that engines would ignore",
     "info": "show versions, devices, precision and caches: what a bug report needs",
 }
 
@@ -55,15 +60,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     try:
         verb = _options.choose("command", given[0], VERBS)
-        _xla.prepare(all_cores=verb == "sweep")
+        _gl.prepare()
+        _xla.prepare(all_cores=verb in ("sweep", "validate"))
         _options.call(_verb(verb), f"jaxact {verb}", given[1:])
     except UserError as error:
         print(f"jaxact: {_one_line(error)}", file=sys.stderr)
         return USAGE_ERROR
-    except KeyboardInterrupt:
-        print("jaxact: interrupted; nothing unfinished was kept", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        print(f"jaxact: {stop or 'interrupted; nothing unfinished was kept'}", file=sys.stderr)
         return INTERRUPTED
-    except Terminated:
+    except Terminated as stop:
+        if str(stop):
+            print(f"jaxact: {stop}", file=sys.stderr)
         return TERMINATED
     except BrokenPipeError:
         # the reader of our output (`| head`) has gone; keep Python from complaining at exit
@@ -99,7 +107,8 @@ examples:
 
 
 def _one_line(error: UserError) -> str:
-    return " ".join(str(error).split())
+    line = " ".join(str(error).split())
+    return "".join(letter if letter.isprintable() else "?" for letter in line)
 
 
 def entry() -> NoReturn:

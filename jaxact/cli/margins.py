@@ -13,8 +13,9 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import OmitArgPrefixes, arg
 
-from jaxact.cli import _files, _loops
+from jaxact.cli import _files, _loops, _robot_margins
 from jaxact.cli._pictures import Linear, LoopsFile, Velocity, chosen_loops
+from jaxact.errors import UserError
 
 # Names of the output, in order. Margins mean nothing for an unstable loop, the others always do.
 ALWAYS = ("stable", "unstable_roots", "log_gain_to_boundary", "spectral_abscissa")
@@ -39,6 +40,7 @@ Figures = dict[str, np.ndarray]
 
 def main(
     parameters: Annotated[Linear, OmitArgPrefixes] = Linear(),  # type: ignore[valid-type] # noqa: B008
+    robot: Annotated[_robot_margins.Options, OmitArgPrefixes] = _robot_margins.Options(),  # noqa: B008
     *,
     loops: LoopsFile = None,
     velocity: Velocity = "sampled",
@@ -53,7 +55,7 @@ def main(
     ] = None,
     overwrite: Annotated[bool, arg(help="Replace a CSV file or a store that is there.")] = False,
 ) -> None:
-    """Compute all stability margins of one loop or thousands, with the exact delay.
+    """Compute all stability margins of one loop or thousands, with the exact delay, or of a robot.
 
     Every option of a loop takes several values; all combinations are computed. With
     --control-rate the margins of the sampled loop are given beside those in continuous time. Units
@@ -64,12 +66,35 @@ def main(
     Margins of an unstable loop mean nothing and are left out; log_gain_to_boundary, the logarithm
     of the factor on all gains to the nearest boundary, is negative there.
 
+    With --model: a robot, linearised at a posture, sampled at its control rate (1 kHz where none is
+    given), gains and delays those the model brings where none are given. Of each joint with all
+    others closed, the margins above; of all joints at once, peaks of the largest singular values of
+    S and T, the multi-loop disk margin, a common factor on all gains (also downwards: at low gain
+    gravity topples a robot), a common delay.
+
+    JSON of a robot: model, keyframe, posture, loop, engine, residual, neutral_directions,
+    control_period, physics_step, stable, unstable_roots, spectral_radius, growth_rate,
+    gain_to_boundary, log_gain_to_boundary; all (null if unstable) with gain_margin,
+    gain_reduction_margin, delay_margin, sensitivity_peak, complementary_peak, disk_margin and the
+    frequency of each, modulus_margin, unscaled_disk_margin; joints with name, kp, kd and the
+    margins above; ranking (names, nearest to shaking first); critical_mode, slowest_mode,
+    response_at_peak with growth_rate, frequency, damping_ratio, participation by joint.
+
     examples:
       jaxact margins --mass 0.7 --kp 400 --kd 20 --actuator starleth --delay 5e-3
       jaxact margins --actuator hyq starleth --delay 0 0.001 0.005 --control-rate 1000
       jaxact margins --loops loops.toml --json
+      jaxact margins --model robot.xml --keyframe home --actuator hyq --delay 0.001
+      jaxact margins --model robot.xml --kp 300 --kd 15 --set 'kp@.*_knee=500' --out margins.png
     """
-    from jaxact.sweep import store as _store
+    if _robot_margins.asked(robot):
+        for name, unfit in (("loops", loops), ("csv", csv), ("store", store)):
+            if unfit is not None:
+                raise UserError(f"--{name}: is for single joints; a robot's figures come as --json")
+        _robot_margins.show(robot, _loops.given(parameters), velocity, json=json)
+        return
+
+    from jaxact.sweep import at_once
 
     _files.check_output(csv, ".csv", overwrite=overwrite)
     chosen, sampled = chosen_loops(parameters, loops, velocity)
@@ -82,8 +107,8 @@ def main(
     if csv is not None:
         _files.write(csv, lambda file: file.write(_csv_text(chosen, found).encode()))
     if store is not None:
-        with _store.destination(store, overwrite=overwrite) as partial:
-            _store.write(_dataset(chosen, found), partial)
+        with at_once.destination(store, overwrite=overwrite) as partial:
+            at_once.write(_dataset(chosen, found), partial)
     print(_json_lines(chosen, found) if json else _tables(chosen, found))
     if not json and (csv or store):
         print("wrote " + ", ".join(str(path) for path in (csv, store) if path is not None))

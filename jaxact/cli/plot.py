@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,8 +19,11 @@ if TYPE_CHECKING:
 
 def main(
     result: Annotated[
-        tyro.conf.Positional[Path],
-        tyro.conf.arg(metavar="RESULT", help="Results folder of a sweep, or the store in it."),
+        tyro.conf.Positional[str],
+        tyro.conf.arg(
+            metavar="RESULT",
+            help="Results folder of a sweep, or the store in it; path or URL.",
+        ),
     ],
     *,
     x: Annotated[
@@ -111,21 +115,26 @@ def main(
       jaxact plot results/paper_gain_map --variable overshoot --select actuator=hyq
       jaxact plot results/paper_gain_map --kind lines --x kd --y delay --select kp=400
     """
-    from jaxact.plot import look, panels
+    from jaxact.plot import look, panels, regular
     from jaxact.sweep import store
 
     if out is not None:
         look.check_output(out)
-    results = store.open_result(result)
+    results = store.loaded(store.open_result(result))
+    computed = results if regular.refined(results) else None
+    if computed is not None:
+        results = regular.regular(computed)
     arrangement = panels.arrange(
-        results.load(),
+        results,
         kind=kind,  # type: ignore[arg-type] # checked there
         x=x,
         y=y,
         facet=facet,
         select=_pairs(select),
     )
-    figure, said = _draw(results, arrangement, variable, nominal, title, quick=quick)
+    figure, said = _draw(
+        results, arrangement, variable, nominal, title, computed=computed, quick=quick
+    )
     path = out if out is not None else _default_output(result, arrangement.kind, variable)
     look.write(figure, path, title=f"jaxact: {variable}")
     print(said)
@@ -139,19 +148,21 @@ def _draw(
     nominal: tuple[float, ...],
     title: str | None,
     *,
+    computed: xr.Dataset | None,
     quick: bool,
 ) -> tuple[Figure, str]:
-    """The figure, and its small print."""
+    """The figure, and its small print, about the loops computed where others are shown."""
     from jaxact.plot import caption, field, lines, scatter, stability_map
     from jaxact.sweep import agreement
 
     field.field(results, variable)  # a misspelt name is told before anything is computed
     boundaries = _boundaries(arrangement)
     drawn = any(boundary is not None for boundary in boundaries)
-    found = None if quick else agreement.sweep_agreement(arrangement.data)
+    computed = arrangement.data if computed is None else computed
+    found = None if quick else agreement.sweep_agreement(computed)
     parts = [
         f"Shown: {', '.join(arrangement.selected)}." if arrangement.selected else "",
-        caption.simulated(arrangement.data),
+        caption.simulated(computed),
         caption.compared(found) if found is not None else "",
         caption.linear_only(arrangement.data) if drawn or found is not None else "",
     ]
@@ -196,6 +207,8 @@ def _nominal(
     if not given and any(axis.name not in own for axis in axes):
         return None
     point = list(given) or [own[axis.name] for axis in axes]
+    if any(math.isnan(value) for value in point):
+        return None  # a robot's joints have their own
     if any(place(axis, value) is None for axis, value in zip(axes, point, strict=True)):
         return None
     return point[0], point[-1]
@@ -212,10 +225,12 @@ def _pairs(given: tuple[str, ...]) -> dict[str, str]:
     return pairs
 
 
-def _default_output(result: Path, kind: str, variable: str) -> Path:
+def _default_output(result: str, kind: str, variable: str) -> Path:
     """`stability_map.png` beside the store, or a name that says what else was drawn."""
+    from jaxact.sweep.place import is_url
     from jaxact.sweep.store import STORE
 
-    folder = result if (result / STORE).is_dir() else result.parent
+    path = Path() / STORE if is_url(result) else Path(result)
+    folder = path if (path / STORE).is_dir() else path.parent
     stem = "stability_map" if (kind, variable) == ("map", "growth_rate") else f"{variable}_{kind}"
     return folder / f"{stem}.png"

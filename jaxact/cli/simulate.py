@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
-from jaxact.cli import _files, _loops
+from jaxact.cli import _files, _loops, _single
 from jaxact.errors import UserError
 from jaxact.sweep.parameters import PARAMETERS
 
@@ -44,17 +44,25 @@ def main(
     engine: Annotated[
         str | None,
         arg(
-            metavar="mass|mjx",
-            help="Plant: an exact mass, or MuJoCo in JAX.",
-            help_behavior_hint="(default: mass)",
+            metavar="mass|mjx|mujoco|auto",
+            help="Plant: an exact mass, MuJoCo in JAX, MuJoCo in C, or the faster one of them.",
+            help_behavior_hint="(default: mass; auto for a model)",
         ),
     ] = None,
     model: Annotated[
         Path | None,
         arg(
             metavar="FILE",
-            help="MJCF model of the mjx plant.",
-            help_behavior_hint="(default: a slide joint)",
+            help="MJCF or URDF file of a robot in place of a single joint.",
+            help_behavior_hint="(default: none)",
+        ),
+    ] = None,
+    keyframe: Annotated[
+        str | None,
+        arg(
+            metavar="NAME",
+            help="Keyframe of the model to start from.",
+            help_behavior_hint="(default: the model's default posture)",
         ),
     ] = None,
     velocity: Annotated[
@@ -89,8 +97,8 @@ def main(
         int, arg(metavar="NUMBER", help="Of the noise.", help_behavior_hint="(default: 0)")
     ] = _loops.UNSET_NUMBER,
     joint: Annotated[
-        int, arg(metavar="NUMBER", help="Which driven joint of a model is drawn, from 0.")
-    ] = 0,
+        str, arg(metavar="NAME", help="Which driven joint of a model is drawn: name, or number.")
+    ] = "0",
     out: Annotated[
         Path,
         arg(
@@ -127,6 +135,7 @@ def main(
       jaxact simulate --actuator starleth --delay 0.005
       jaxact simulate --actuator hyq --kp 4000 --kd 200 --force-limit 100 --csv run.csv
       jaxact simulate --spec experiments/paper_gain_map.toml --set engine=mjx --duration 2
+      jaxact simulate --model robot.xml --keyframe home --actuator hyq --delay 0.001 --npz run.npz
     """
     from jaxact.plot import look
 
@@ -134,40 +143,33 @@ def main(
     for path, ending in ((csv, ".csv"), (npz, ".npz")):
         _files.check_output(path, ending, overwrite=overwrite)
     static = {
-        "engine": engine, "model": None if model is None else str(model), "velocity": velocity,
-        "duration": duration, "physics_step": physics_step, "precision": precision, "seed": seed,
+        "engine": engine, "velocity": velocity, "duration": duration,
+        "physics_step": physics_step, "precision": precision, "seed": seed,
     }  # fmt: skip
     asked = {name: value for name, value in static.items() if _loops.is_given(value)}
-    specification = _specification(spec, set, asked, _loops.given(parameters))
+    plant = {"model": model, "keyframe": keyframe}
+    plant = {name: str(value) for name, value in plant.items() if value is not None}
+    specification = _single.specification(spec, set, asked, plant, _loops.given(parameters))
 
-    from jaxact.sweep import single
+    from jaxact.sweep import execute, single
 
+    specification = execute.resolved(specification)
     run = single.simulate(specification)
-    if not 0 <= joint < len(run.rotary):
-        raise UserError(f"--joint {joint}: the model has {len(run.rotary)} driven joints, from 0")
-    _write(run, specification, joint, out, csv, npz)
+    place = _place(run, joint)
+    _write(run, specification, place, out, csv, npz)
     print(_json_text(run) if json else _table(run))
     if not json:
         print("wrote " + ", ".join(str(path) for path in (out, csv, npz) if path is not None))
 
 
-def _specification(
-    path: Path | None, overrides: tuple[str, ...], static: dict[str, Any], given: dict[str, Any]
-) -> Specification:
-    """The loop to simulate: the file, then --set, then the options."""
-    if path is None and overrides:
-        raise UserError("--set changes a specification; give one with --spec, or use the options")
-    if path is None:
-        defaults = {"precision": "float64", "duration": 1.0}
-        return _loops.specified({**defaults, **static, "parameters": given})
-    base = _loops.nominal_of(path, overrides).document
-    if "actuator" in given:
-        for name in ("wn", "zeta"):
-            base["parameters"].pop(name, None)
-    elif {"wn", "zeta"} & set(given):
-        base["parameters"] |= _loops.without_preset(base["parameters"].pop("actuator", None))
-    fixed = base["parameters"] | given
-    return _loops.specified({**base, **static, "parameters": fixed, "axes": {}, "sampling": None})
+def _place(run: Single, joint: str) -> int:
+    """Number of the joint that is asked for by name or number."""
+    names = [one.name for one in run.joints]
+    if joint in names:
+        return names.index(joint)
+    if joint.isdigit() and int(joint) < len(names):
+        return int(joint)
+    raise UserError(f"--joint {joint}: the driven joints are {', '.join(names)}, or their numbers")
 
 
 def _write(
@@ -188,7 +190,10 @@ def _write(
         text = {"fmt": "%.9g", "delimiter": ",", "header": header, "comments": ""}
         _files.write(csv, lambda file: np.savetxt(file, table, **text))
     if npz is not None:
-        arrays = dataclasses.asdict(run.trajectory)
+        arrays = {name: value for name, value in vars(run.trajectory).items() if value is not None}
+        if "configuration" in arrays:
+            arrays["qpos"] = arrays.pop("configuration")
+            arrays["joints"] = np.array([one.name for one in run.joints])
         arrays["parameters"] = np.array(_json.dumps(_plain(run.values)))
         _files.write(npz, lambda file: np.savez_compressed(file, **arrays))
     figure = trajectory(
@@ -210,9 +215,9 @@ def _joint(run: Single, joint: int) -> Joint:
 def _columns(run: Single) -> dict[str, np.ndarray]:
     """The trajectory with units in the names, joints numbered where there are several."""
     columns = {"time [s]": np.asarray(run.trajectory.time)}
-    for joint, rotary in enumerate(run.rotary):
-        number = f" {joint}" if len(run.rotary) > 1 else ""
-        units = ("rad", "N m") if rotary else ("m", "N")
+    for joint, one in enumerate(run.joints):
+        number = f" {one.name}" if len(run.joints) > 1 else ""
+        units = ("rad", "N m") if one.rotary else ("m", "N")
         for name, pattern in _SIGNALS.items():
             label = f"{name.replace('_', ' ')}{number} [{pattern.format(*units)}]"
             columns[label] = getattr(run.trajectory, name)[:, joint]

@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import functools
+import shlex
+import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from jaxact.cli import _progress
+from jaxact.cli import _cache, _progress
+from jaxact.cli._signals import Terminated
+from jaxact.errors import UserError
+
+if TYPE_CHECKING:
+    from jaxact.sweep.conduct import How
+    from jaxact.sweep.place import Place
+    from jaxact.sweep.planning import Planned
+    from jaxact.sweep.samples import Samples
+    from jaxact.sweep.specification import Specification
 
 
 def main(
@@ -17,10 +32,10 @@ def main(
     ],
     *,
     out: Annotated[
-        Path | None,
+        str | None,
         arg(
             metavar="DIR",
-            help="Folder of the results, made if it is not there.",
+            help="Folder of the results, made if it is not there; or a URL, e.g. s3://bucket/name.",
             help_behavior_hint="(default: results/<name of the specification>)",
         ),
     ] = None,
@@ -28,8 +43,46 @@ def main(
         UseAppendAction[tuple[str, ...]],
         arg(metavar="KEY=VALUE", help="Change the specification for this run; see below."),
     ] = (),
+    resume: Annotated[
+        bool, arg(help="Continue a sweep that was interrupted, if one is there; see below.")
+    ] = False,
     overwrite: Annotated[
         bool, arg(help="Replace the results of an earlier sweep in the same folder.")
+    ] = False,
+    adaptive: Annotated[
+        bool, arg(help="Refine around the stability boundary only, from the grid that is given.")
+    ] = False,
+    width: Annotated[
+        float | None,
+        arg(
+            metavar="W",
+            help="Relative width to which --adaptive finds the boundary.",
+            help_behavior_hint="(default: 0.001)",
+        ),
+    ] = None,
+    memory: Annotated[
+        str | None,
+        arg(
+            metavar="SIZE",
+            help="Most memory to take, e.g. 800M or 4G.",
+            help_behavior_hint="(default: a quarter of what is free)",
+        ),
+    ] = None,
+    workers: Annotated[
+        Literal["local", "ray"],
+        arg(help="Who computes: all devices of this machine, or a Ray cluster (jaxact[ray])."),
+    ] = "local",
+    address: Annotated[
+        str | None,
+        arg(
+            metavar="ADDRESS",
+            help="Ray cluster; auto: the one this machine belongs to.",
+            help_behavior_hint="(default: a new one on this machine)",
+        ),
+    ] = None,
+    dry_run: Annotated[bool, arg(help="Only say what the sweep would take.")] = False,
+    no_cache: Annotated[
+        bool, arg(help="Compile anew, and keep no compiled kernels from run to run.")
     ] = False,
     quiet: Annotated[bool, arg(help="Show no progress and no summary.")] = False,
 ) -> None:
@@ -37,6 +90,10 @@ def main(
 
     The results go to sweep.zarr in the results folder: an xarray dataset with growth rate, verdict
     and response figures of every loop, units, and the whole specification. `jaxact plot` draws it.
+
+    Results are written chunk by chunk. Whatever ends a sweep early, the chunks that are done are
+    kept: run the same command with --resume, and only what is missing is computed. `jaxact status`
+    shows how far a sweep is.
 
     What --set takes: a parameter (kp=400 [N/m], delay=0.002 [s], actuator=hyq), then fixed;
     a list or a range (kp='[100, 200]', kd='{min=1, max=100, num=8, spacing="log"}'), which is then
@@ -46,25 +103,156 @@ def main(
     examples:
       jaxact sweep experiments/paper_gain_map.toml
       jaxact sweep experiments/paper_gain_map.toml --set engine=mass --out results/exact
-      jaxact sweep experiments/paper_gain_map.toml --set axes.kp.num=128 --overwrite
+      jaxact sweep experiments/paper_gain_map.toml --set axes.kp.num=128 --dry-run
+      jaxact sweep experiments/paper_gain_map.toml --resume
+      jaxact sweep experiments/paper_gain_map.toml --adaptive --out results/boundary
     """
-    from jaxact.sweep import reading, store
-    from jaxact.sweep.samples import expand
-    from jaxact.sweep.summary import summary
+    from jaxact.sweep import memory as _memory
+    from jaxact.sweep import place as _place
+    from jaxact.sweep import reading
 
     asked = reading.load(specification, set)
-    folder = out if out is not None else Path("results") / specification.stem
-    samples = expand(asked)
-    with store.destination(folder / store.STORE, overwrite=overwrite) as partial:
-        from jaxact.sweep.execute import run
+    if resume and overwrite:
+        raise UserError("--resume continues what is there, --overwrite replaces it: give one")
+    if width is not None and not adaptive:
+        raise UserError(f"--width {width:g}: is for --adaptive")
+    if width is not None and not 1e-9 <= width < 1.0:
+        raise UserError(f"--width {width:g}: allowed: from 1e-9 to below 1")
+    if address is not None and workers != "ray":
+        raise UserError(f"--address {address}: is for --workers ray")
+    budget = None if memory is None else _memory.read_size(memory)
+    folder = _place.at(out if out is not None else Path("results") / specification.stem)
+    _cache.prepare(wanted=not no_cache)
+    from jaxact.sweep.conduct import How
 
-        started = time.perf_counter()
-        with _progress.bar(len(samples), quiet=quiet) as move:
-            results = store.dataset(asked, samples, run(asked, samples, progress=move))
-        seconds = time.perf_counter() - started
-        store.write(results, partial)
-    if not quiet:
-        print(
-            f"{folder / store.STORE}: {len(samples) / seconds:,.0f} loops/s, {seconds:.1f} s in all"
-        )
-        print(summary(results))
+    how = How(resume=resume, overwrite=overwrite)
+    if adaptive:
+        how = dataclasses.replace(how, width=0.001 if width is None else width)
+    if workers == "local" and not no_cache:
+        from jaxact.sweep import fill, throughput
+
+        how = dataclasses.replace(how, workers=functools.partial(fill.here, keep=throughput.keep))
+    measure = not (dry_run or no_cache)
+    with _computed_by(how, workers, address, budget, measure=measure, quiet=quiet) as how:
+        if dry_run:
+            print(_forecast(asked, how))
+            return
+        _run(asked, folder, how, quiet=quiet)
+
+
+def _run(asked: Specification, folder: Place, how: How, *, quiet: bool) -> None:
+    from jaxact.sweep import conduct, store
+
+    started, done = time.perf_counter(), [0, 0]
+    with _progress.bar(0, quiet=quiet) as move:
+
+        def moved(count: int, total: int) -> None:
+            done[0], done[1] = done[0] or count, count
+            move(count, total)
+
+        try:
+            filled = conduct.sweep(asked, folder, dataclasses.replace(how, moved=moved))
+        except (KeyboardInterrupt, Terminated) as stop:
+            raise type(stop)(_how_to_resume(folder)) from None
+    if quiet:
+        return
+    seconds = time.perf_counter() - started
+    results = store.opened(filled.place)
+    print(f"{filled.place.name}: {results['verdict'].size:,} loops, {seconds:.1f} s in all")
+    print(results.attrs["summary"])
+
+
+@contextlib.contextmanager
+def _computed_by(
+    how: How,
+    workers: str,
+    address: str | None,
+    budget: int | None,
+    *,
+    measure: bool,
+    quiet: bool,
+) -> Iterator[How]:
+    """Planner and workers: this process, or a Ray cluster that stays attached meanwhile."""
+    from jaxact.sweep import planning
+
+    if workers == "local":
+
+        def say(text: str) -> None:
+            if not quiet:
+                print(f"{text} ...", file=sys.stderr)
+
+        plan = functools.partial(planning.plan, budget=budget, say=say if measure else None)
+        yield dataclasses.replace(how, planner=plan)
+        return
+    from jaxact.sweep import cluster
+
+    with cluster.attached(address) as attached:
+        plan = functools.partial(attached.plan, budget=budget)
+        yield dataclasses.replace(how, planner=plan, workers=attached.work)
+
+
+def _forecast(asked: Specification, how: How) -> str:
+    """What a sweep would take, in a few lines."""
+    from jaxact.sweep import adaptive, memory
+    from jaxact.sweep.samples import expand
+
+    samples = expand(asked)
+    planned: Planned = how.planner(asked, samples)
+    layout = planned.layout(samples)
+    first = f"{len(samples):,} loops" + _shape(samples)
+    if how.width is not None:
+        grid = adaptive.lattice(asked, how.width)
+        fine = " x ".join(f"{n:,}" for n in grid.shape)
+        first += f", refined to a grid of {fine} at the boundary"
+    size = sum(layout.loops * (1 if name == "verdict" else 4) for name in _variables())
+    if asked.precision == "float64":
+        size *= 2
+    basis = "measured on this machine" if planned.measured else "roughly; nothing measured here yet"
+    return "\n".join(
+        [
+            first,
+            f"{len(layout):,} chunks of up to {layout.loops:,} loops,"
+            f" in tiles of {planned.tile:,} on {planned.device}",
+            f"memory: about {memory.text(planned.peak)} of {memory.text(planned.memory)} allowed;"
+            f" on disk: {memory.text(size * len(layout))}",
+            f"time: about {duration(planned.seconds)} ({basis})",
+        ]
+    )
+
+
+def _variables() -> tuple[str, ...]:
+    from jaxact.sweep.store import VARIABLES
+
+    return tuple(VARIABLES)
+
+
+def _shape(samples: Samples) -> str:
+    sizes = (f"{name} {n:,}" for name, n in zip(samples.dims, samples.shape, strict=True))
+    return f" ({' x '.join(sizes)})"
+
+
+def duration(seconds: float) -> str:
+    """`45 s`, `12 min`, `3.4 h`, `2.1 days`."""
+    for unit, size, most in (("s", 1.0, 100.0), ("min", 60.0, 100.0), ("h", 3600.0, 48.0)):
+        if seconds < most * size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds / 86400:,.3g} days"
+
+
+def _how_to_resume(folder: Place) -> str:
+    """What to say of an interrupted sweep: what is kept, and how to continue."""
+    from jaxact.sweep import progress
+    from jaxact.sweep.adaptive import ROUNDS
+    from jaxact.sweep.store import STORE
+
+    rounds = folder.inside(ROUNDS).entries()
+    target = folder.inside(STORE)
+    store = progress.existing(target)
+    if rounds:
+        kept = f"{len(progress.times(rounds))} chunks are kept"
+    elif store is not None:
+        kept = f"{len(progress.times(target.entries()))} of {len(store.layout)} chunks are kept"
+    else:
+        return "interrupted; nothing was done yet, nothing is kept"
+    given = [word for word in sys.argv[1:] if word not in ("--overwrite", "--resume")]
+    return f"interrupted; {kept}, continue with: {shlex.join(['jaxact', *given, '--resume'])}"

@@ -1,13 +1,13 @@
 """A MuJoCo model as a plant, simulated in MJX.
 
-Each motor on a slide or hinge joint is one driven joint: the drive's force goes through the motor,
-so that gears and limits in the model keep their meaning. Other actuators are refused.
+Every driven joint has a plain motor (`jaxact.plants.model` makes it one), and the drive's force is
+the motor's torque. Actuators that are not driven do what they do in the model.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
+import copy
 import io
 import sys
 from collections.abc import Iterator
@@ -22,6 +22,13 @@ import numpy as np
 
 from jaxact.drive import Force
 from jaxact.errors import UserError
+from jaxact.plants import model as _model
+from jaxact.plants import posture as _posture
+from jaxact.plants import variation as _variation
+from jaxact.plants.linear import hermite
+from jaxact.plants.model import Joint, Robot
+from jaxact.plants.posture import Posture
+from jaxact.plants.variation import Variation
 
 SLIDE = Path(__file__).with_name("slide.xml")
 """The first model: one slide joint with a motor, the mass of the study's loop."""
@@ -60,26 +67,52 @@ class MjxState:
 
 
 @dataclass(frozen=True)
+class Push:
+    """A constant force on a body's centre of mass for a while; its impulse is exact.
+
+    Attributes:
+        force: in the world's axes [N], shape (3,).
+        start: [s], shape ().
+        duration: [s], shape ().
+        body: number of the body; static.
+    """
+
+    force: jax.Array
+    start: jax.Array | float
+    duration: jax.Array | float
+    body: int
+
+
+@dataclass(frozen=True)
 class MjxPlant:
-    """A MuJoCo model in MJX; build it with `load`.
+    """A MuJoCo model in MJX; build it with `load` or `place`.
 
     Attributes:
         model: the compiled model on the device.
-        data: template that a state is filled into.
-        mass: [kg] given to the driven body instead of the model's own, or None.
+        data: template that a state is filled into, at the start posture.
+        mass: [kg] given to the first driven body instead of the model's own, or None.
+        variation: what differs from the model.
+        push: on a body, or None.
         qpos, dofs, actuators: where the driven joints are; static.
-        gears: of the motors; static.
+        limits: lowest and highest force of each driven joint where the model's are not the same to
+            both sides [N or N m]; else infinite, and the drive's own limit serves; static.
         bodies: bodies that the driven joints move; static.
+        payload_body: the body that carries a payload; static.
+        kinds: MuJoCo's type of every joint; static.
     """
 
     model: Any
     data: Any
     mass: jax.Array | float | None
+    variation: Variation
+    push: Push | None
     qpos: tuple[int, ...]
     dofs: tuple[int, ...]
     actuators: tuple[int, ...]
-    gears: tuple[float, ...]
+    limits: tuple[tuple[float, float], ...]
     bodies: tuple[int, ...]
+    payload_body: int
+    kinds: tuple[int, ...]
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -91,7 +124,7 @@ class MjxPlant:
         return replace(self, mass=mass)
 
     def prepare(self, step: jax.Array) -> MjxPlant:
-        """The plant with its time step set to `step` [s] and its mass, if given, filled in."""
+        """The plant with its time step set to `step` [s] and everything that varies filled in."""
         model = self.model.tree_replace({"opt.timestep": step})
         if self.mass is not None:
             body = self.bodies[0]
@@ -102,10 +135,18 @@ class MjxPlant:
                 body_inertia=model.body_inertia.at[body].multiply(ratio),
                 body_subtreemass=model.body_subtreemass.at[np.array([0, body])].add(difference),
             )
-        return replace(self, model=model, mass=None)
+        with jax.numpy_rank_promotion("allow"):
+            fields = _variation.changed(
+                model,
+                self.variation,
+                dofs=self.dofs,
+                bodies=self.bodies,
+                payload_body=self.payload_body,
+            )
+        return replace(self, model=model.replace(**fields), mass=None, variation=Variation())
 
     def init(self, position: jax.Array, velocity: jax.Array) -> MjxState:
-        """State of the template with the driven joints placed, [m or rad] and per second."""
+        """State of the start posture with the driven joints placed, [m or rad] and per second."""
         data = self.data
         joints = (len(self.dofs),)
         return MjxState(
@@ -122,21 +163,34 @@ class MjxPlant:
 
     def advance(self, state: MjxState, force: Force) -> MjxState:
         """One MJX step under the mean force, with the model's own integrator."""
-        ctrl = self.data.ctrl.at[np.array(self.actuators)].set(
-            force.mean / np.array(self.gears, force.mean.dtype)
-        )
+        mean = force.mean
+        low, high = np.array(self.limits, mean.dtype).T
+        if np.isfinite(low).any() or np.isfinite(high).any():
+            mean = jnp.clip(mean, low, high)
         data = self.data.replace(
             qpos=state.qpos,
             qvel=state.qvel,
             act=state.act,
             qacc_warmstart=state.warmstart,
             time=state.time,
-            ctrl=ctrl,
+            ctrl=self.data.ctrl.at[np.array(self.actuators)].set(mean),
         )
+        if self.push is not None:
+            data = data.replace(xfrc_applied=self._pushed(state.time))
         # MJX multiplies matrices by vectors as NumPy allows; a user may have forbidden that.
         with jax.numpy_rank_promotion("allow"):
             data = mjx.step(self.model, data)
         return MjxState(data.qpos, data.qvel, data.act, data.qacc_warmstart, data.time)
+
+    def _pushed(self, time: jax.Array) -> jax.Array:
+        """External forces of the step that begins at `time`, shape (bodies, 6)."""
+        push, step = self.push, self.model.opt.timestep
+        if push is None:
+            return self.data.xfrc_applied
+        end = push.start + push.duration
+        overlap = jnp.minimum(time + step, end) - jnp.maximum(time, push.start)
+        share = jnp.maximum(overlap, 0.0) / step
+        return self.data.xfrc_applied.at[push.body, :3].add(share * push.force)
 
     def between(
         self, before: MjxState, after: MjxState, force: Force, offset: jax.Array
@@ -146,122 +200,112 @@ class MjxPlant:
         For a smooth motion the error is of fourth order in the step for the position and of second
         order for the velocity, on top of the integrator's own.
         """
-        step = self.model.opt.timestep
-        (q0, v0), (q1, v1) = self.measure(before), self.measure(after)
-        s = offset / step
-        rise = s * s * (3.0 - 2.0 * s)
-        position = q0 + rise * (q1 - q0) + step * s * (1.0 - s) * ((1.0 - s) * v0 - s * v1)
-        return position, v0 + s * (v1 - v0)
+        return hermite(self.measure(before), self.measure(after), offset, self.model.opt.timestep)
 
 
+jax.tree_util.register_dataclass(
+    Push, data_fields=["force", "start", "duration"], meta_fields=["body"]
+)
 jax.tree_util.register_dataclass(
     MjxState, data_fields=["qpos", "qvel", "act", "warmstart", "time"], meta_fields=[]
 )
 jax.tree_util.register_dataclass(
     MjxPlant,
-    data_fields=["model", "data", "mass"],
-    meta_fields=["qpos", "dofs", "actuators", "gears", "bodies"],
-)
+    data_fields=["model", "data", "mass", "variation", "push"],
+    meta_fields=[
+        "qpos", "dofs", "actuators", "limits", "bodies", "payload_body", "kinds",
+    ],
+)  # fmt: skip
 
 
-_MOTOR = (
-    int(mujoco.mjtGain.mjGAIN_FIXED),
-    int(mujoco.mjtBias.mjBIAS_NONE),
-    int(mujoco.mjtDyn.mjDYN_NONE),
-)
-_SINGLE = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
-
-
-def _driven(model: mujoco.MjModel, name: str) -> list[tuple[int, int]]:
-    """(actuator, joint) pairs of all motors, or a refusal that names what is in the way."""
-    pairs = []
-    for index in range(model.nu):
-        label = f"{name}: actuator '{model.actuator(index).name or index}'"
-        if int(model.actuator_trntype[index]) != int(mujoco.mjtTrn.mjTRN_JOINT):
-            raise UserError(f"{label} does not act on a joint; only joint motors can be driven")
-        kinds = (
-            int(model.actuator_gaintype[index]),
-            int(model.actuator_biastype[index]),
-            int(model.actuator_dyntype[index]),
-        )
-        if kinds != _MOTOR:
-            raise UserError(
-                f"{label} is not a plain motor; replace it by <motor>, the drive brings its own "
-                "gains and dynamics"
-            )
-        if model.actuator_delay[index] > 0.0 or model.actuator_history[index, 0] > 0:
-            raise UserError(
-                f"{label} has a delay of its own, which MJX would ignore; remove it from the model "
-                "and give it to the drive as `delay`"
-            )
-        if model.actuator_gear[index, 0] * model.actuator_gainprm[index, 0] == 0.0:
-            raise UserError(f"{label} has a gear or gain of 0 and can give no force")
-        joint = int(model.actuator_trnid[index, 0])
-        if int(model.jnt_type[joint]) not in _SINGLE:
-            raise UserError(f"{label} acts on a ball or free joint; only slide and hinge joints")
-        pairs.append((index, joint))
-    if not pairs:
-        raise UserError(f"{name}: the model has no motor, so there is nothing to drive")
-    return pairs
-
-
-def compile_model(path: Path) -> mujoco.MjModel:
-    """Compile an MJCF or URDF file.
-
-    Raises:
-        UserError: the file is missing or MuJoCo refuses it; with MuJoCo's reason in one line.
-    """
-    if not path.is_file():
-        raise UserError(f"{path}: no such model file")
-    try:
-        return mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise UserError(f"{path}: MuJoCo cannot compile this model: {reason}") from error
-
-
-def digest(path: Path) -> str:
-    """A fingerprint of what a model file compiles to, with all that it includes.
-
-    Raises:
-        UserError: as `compile_model`.
-    """
-    model = compile_model(path)
-    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, buffer)
-    return hashlib.sha256(buffer.tobytes()).hexdigest()
-
-
-def load(path: Path = SLIDE) -> MjxPlant:
-    """Load a model for MJX.
+def load(path: Path = SLIDE, *, keyframe: str | None = None) -> MjxPlant:
+    """Load a model for MJX and place it in its start posture, unsettled.
 
     Args:
         path: MJCF or URDF file.
+        keyframe: name of the start posture; None for the model's default.
 
     Returns:
         The plant, in the precision that JAX has at this moment.
 
     Raises:
-        UserError: the file is missing, does not compile, has an actuator that is not a motor on a
-            slide or hinge joint, or uses a feature that MJX does not have.
+        UserError: the file is missing, does not compile, has an actuator that cannot be driven, or
+            uses a feature that MJX does not have.
     """
-    model = compile_model(path)
-    pairs = _driven(model, path.name)
+    robot = _model.demand(_model.read(path, keyframe=keyframe), "mjx")
+    return place(robot, _posture.given(robot))
+
+
+def place(
+    robot: Robot,
+    posture: Posture,
+    *,
+    payload_body: int | None = None,
+    dry_friction: bool = False,
+) -> MjxPlant:
+    """A robot in MJX, at a start posture.
+
+    Args:
+        robot: from `jaxact.plants.model.read`.
+        posture: from `jaxact.plants.posture`.
+        payload_body: that carries a payload; None for the heaviest body.
+        dry_friction: the driven joints' dry friction varies, so it must exist in the model.
+
+    Returns:
+        The plant, in the precision that JAX has at this moment.
+
+    Raises:
+        UserError: the robot uses a feature that MJX does not have, or would ignore.
+    """
+    _model.demand(robot, "mjx")
+    dofs = tuple(joint.dof for joint in robot.joints)
+    model = robot.model
+    if dry_friction:
+        model = _with_friction(model, dofs)
+    start = mujoco.MjData(model)
+    start.qpos, start.qvel, start.ctrl = posture.qpos, posture.qvel, posture.ctrl
+    if model.na:
+        start.act = posture.act
+    # Contacts and accelerations of the posture are what the solver starts from.
+    start.ctrl[[joint.index for joint in robot.joints]] = posture.force
+    mujoco.mj_forward(model, start)
+    start.qacc_warmstart = start.qacc
     try:
         with jax.numpy_rank_promotion("allow"):
             on_device = mjx.put_model(model, impl="jax")
-            data = mjx.put_data(model, mujoco.MjData(model), impl="jax")
+            data = mjx.put_data(model, start, impl="jax")
     except NotImplementedError as error:
-        raise UserError(f"{path}: MJX cannot simulate this model: {error}") from error
-    joints = [joint for _, joint in pairs]
-    gains = [model.actuator_gear[i, 0] * model.actuator_gainprm[i, 0] for i, _ in pairs]
+        from jaxact.plants import mjx_refusals  # asks this module's MJX
+
+        reasons = [f"{item.where}: {item.advice}" for item in mjx_refusals.find(model)]
+        said = reasons[0] if reasons else f"MJX cannot simulate this model: {error}"
+        raise UserError(f"{robot.path.name}: {said}") from error
+    heaviest = int(np.argmax(model.body_mass))
     return MjxPlant(
         model=on_device,
         data=data,
         mass=None,
-        qpos=tuple(int(model.jnt_qposadr[joint]) for joint in joints),
-        dofs=tuple(int(model.jnt_dofadr[joint]) for joint in joints),
-        actuators=tuple(actuator for actuator, _ in pairs),
-        gears=tuple(float(gain) for gain in gains),
-        bodies=tuple(int(model.jnt_bodyid[joint]) for joint in joints),
+        variation=Variation(),
+        push=None,
+        qpos=tuple(joint.qpos for joint in robot.joints),
+        dofs=dofs,
+        actuators=tuple(joint.index for joint in robot.joints),
+        limits=tuple(_limits(joint) for joint in robot.joints),
+        bodies=tuple(joint.body for joint in robot.joints),
+        payload_body=heaviest if payload_body is None else payload_body,
+        kinds=tuple(int(kind) for kind in model.jnt_type),
     )
+
+
+def _limits(joint: Joint) -> tuple[float, float]:
+    if joint.force_low == -joint.force_high:
+        return -np.inf, np.inf
+    return joint.force_low, joint.force_high
+
+
+def _with_friction(model: mujoco.MjModel, dofs: tuple[int, ...]) -> mujoco.MjModel:
+    """A copy of the model in which MJX makes room for dry friction of these degrees of freedom."""
+    model = copy.copy(model)
+    at = list(dofs)
+    model.dof_frictionloss[at] = np.maximum(model.dof_frictionloss[at], 1e-9)
+    return model

@@ -28,7 +28,7 @@ _NONLINEAR = {
     "force_rate_limit": math.inf,
     "stall_force": math.inf,
 }
-_ENGINES = {"mass": "exact mass plant", "mjx": "MuJoCo MJX"}
+_ENGINES = {"mass": "exact mass plant", "mjx": "MuJoCo MJX", "mujoco": "MuJoCo (C)"}
 
 
 def simulated(results: xr.Dataset) -> str:
@@ -38,8 +38,8 @@ def simulated(results: xr.Dataset) -> str:
     """
     specification = json.loads(results.attrs["specification"])
     engine = _ENGINES.get(specification["engine"], str(specification["engine"]))
-    if "model" in specification:
-        engine += f" with {specification['model']}"
+    if "plant" in specification:
+        engine += f" with {specification['plant']['model']}"
     rates = np.unique(_parameter(results, "control_rate"))
     rate = look.quantity(rates[0], "Hz") if len(rates) == 1 else f"{len(rates)} rates"
     words = [
@@ -103,10 +103,12 @@ def loop(values: dict[str, float], results: dict[str, float], static: dict[str, 
     """
     engine = _ENGINES.get(str(static["engine"]), str(static["engine"]))
     rate = look.quantity(values["control_rate"], "Hz")
-    asked = (
-        f"kp {values['kp']:g} N/m, kd {values['kd']:g} N s/m, mass {values['mass']:g} kg; "
-        f"{engine}, control at {rate}, {static['velocity']} velocity"
-    )
+    gains = f"kp {values['kp']:g} N/m, kd {values['kd']:g} N s/m, mass {values['mass']:g} kg"
+    if static.get("plant") is not None:
+        gains = f"kp {_own(values['kp'], 'N m/rad')}, kd {_own(values['kd'], 'N m s/rad')}"
+    if values["gain_scale"] != 1.0:
+        gains = f"{values['gain_scale']:g} times {gains}"
+    asked = f"{gains}; {engine}, control at {rate}, {static['velocity']} velocity"
     verdict = Verdict(int(results["verdict"])).label
     found = [verdict, f"growth rate {results['growth_rate']:.3g}/s"]
     if math.isfinite(results.get("overshoot", math.nan)):
@@ -114,3 +116,8 @@ def loop(values: dict[str, float], results: dict[str, float], static: dict[str, 
     if math.isfinite(results.get("settling_time", math.nan)):
         found.append(f"settled after {look.quantity(results['settling_time'], 's')}")
     return f"{asked}\n{', '.join(found)}"
+
+
+def _own(value: float, unit: str) -> str:
+    """A gain of a robot: one number, or what the model or the specification says of each joint."""
+    return "as each joint has it" if math.isnan(value) else f"{value:g} {unit}"

@@ -86,12 +86,12 @@ def exact_boundary(
     part: of a sweep store
     kp_range, kd_range: of the window [N/m], [N s/m]
 
-    None where another parameter of the linear loop varies, and for a model of one's own, whose
-    inertia is not known here.
+    None where another parameter of the linear loop varies or the gains are scaled, and for a model
+    of one's own, whose inertia is not known here.
     """
     from jaxact.boundary import continuous_boundary, sampled_boundary
 
-    if not is_plain_mass(part):
+    if not is_plain_mass(part) or np.any(store.parameter(part, "gain_scale").values != 1.0):
         return None
     values = {}
     for name in LINEAR_PARAMETERS[2:]:
@@ -117,14 +117,16 @@ def sweep_agreement(results: xr.Dataset) -> Agreement | None:
     shape = results["verdict"]
     values = {
         name: store.parameter(results, name).broadcast_like(shape).transpose(*shape.dims).values
-        for name in LINEAR_PARAMETERS
+        for name in (*LINEAR_PARAMETERS, "gain_scale")
     }
+    scale = values.pop("gain_scale")
+    values |= {name: scale * values[name] for name in ("kp", "kd")}
     return agreement(values, shape.values, velocity=velocity_of(results))
 
 
 def is_plain_mass(results: xr.Dataset) -> bool:
     """Whether the plant is the mass itself, or the built-in model of it."""
-    return "model" not in json.loads(results.attrs["specification"])
+    return "plant" not in json.loads(results.attrs["specification"])
 
 
 def velocity_of(results: xr.Dataset) -> str:

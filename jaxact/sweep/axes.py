@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.sweep.parameters import PARAMETERS, PRESETS, check, check_actuator
+from jaxact.sweep.parameters import PRESETS, check, check_actuator, of
 
+# Values of an axis, and points drawn from ranges: they are kept in memory.
 MOST_SAMPLES = 10_000_000
+# Loops of a sweep: they are not.
+MOST_LOOPS = 2_000_000_000
 SPACINGS = ("linear", "log")
 _RANGE_KEYS = ("min", "max", "num", "spacing")
 
@@ -133,7 +136,7 @@ def _range(name: str, key: str, given: dict[str, Any], sampled: bool) -> Axis:
 def _end(name: str, key: str, given: Any) -> float:
     value = check(name, given, key)
     if math.isinf(value):
-        allowed = PARAMETERS[name].bounds.removesuffix(", or inf")
+        allowed = of(name).bounds.removesuffix(", or inf")
         raise UserError(f"{key} = inf cannot end a range; allowed: {allowed}; inf only in a list")
     return value
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.sweep.axes import MOST_SAMPLES, Axis
+from jaxact.sweep.axes import MOST_LOOPS, Axis
 from jaxact.sweep.specification import Specification
 
 # Longest history of a signal that a loop keeps, in control periods.
@@ -47,9 +47,9 @@ def _check_axes(specification: Specification, axes: dict[str, Axis]) -> None:
             "sampling: no axis is a range { min, max } to draw from; give one, or drop it"
         )
     total = math.prod(len(axis) for axis in axes.values()) * (sampling.samples if sampling else 1)
-    if total > MOST_SAMPLES:
+    if total > MOST_LOOPS:
         sizes = " x ".join(f"{axis.name} {len(axis):,}" for axis in axes.values())
-        raise UserError(f"axes: {sizes} make {total:.3g} samples; allowed: up to {MOST_SAMPLES:,}")
+        raise UserError(f"axes: {sizes} make {total:.3g} samples; allowed: up to {MOST_LOOPS:,}")
 
 
 def _check_actuator(specification: Specification, axes: dict[str, Axis]) -> None:

@@ -1,9 +1,9 @@
-"""Running a sweep: samples in tiles, tiles over all local devices, memory bounded by the tile.
+"""Computing loops: samples in tiles, tiles over all local devices, memory bounded by the batch.
 
 A tile is a fixed number of loops simulated side by side, small on a CPU so that their state stays
 in the first-level cache. Samples are sent to the devices in batches of a fixed number of tiles, so
-that each kernel is compiled once; the last batch is filled up with copies of its last sample. What
-a sample computes depends on its own values and number only.
+that each kernel is compiled once; a batch that is not full is filled up with copies of its last
+sample. What a sample computes depends on its own values and number, and on the tile's size, only.
 
 The growth rate is measured in float64 whatever the precision of the rollout: the verdict near the
 boundary hangs on it.
@@ -13,10 +13,9 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -31,17 +30,28 @@ from jaxact.metrics import Metrics
 from jaxact.rollout import RolloutOptions
 from jaxact.sweep import kernel
 from jaxact.sweep.kernel import Case
+from jaxact.sweep.parameters import ROBOT_ONLY, base
 from jaxact.sweep.samples import Samples
-from jaxact.sweep.specification import Specification
+from jaxact.sweep.specification import Setting, Specification
 
 # Physics step of the MJX plant where none is given [s].
 MJX_STEP = 0.25e-3
 
 # Loops in a tile, where none is given: measured on CPUs, where the state should stay in the
 # first-level cache, and GPUs, which want many.
-_TILES = {("mass", "cpu"): 64, ("mjx", "cpu"): 32, ("mass", "gpu"): 65536, ("mjx", "gpu"): 4096}
-# Control periods that one call to a device simulates: about a second of work.
-_WORK = {"mass": 2e8, "mjx": 5e6}
+_TILES = {
+    ("mass", "cpu"): 64, ("mjx", "cpu"): 32, ("mujoco", "cpu"): 32,
+    ("mass", "gpu"): 65536, ("mjx", "gpu"): 4096, ("mujoco", "gpu"): 32,
+}  # fmt: skip
+# Physics steps that one call to a device simulates: about a second of work.
+_WORK = {"mass": 2e8, "mjx": 5e6, "mujoco": 2e5}
+
+# Control periods of the mass plant in one iteration of the compiled loop.
+_UNROLL = 4
+
+# A robot has many slow modes (contacts that creep), which one small Krylov space cannot tell apart.
+# Blocks of many periods tell them apart sooner; a start that has settled for long holds too few.
+_ROBOT_GROWTH = GrowthOptions(block=16, settle=16, dimension=32, stacked=True)
 
 # A control period may miss a whole number of physics steps by rounding only.
 _ROUNDING = 1e-6
@@ -49,18 +59,18 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class Plan:
-    """How a group of samples is cut up.
+    """How a group of samples is computed.
 
     Attributes:
         case: static options.
-        members: numbers of the samples of the group; None for all.
+        rates: control rates of the group's samples [Hz], shape (n,); None: all samples are in it.
         tile: loops in a tile.
         tiles: tiles that each device gets at once.
         devices: number of devices.
     """
 
     case: Case
-    members: np.ndarray | None
+    rates: np.ndarray | None
     tile: int
     tiles: int
     devices: int
@@ -69,6 +79,11 @@ class Plan:
     def batch(self) -> int:
         """Loops in one call."""
         return self.tile * self.tiles * self.devices
+
+    @property
+    def steps(self) -> int:
+        """Physics steps of one loop."""
+        return self.case.rollout.ticks * self.case.drive.substeps
 
 
 def substeps(specification: Specification, control_rate: np.ndarray) -> np.ndarray:
@@ -80,6 +95,10 @@ def substeps(specification: Specification, control_rate: np.ndarray) -> np.ndarr
     step = specification.physics_step
     if step is None and specification.engine == "mass":
         return np.ones(control_rate.shape, int)
+    if step is None and specification.plant is not None:
+        # The largest step that divides the control period and is no longer than the model's own.
+        longest = kernel.timestep(specification.setting)
+        return np.maximum(np.ceil(1.0 / (control_rate * longest) - _ROUNDING), 1.0).astype(int)
     step = MJX_STEP if step is None else step
     ratio = 1.0 / (control_rate * step)
     whole = np.maximum(np.round(ratio), 1.0)
@@ -91,11 +110,6 @@ def substeps(specification: Specification, control_rate: np.ndarray) -> np.ndarr
             f"physics_step = {step:g} s"
         )
     return whole.astype(int)
-
-
-def _distinct(values: np.ndarray) -> np.ndarray:
-    """The values without the repetitions of a parameter that does not vary."""
-    return values[:1] if values.strides == (0,) else values
 
 
 def _devices(specification: Specification) -> int:
@@ -120,7 +134,7 @@ def _refuse_deadlock(specification: Specification) -> None:
     old = jax.__version__.startswith("0.10.") and jax.default_backend() == "cpu"
     asked = os.environ.get("NPROC", "")
     threads = int(asked) if asked.isdigit() else os.cpu_count() or 1
-    if old and specification.model is not None and threads < 8:
+    if old and specification.model is not None and specification.engine == "mjx" and threads < 8:
         raise UserError(
             "JAX 0.10 can hang on this machine with a model of one's own: set the environment "
             "variable NPROC=8 before Python starts, or use Python 3.12 or newer, which gets a "
@@ -128,88 +142,135 @@ def _refuse_deadlock(specification: Specification) -> None:
         )
 
 
-def plans(specification: Specification, samples: Samples) -> list[Plan]:
-    """Cut a sweep into groups of samples that one compiled kernel serves.
+def plans(
+    specification: Specification, samples: Samples, *, together: int | None = None
+) -> list[Plan]:
+    """How the groups of samples that one compiled kernel serves each are computed.
 
     Samples whose control periods hold different numbers of physics steps are different groups;
     usually there is one.
+
+    Args:
+        specification: checked.
+        samples: expanded from it.
+        together: loops that are computed together; None: about a second of work.
 
     Raises:
         UserError: a control period is no multiple of the physics step, there are too few devices,
             or this version of JAX could hang.
     """
+    specification = resolved(specification)
     _refuse_deadlock(specification)
-    rates = _distinct(samples.values["control_rate"])
+    rates = samples.along["control_rate"].ravel()
     steps = substeps(specification, rates)
     kinds = np.unique(steps)
     devices = _devices(specification)
+    tile = min(tile_size(specification), max(_fewest(specification), len(samples)))
     groups = []
     for count in kinds:
-        members = None if kinds.size == 1 else np.flatnonzero(steps == count)
-        values = {
-            name: _distinct(value) if members is None else value[members]
-            for name, value in samples.values.items()
-        }
-        case = _case(specification, values, int(count))
-        size = len(samples) if members is None else members.size
-        groups.append(_plan(specification, case, members, size, devices))
+        own = rates[steps == count]
+        apart = own.reshape(-1, *(1,) * len(samples.dims))
+        case = _case(specification, samples.along | {"control_rate": apart}, int(count))
+        size = together
+        if size is None:
+            # Batches of equal size, so that the last one is not mostly filling.
+            size = -(-len(samples) // -(-len(samples) // batch_size(case, tile, devices)))
+        tiles = max(1, -(-size * own.size // (rates.size * tile * devices)))
+        groups.append(Plan(case, None if kinds.size == 1 else own, tile, tiles, devices))
     return groups
 
 
+def resolved(specification: Specification) -> Specification:
+    """The specification with an engine in place of "auto": the one expected to be faster here.
+
+    On a GPU that is MJX where MJX can simulate the robot, on a CPU C MuJoCo: it needs no
+    compilation, and for robots with contacts it is the faster one.
+
+    Raises:
+        UserError: the engine cannot simulate the robot.
+    """
+    if specification.plant is None:
+        if specification.engine == "mujoco":
+            raise UserError("engine = 'mujoco': simulates robots; give one with [plant] model")
+        if specification.engine == "auto":
+            return replace(specification, engine="mjx")
+        return specification
+    if specification.engine == "mass":
+        raise UserError("engine = 'mass': simulates no robot; use 'auto', 'mjx' or 'mujoco'")
+    return replace(
+        specification, engine=kernel.engine_for(specification.setting, specification.engine)
+    )
+
+
+def _fewest(specification: Specification) -> int:
+    """Smallest tile of a sweep that has but one loop.
+
+    XLA's simplifier goes round in circles, and complains, over products of a matrix with a vector
+    in batches of one.
+    """
+    return 1 if specification.plant is None else 2
+
+
+def tile_size(specification: Specification) -> int:
+    """Loops in a tile: the specification's own, else the engine's usual."""
+    specification = resolved(specification)
+    platform = "cpu" if jax.default_backend() == "cpu" else "gpu"
+    return specification.tile or _TILES[specification.engine, platform]
+
+
+def usual_rate(case: Case) -> float:
+    """Physics steps per second on one device, before anything was measured on a machine."""
+    return _WORK[case.engine]
+
+
+def batch_size(case: Case, tile: int, devices: int) -> int:
+    """Loops that make about a second of work, in whole tiles for every device."""
+    per_tile = tile * case.rollout.ticks * case.drive.substeps
+    return max(1, int(_WORK[case.engine] / per_tile)) * tile * devices
+
+
 def _case(specification: Specification, values: dict[str, np.ndarray], count: int) -> Case:
-    """The static options that serve all of these samples."""
+    """The static options that serve all samples with these values, which broadcast."""
     rates = values["control_rate"]
     fastest = float(np.max(rates))
+    robot = specification.plant is not None
     options = _drive.options(
-        kernel.drive_of(values),
+        kernel.drive_of(kernel.occurring(specification.setting, values)),
         substeps=count,
         differenced=specification.velocity == "differenced",
     )
     if specification.engine == "mass" and jax.default_backend() == "cpu":
         options = replace(options, staged=True)
     ticks = _rollout.whole_ticks(specification.duration, 1.0 / fastest)
-    varied = {axis.name for axis in specification.axes} | set(specification.parameters)
+    varied = {base(axis.name) for axis in specification.axes}
+    varied |= {base(name) for name in specification.parameters}
     mass = specification.engine == "mass"
     return Case(
         engine=specification.engine,
         drive=options,
         rollout=RolloutOptions(
-            ticks=ticks,
-            unroll=int(__import__("os").environ.get("UN", "4")) if mass else 1,
-            linear_plant=mass or specification.model is None,
+            ticks=ticks, unroll=_UNROLL if mass else 1, linear_plant=mass or not robot
         ),
         masked=bool(np.any(np.ceil(specification.duration * rates - 1e-4) < ticks)),
         duration=specification.duration,
-        model=kernel.model_digest(specification.engine, specification.model),
-        own_mass=specification.model is None or "mass" in varied,
-        growth=GrowthOptions(dense=not mass),
+        model=kernel.model_digest(specification.setting),
+        own_mass=not mass and (not robot or "mass" in varied),
+        varied=tuple(name for name in ROBOT_ONLY if robot and name in varied),
+        step=1.0 / (fastest * count) if robot else 0.0,
+        growth=_ROBOT_GROWTH if robot else GrowthOptions(dense=not mass),
     )
 
 
-def _plan(
-    specification: Specification, case: Case, members: np.ndarray | None, size: int, devices: int
-) -> Plan:
-    platform = "cpu" if jax.default_backend() == "cpu" else "gpu"
-    usual = _TILES[case.engine, platform]
-    tile = min(specification.tile or usual, max(1, size))
-    per_tile = tile * case.rollout.ticks * case.drive.substeps
-    most = max(1, int(_WORK[case.engine] / per_tile)) * tile * devices
-    # Batches of equal size, so that the last one is not mostly filling.
-    batches = -(-size // most)
-    tiles = -(-size // (batches * tile * devices))
-    return Plan(case=case, members=members, tile=tile, tiles=tiles, devices=devices)
-
-
 @functools.cache
-def _compiled(stage: str, case: Case, devices: int, model: Path | None, double: bool) -> Callable:
+def _compiled(stage: str, case: Case, devices: int, setting: Setting, double: bool) -> Callable:
     """The function that runs one batch: arrays of shape (devices * tiles, tile) in and out.
 
     Args:
         stage: name of the function of `jaxact.sweep.kernel` to run on every sample.
-        case, devices, model: static.
+        case, devices, setting: static.
         double: whether JAX computes in float64 at this moment; the model is loaded in it.
     """
-    template = kernel.plant_template(case.engine, model)
+    template = kernel.template_of(case, setting, stage)
     one = functools.partial(getattr(kernel, stage), case, template)
     mesh = Mesh(np.array(jax.local_devices()[:devices]), ("device",))
     spec = PartitionSpec("device")
@@ -222,21 +283,31 @@ def _compiled(stage: str, case: Case, devices: int, model: Path | None, double: 
     return jax.jit(jax.shard_map(tiles, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))
 
 
-def batches(plan: Plan, samples: Samples) -> Iterator[tuple[np.ndarray, int]]:
-    """Numbers of the samples of each batch, filled up, and how many of them count."""
-    size = len(samples) if plan.members is None else plan.members.size
-    for first in range(0, size, plan.batch):
-        count = min(plan.batch, size - first)
-        places = np.minimum(np.arange(first, first + plan.batch), size - 1)
-        yield (places if plan.members is None else plan.members[places]), count
+def batches(
+    plan: Plan, samples: Samples, numbers: np.ndarray | None = None
+) -> Iterator[tuple[np.ndarray, int]]:
+    """Numbers of the samples of each batch of the plan's group, filled up, and how many count.
+
+    Args:
+        plan: of the group.
+        samples: of the sweep.
+        numbers: of the samples to compute; None for all.
+    """
+    if numbers is None:
+        numbers = np.arange(len(samples))
+    if plan.rates is not None:
+        numbers = numbers[np.isin(samples.take(numbers)["control_rate"], plan.rates)]
+    for first in range(0, numbers.size, plan.batch):
+        part = numbers[first : first + plan.batch]
+        yield part[np.minimum(np.arange(plan.batch), part.size - 1)], part.size
 
 
 def _tiled(plan: Plan, samples: Samples, numbers: np.ndarray, dtype: type) -> dict[str, jax.Array]:
     """The parameters of a batch of samples, each of shape (devices * tiles, tile)."""
     shape = (plan.devices * plan.tiles, plan.tile)
     return {
-        name: jnp.asarray(value[numbers].reshape(shape).astype(dtype))
-        for name, value in samples.values.items()
+        name: jnp.asarray(value.reshape(shape).astype(dtype))
+        for name, value in samples.take(numbers).items()
     }
 
 
@@ -245,8 +316,15 @@ def growth_batch(
 ) -> np.ndarray:
     """Growth rates of one batch of samples [1/s], shape (batch,), in float64."""
     with jax.enable_x64(True):
-        grow = _compiled("growth_rate", plan.case, plan.devices, specification.model, True)
-        return np.asarray(grow(_tiled(plan, samples, numbers, np.float64))).reshape(-1)
+        grow = _compiled("growth_rate", plan.case, plan.devices, specification.setting, True)
+        inputs = [_tiled(plan, samples, numbers, np.float64)]
+        if plan.case.engine == "mujoco" and plan.case.varied:
+            from jaxact.sweep import outside  # imports MuJoCo
+
+            moved = outside.moved(plan.case, specification.setting, samples.take(numbers))
+            rows = plan.devices * plan.tiles, plan.tile
+            inputs.append([jnp.asarray(part.reshape(*rows, *part.shape[1:])) for part in moved])
+        return np.asarray(grow(*inputs)).reshape(-1)
 
 
 def simulate_batch(
@@ -259,21 +337,70 @@ def simulate_batch(
     """Metrics of one batch of samples whose growth rates [1/s] are known; each (batch,)."""
     double = specification.precision == "float64"
     with jax.enable_x64(True) if double else nullcontext():
+        if plan.case.engine == "mujoco":
+            return _outside(plan, specification, samples, numbers, growth)
         dtype = np.float64 if double else np.float32
         values = _tiled(plan, samples, numbers, dtype)
         shape = values["kp"].shape
-        simulate = _compiled("metrics", plan.case, plan.devices, specification.model, double)
+        simulate = _compiled("metrics", plan.case, plan.devices, specification.setting, double)
         result: Metrics = simulate(
             values,
             jnp.asarray(growth.reshape(shape).astype(dtype)),
             jnp.full(shape, specification.seed, jnp.uint32),
-            jnp.asarray(numbers.reshape(shape).astype(np.uint32)),
+            jnp.asarray((samples.first + numbers).reshape(shape).astype(np.uint32)),
         )
-        rows = {
-            name: np.asarray(getattr(result, name)).reshape(-1)
-            for name in Metrics.__dataclass_fields__
-        }
+        return _rows(result, growth)
+
+
+def _outside(
+    plan: Plan,
+    specification: Specification,
+    samples: Samples,
+    numbers: np.ndarray,
+    growth: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """`simulate_batch` for physics in C MuJoCo."""
+    from jaxact.sweep import outside  # imports MuJoCo
+
+    values = samples.take(numbers)
+    setting, seed = specification.setting, specification.seed
+    return _rows(
+        outside.metrics(plan.case, setting, values, growth, seed, samples.first + numbers), growth
+    )
+
+
+def _rows(result: Metrics, growth: np.ndarray) -> dict[str, np.ndarray]:
+    """Metrics as flat arrays by name, the growth rates as they were before any rounding."""
+    names = Metrics.__dataclass_fields__
+    rows = {name: np.asarray(getattr(result, name)).reshape(-1) for name in names}
     return rows | {"growth_rate": growth}
+
+
+def compute(
+    groups: Sequence[Plan], specification: Specification, samples: Samples, numbers: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Simulate some samples of a sweep.
+
+    Args:
+        groups: from `plans`.
+        specification: checked.
+        samples: expanded from it.
+        numbers: of the samples, rising, shape (n,).
+
+    Returns:
+        One array for each field of `jaxact.metrics.Metrics`, shape (n,).
+    """
+    results: dict[str, np.ndarray] = {}
+    for plan in groups:
+        for batch, count in batches(plan, samples, numbers):
+            growth = growth_batch(plan, specification, samples, batch)
+            rows = simulate_batch(plan, specification, samples, batch, growth)
+            places = np.searchsorted(numbers, batch[:count])
+            for name, row in rows.items():
+                if name not in results:
+                    results[name] = np.zeros(numbers.size, row.dtype)
+                results[name][places] = row[:count]
+    return results
 
 
 def run(
@@ -282,7 +409,7 @@ def run(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Simulate every sample of a sweep.
+    """Simulate every sample of a sweep, and keep all results in memory.
 
     Args:
         specification: checked.
@@ -296,17 +423,12 @@ def run(
         UserError: a control period is no multiple of the physics step, the model cannot be used,
             or there are fewer devices than asked for.
     """
-    results: dict[str, np.ndarray] = {}
-    done = 0
-    for plan in plans(specification, samples):
-        for numbers, count in batches(plan, samples):
-            growth = growth_batch(plan, specification, samples, numbers)
-            rows = simulate_batch(plan, specification, samples, numbers, growth)
-            for name, row in rows.items():
-                if name not in results:
-                    results[name] = np.zeros(len(samples), row.dtype)
-                results[name][numbers[:count]] = row[:count]
-            done += count
-            if progress is not None:
-                progress(done, len(samples))
-    return results
+    groups = plans(specification, samples)
+    size = sum(plan.batch for plan in groups)
+    parts = []
+    for first in range(0, len(samples), size):
+        numbers = np.arange(first, min(first + size, len(samples)))
+        parts.append(compute(groups, specification, samples, numbers))
+        if progress is not None:
+            progress(int(numbers[-1]) + 1, len(samples))
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -5,13 +5,14 @@ The flat names of `jaxact.sweep.parameters` become a closed loop here and nowher
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxact import growth as _growth
 from jaxact import loop as _loop
@@ -20,11 +21,14 @@ from jaxact.actuator import Actuator
 from jaxact.controller import Controller, Setpoint
 from jaxact.drive import Drive, DriveOptions
 from jaxact.growth import GrowthOptions
-from jaxact.loop import Loop
+from jaxact.loop import Loop, LoopState, Prepared
 from jaxact.metrics import Metrics
 from jaxact.plants import Mass
 from jaxact.rollout import RolloutOptions
 from jaxact.sensor import Sensor
+from jaxact.sweep import template as _template
+from jaxact.sweep.specification import Setting
+from jaxact.sweep.template import Template
 
 Values = Mapping[str, Any]
 
@@ -34,7 +38,7 @@ class Case:
     """The static side of a tile: everything that a compiled kernel depends on.
 
     Attributes:
-        engine: "mass" or "mjx".
+        engine: "mass", "mjx" or "mujoco".
         drive: static options of the drive.
         rollout: static options of the rollout.
         masked: some samples run longer than the duration, because control rates differ or because
@@ -43,6 +47,8 @@ class Case:
         model: digest of the compiled model, empty for the built-in one: a file edited since then
             is another model.
         own_mass: the samples' mass is given to the model.
+        varied: changes of a robot's model that differ between samples.
+        step: physics step of a robot [s]; 0 for the built-in plants.
         growth: how the growth rate is measured.
     """
 
@@ -53,6 +59,8 @@ class Case:
     duration: float
     model: str = ""
     own_mass: bool = True
+    varied: tuple[str, ...] = ()
+    step: float = 0.0
     growth: GrowthOptions = field(default_factory=GrowthOptions)
 
 
@@ -92,52 +100,189 @@ def drive_of(values: Values) -> Drive:
     )
 
 
-def plant_template(engine: str, model: Path | None) -> Any:
-    """The plant before its parameters are known: None for the mass, a loaded model for MJX.
+def template_of(case: Case, setting: Setting, stage: str) -> Template:
+    """What the samples of a kernel share, in the precision that JAX has at this moment.
 
-    In the precision that JAX has at this moment.
+    `stage` is the kernel's name: growth rates of a robot need its linearised plant.
     """
-    if engine == "mass":
-        return None
-    from jaxact.plants import mjx  # imports MuJoCo, which the mass plant does not need
+    if setting.plant is None:
+        return _template.built_in(case.engine)
+    return _template.of_robot(
+        setting,
+        case.engine,
+        varied=case.varied,
+        step=case.step,
+        period=case.step * case.drive.substeps,
+        ticks=case.rollout.ticks,
+        growth=stage == "growth_rate",
+    )
 
-    return mjx.load() if model is None else mjx.load(model)
 
-
-def model_digest(engine: str, model: Path | None) -> str:
-    """Fingerprint of a user's model for `Case`; empty where there is none."""
-    if engine == "mass" or model is None:
+def model_digest(setting: Setting) -> str:
+    """Fingerprint of a user's files for `Case`; empty where there are none."""
+    if setting.plant is None:
         return ""
-    from jaxact.plants import mjx  # as above
+    from jaxact.sweep import robots  # imports MuJoCo, which the mass plant does not need
 
-    return mjx.digest(model)
-
-
-def loop_of(values: Values, template: Any, *, own_mass: bool = True) -> Loop:
-    """The closed loop with these parameters; `template` from `plant_template`."""
-    if template is None:
-        return Loop(plant=Mass(values["mass"]), drive=drive_of(values))
-    plant = template.with_mass(values["mass"]) if own_mass else template
-    return Loop(plant=plant, drive=drive_of(values))
+    found = robots.scene(setting.plant).robot.digest
+    if setting.motion is not None and setting.motion.file is not None:
+        found += hashlib.sha256(setting.motion.file.read_bytes()).hexdigest()
+    return found
 
 
-def _start(case: Case, template: Any, values: Values):
-    """The prepared loop, its initial state and its setpoint."""
-    loop = loop_of(values, template, own_mass=case.own_mass)
+def engine_for(setting: Setting, asked: str) -> Literal["mjx", "mujoco"]:
+    """The engine that simulates a robot: the one asked for, or the faster one for "auto".
+
+    Raises:
+        UserError: the engine asked for cannot simulate the robot.
+    """
+    from jaxact.plants import model  # as above
+    from jaxact.sweep import robots
+
+    robot = robots.scene(setting.plant).robot
+    if asked != "auto":
+        model.demand(robot, asked)
+        return "mjx" if asked == "mjx" else "mujoco"
+    if jax.default_backend() == "cpu":
+        return "mujoco"
+    return "mjx" if model.suits(robot, "mjx") else "mujoco"
+
+
+def timestep(setting: Setting) -> float:
+    """Physics step of a robot's model itself [s]."""
+    from jaxact.sweep import robots  # as above
+
+    return float(robots.scene(setting.plant).robot.model.opt.timestep)
+
+
+def occurring(setting: Setting, along: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    """All values that occur of each parameter, over samples and joints, for the static options.
+
+    Raises:
+        UserError: a key matches no joint, or a joint has no gains.
+    """
+    if setting.plant is None:
+        return along
+    from jaxact.sweep import robots  # as above
+
+    scene = robots.scene(setting.plant)
+    given = {name for name, values in along.items() if not np.isnan(values).any()}
+    robots.check(scene, setting.keys, given)
+    return robots.spread(along, robots.brought(scene))
+
+
+def resolved(template: Template, values: Values) -> Values:
+    """The parameters of a sample, for each joint where joints differ, gains scaled."""
+    if template.scene is not None:
+        from jaxact.sweep import robots
+
+        values = robots.each_joint(values, template.defaults, template.masks)
+    scale = values["gain_scale"]
+    return {**values, "kp": scale * values["kp"], "kd": scale * values["kd"]}
+
+
+def _plant_of(case: Case, template: Template, values: Values) -> Any:
+    """The plant with the sample's own parameters filled in."""
+    if template.plant is None:
+        return Mass(values["mass"])
+    plant = template.plant.with_mass(values["mass"]) if case.own_mass else template.plant
+    if not case.varied:
+        return plant
+    from jaxact.plants.variation import Variation
+
+    return replace(plant, variation=Variation(**{name: values[name] for name in case.varied}))
+
+
+def loop_of(case: Case, values: Values, template: Template) -> Loop:
+    """The closed loop with these parameters; values by key, `template` from `template_of`."""
+    values = resolved(template, values)
+    return Loop(plant=_plant_of(case, template, values), drive=drive_of(values))
+
+
+def start(case: Case, template: Template, values: Values) -> tuple[Prepared, LoopState, Setpoint]:
+    """The prepared loop of a sample, its initial state, and its setpoint at the first tick."""
+    values = resolved(template, values)
+    loop = Loop(plant=_plant_of(case, template, values), drive=drive_of(values))
     prepared = _loop.prepare(loop, case.drive)
-    state = _loop.init(prepared, case.drive, values["initial_position"], values["initial_velocity"])
-    return prepared, state, Setpoint(values["setpoint"])
+    dtype = prepared.drive.step.dtype
+    rest, force = jnp.asarray(template.position, dtype), jnp.asarray(template.force, dtype)
+    state = _loop.init(
+        prepared,
+        case.drive,
+        rest + values["initial_position"],
+        values["initial_velocity"],
+        command=force,
+    )
+    return prepared, state, Setpoint(rest + values["setpoint"], force=force)
 
 
-def growth_rate(case: Case, template: Any, values: Values) -> jax.Array:
-    """Growth rate of one sample [1/s], shape ()."""
-    prepared, state, setpoint = _start(case, template, values)
-    return _growth.growth_rate(prepared, case.drive, state, setpoint, case.growth)
+def setpoints(template: Template, values: Values, ticks: int) -> Setpoint | None:
+    """The setpoint at every tick, leaves of shape (ticks, joints); None where it is constant."""
+    if template.profile is None and template.track is None:
+        return None
+    values = resolved(template, values)
+    rest = jnp.asarray(template.position, values["setpoint"].dtype)
+    shape = (ticks, *rest.shape)
+    if template.track is not None:
+        moved = jnp.asarray(template.track, rest.dtype).reshape(shape)
+    else:
+        over_time = jnp.asarray(template.profile, rest.dtype).reshape((ticks, *(1,) * rest.ndim))
+        moved = over_time * jnp.broadcast_to(values["setpoint"], rest.shape)[None]
+    zero, force = jnp.zeros(shape, rest.dtype), jnp.asarray(template.force, rest.dtype)
+    return Setpoint(rest[None] + moved, zero, force[None] + zero)
+
+
+def growth_rate(
+    case: Case, template: Template, values: Values, moved: tuple[jax.Array, jax.Array] | None = None
+) -> jax.Array:
+    """Growth rate of one sample [1/s], shape ().
+
+    `moved` is A and B of a robot's linear plant where its model differs from sample to sample and
+    is not differentiated here.
+    """
+    # A bias that walks is a state, but none of the linear loop.
+    case = replace(case, drive=case.drive.linearised())
+    if template.linear is None:
+        prepared, state, setpoint = start(case, template, values)
+        return _growth.growth_rate(prepared, case.drive, state, setpoint, case.growth)
+    prepared = _loop.prepare(linear_loop(case, template, values, moved), case.drive)
+    rest = jnp.zeros(template.linear.shape)
+    state = _loop.init(prepared, case.drive, rest, rest)
+    return _growth.growth_rate(prepared, case.drive, state, Setpoint(rest), case.growth)
+
+
+def linear_loop(
+    case: Case, template: Template, values: Values, moved: tuple[jax.Array, jax.Array] | None = None
+) -> Loop:
+    """The loop of a robot's linearised plant with the parameters of one sample.
+
+    `moved` as for `growth_rate`.
+    """
+    linear = template.linear
+    assert linear is not None
+    if moved is not None:
+        linear = replace(linear, A=moved[0], B=moved[1])
+    elif case.varied:
+        linear = _relinearised(case, template, values)
+    return Loop(plant=linear, drive=drive_of(resolved(template, values)))
+
+
+def _relinearised(case: Case, template: Template, values: Values) -> Any:
+    """The linear plant of a sample whose model is not the nominal one."""
+    from jaxact import linearize
+
+    plant = _plant_of(case, template, resolved(template, values))
+    return linearize.relinearised(
+        replace(plant.prepare(jnp.asarray(case.step)), push=None),
+        jnp.asarray(template.force),
+        template.basis,
+        template.linear,
+    )
 
 
 def metrics(
     case: Case,
-    template: Any,
+    template: Template,
     values: Values,
     growth_rate: jax.Array,
     seed: jax.Array,
@@ -148,7 +293,7 @@ def metrics(
     Its random numbers follow from the sweep's seed and its own number alone.
     """
     key = jax.random.fold_in(jax.random.key(seed), number)
-    prepared, state, setpoint = _start(case, template, values)
+    prepared, state, setpoint = start(case, template, values)
     active = None
     if case.masked:
         active = jnp.ceil(case.duration * values["control_rate"] - 1e-4)
@@ -161,6 +306,8 @@ def metrics(
         key,
         growth_rate=growth_rate.astype(prepared.drive.step.dtype),
         active_ticks=active,
+        setpoints=setpoints(template, values, case.rollout.ticks),
+        rest_amplitude=values["rest_amplitude"],
     )
     # A loop with several joints is as good as its worst one; joints that have no such figure
     # (NaN) do not hide the others'.

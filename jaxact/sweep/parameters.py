@@ -8,7 +8,8 @@ are in rad and N m.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 
 from jaxact.errors import UserError, nearest, shown
 
@@ -68,6 +69,9 @@ def _at_least_zero(
 _TABLE = (
     _any("kp", "stiffness", "N/m", 400.0, 1e9, "Proportional gain of the PD controller."),
     _any("kd", "damping", "N s/m", 20.0, 1e9, "Derivative gain of the PD controller."),
+    _at_least_zero(
+        "gain_scale", "gain scale", "1", 1.0, 1e9, "Factor on both gains, of all joints alike."
+    ),
     _any("feedforward", "feedforward force", "N", 0.0, 1e9, "Constant force added to the command."),
     Parameter(
         "mass", "moved mass", "kg", 0.7, 1e-9, 1e9, False, "Mass that the joint moves."
@@ -152,12 +156,59 @@ _TABLE = (
         "no_load_speed", "no-load speed", "m/s", INF, 1e-9, 1e9, True,
         "Speed at which the torque-speed line reaches zero force; inf: no such line.",
     ),
-    _any("setpoint", "setpoint", "m", 0.1, 1e6, "Height of the setpoint's step at time 0."),
-    _any("initial_position", "initial position", "m", 0.0, 1e6, "Position at time 0."),
+    _any(
+        "setpoint", "setpoint", "m", 0.1, 1e6,
+        "Height of the setpoint's step at time 0, or amplitude of its motion; of a robot, from its"
+        " posture (default there: 0).",
+    ),
+    _any(
+        "initial_position", "initial position", "m", 0.0, 1e6,
+        "Position at time 0; of a robot, from its posture.",
+    ),
     _any("initial_velocity", "initial velocity", "m/s", 0.0, 1e6, "Velocity at time 0."),
+    _at_least_zero(
+        "rest_amplitude", "amplitude at rest", "m", 0.0, 1e6,
+        "Motion at the end that counts as at rest, where noise never lets it end; of a robot:"
+        " 0.002.",
+    ),
+    _at_least_zero(
+        "payload", "payload", "kg", 0.0, 1e6, "Of a robot: mass added to the body of the payload."
+    ),
+    Parameter(
+        "inertia_scale", "inertia scale", "1", 1.0, 1e-3, 1e3, False,
+        "Of a robot: factor on mass and inertia of the bodies that the driven joints move.",
+    ),
+    _at_least_zero(
+        "joint_damping", "added joint damping", "N s/m", 0.0, 1e9,
+        "Of a robot: viscous damping added to the driven joints.",
+    ),
+    _at_least_zero(
+        "joint_armature", "added armature", "kg", 0.0, 1e6,
+        "Of a robot: rotor inertia added to the driven joints.",
+    ),
+    _at_least_zero(
+        "joint_friction", "added joint friction", "N", 0.0, 1e9,
+        "Of a robot: dry friction added to the driven joints.",
+    ),
+    _at_least_zero(
+        "contact_friction", "contact friction scale", "1", 1.0, 1e3,
+        "Of a robot: factor on the friction of all contacts.",
+    ),
 )  # fmt: skip
 
 PARAMETERS: dict[str, Parameter] = {parameter.name: parameter for parameter in _TABLE}
+
+# What a robot's model may bring itself; not a number where it does not.
+OF_MODEL = ("kp", "kd", "wn", "zeta", "delay", "setpoint_delay", "force_limit")
+# Other defaults for a robot: it holds its posture, and trembles a little where it is noisy.
+OF_ROBOTS = {"setpoint": 0.0, "rest_amplitude": 0.002}
+# What changes the model of a robot, and has no meaning for the mass.
+ROBOT_ONLY = (
+    "payload", "inertia_scale", "joint_damping", "joint_armature", "joint_friction",
+    "contact_friction",
+)  # fmt: skip
+# What one number serves for all joints of a robot.
+SHARED = ("gain_scale", "mass", "control_rate", "payload", "contact_friction", "rest_amplitude")
 
 # Actuators by name: (wn [rad/s], zeta), as the reference study identified them.
 PRESETS: dict[str, tuple[float, float]] = {
@@ -171,21 +222,52 @@ _ALIASES = {parameter.long_name.replace(" ", "_"): parameter.name for parameter 
 }
 
 
-def canonical(name: str) -> str:
-    """The short name of a parameter given by either name; any other name as it is."""
-    return name if name in PARAMETERS else _ALIASES.get(name, name)
+def canonical(key: str) -> str:
+    """The key with the short name of a parameter given by either name; any other key as it is."""
+    name, at, pattern = key.partition("@")
+    return (name if name in PARAMETERS else _ALIASES.get(name, name)) + at + pattern
+
+
+def base(key: str) -> str:
+    """The parameter of a key: `kp@.*_knee`, the stiffness of some joints, is a `kp`."""
+    return key.partition("@")[0]
+
+
+def of(key: str) -> Parameter:
+    """The parameter of a key of this table, its long name telling the joints it is meant for."""
+    name, _, pattern = key.partition("@")
+    parameter = PARAMETERS[name]
+    if not pattern:
+        return parameter
+    return replace(parameter, name=key, long_name=f"{parameter.long_name} of {pattern}")
+
+
+def known(key: str) -> bool:
+    """Whether a key names a parameter, of all joints or of those that match a pattern."""
+    name, at, pattern = key.partition("@")
+    if not at:
+        return name in PARAMETERS
+    return name in PARAMETERS and name not in SHARED and _is_pattern(pattern)
+
+
+def _is_pattern(text: str) -> bool:
+    try:
+        re.compile(text)
+    except re.error:
+        return False
+    return bool(text)
 
 
 def check(name: str, value: object, key: str = "") -> float:
     """The value of a parameter as a float, if it is a number within the parameter's bounds.
 
-    name: short name of the parameter
+    name: short name of the parameter, or a key of it for some joints
     value: what was given
     key: how the message names it, the parameter's own name by default
 
     Raises UserError for anything that is no number, is not a number (NaN), or is out of bounds.
     """
-    parameter = PARAMETERS[name]
+    parameter = of(name)
     key = key or name
     number = as_number(value)
     if number is None or math.isnan(number):

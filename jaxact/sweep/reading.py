@@ -17,8 +17,26 @@ from pydantic import ValidationError
 from jaxact.errors import UserError, nearest, shown
 from jaxact.sweep import checks
 from jaxact.sweep.axes import read_axis
-from jaxact.sweep.parameters import PARAMETERS, canonical, check, check_actuator
-from jaxact.sweep.specification import OPTIONS, SECTIONS, Sampling, Specification
+from jaxact.sweep.parameters import (
+    PARAMETERS,
+    SHARED,
+    as_number,
+    base,
+    canonical,
+    check,
+    check_actuator,
+    known,
+)
+from jaxact.sweep.specification import (
+    OPTIONS,
+    SECTIONS,
+    TABLES,
+    Motion,
+    Plant,
+    Push,
+    Sampling,
+    Specification,
+)
 
 _LARGEST_FILE = 500_000
 _WORD = re.compile(r"[^\W\d][\w.-]*")
@@ -48,15 +66,22 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Specification:
         raise UserError(f"{where}: {error}") from None
 
 
-def parse(text: str, folder: Path = Path()) -> Specification:
+def parse(text: str, folder: Path = Path(), overrides: Sequence[str] = ()) -> Specification:
     """Read and check a specification from TOML text.
 
     text: as in a file
     folder: what a model's path is relative to
+    overrides: as for `load`
 
     Raises UserError as `load`.
     """
-    return _checked(_canonical(_loads(text)), folder)
+    document = _canonical(_loads(text))
+    try:
+        for override in overrides:
+            _apply(document, override)
+    except UserError as error:
+        raise UserError(f"--set {error}") from None
+    return _checked(document, folder)
 
 
 def _checked(document: Mapping[str, Any], folder: Path) -> Specification:
@@ -108,13 +133,23 @@ def _canonical(document: Mapping[str, Any]) -> dict[str, Any]:
             raise UserError(
                 f"{section} = {shown(table)} is no table; write [{section}] above its keys"
             )
-        named: dict[str, Any] = {}
-        for key, value in table.items():
-            if canonical(key) in named:
-                raise UserError(f"{section}.{key}: the same parameter is given twice; remove one")
-            named[canonical(key)] = value
-        result[section] = named
+        result[section] = _named(section, table)
     return result
+
+
+def _named(section: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    """A section with short names; `kp = { ".*_knee" = 300 }` as `kp@.*_knee = 300`."""
+    named: dict[str, Any] = {}
+    for given, value in table.items():
+        name = canonical(given)
+        spread = {name: value}
+        if isinstance(value, dict) and name in PARAMETERS and section == "parameters":
+            spread = {f"{name}@{pattern}": inner for pattern, inner in value.items()}
+        for key, inner in spread.items():
+            if key in named:
+                raise UserError(f"{section}.{given}: the same parameter is given twice; remove one")
+            named[key] = inner
+    return named
 
 
 def _apply(document: dict[str, Any], override: str) -> str:
@@ -124,9 +159,13 @@ def _apply(document: dict[str, Any], override: str) -> str:
     if not equals or not all(keys):
         raise UserError(f"{shown(override)}: write it as key=value, e.g. kp=400")
     value = _literal(text.strip(), override)
+    if "@" in given:
+        # a pattern may hold dots
+        section, dot, rest = given.strip().partition(".")
+        keys = [section, rest] if dot and section in SECTIONS[:2] else [given.strip()]
     if len(keys) == 1 and keys[0] not in (*OPTIONS, *SECTIONS):
         name = canonical(keys[0])
-        if name not in PARAMETERS and name != "actuator":
+        if not known(name) and name != "actuator":
             raise UserError(_unknown(keys[0], (*OPTIONS, *PARAMETERS, "actuator")))
         varied = isinstance(value, list | dict)
         if not varied:
@@ -164,8 +203,11 @@ def _build(document: Mapping[str, Any], folder: Path) -> Specification:
         if key not in (*OPTIONS, *SECTIONS):
             raise UserError(_unknown(key, (*OPTIONS, *SECTIONS)))
     options = {key: document[key] for key in OPTIONS if key in document}
-    if "model" in options:
-        options["model"] = _model(options["model"], folder)
+    for table in TABLES:
+        if table in document:
+            options[table] = _TABLE_READERS[table](document[table], folder)
+    if "plant" in options:
+        options.setdefault("engine", "auto")
     sampling = _sampling(document["sampling"]) if "sampling" in document else None
     parameters = _parameters(document["parameters"])
     axes = tuple(
@@ -180,10 +222,18 @@ def _build(document: Mapping[str, Any], folder: Path) -> Specification:
 
 def _known_parameters(section: str, table: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
     for name in table:
-        if name not in PARAMETERS and name != "actuator":
-            known = (*PARAMETERS, "actuator")
-            raise UserError(_unknown(name, known, f"{section}."))
+        if not known(name) and name != "actuator":
+            if "@" in name and base(name) in PARAMETERS:
+                raise UserError(_wrong_pattern(f"{section}.{name}", base(name)))
+            raise UserError(_unknown(name, (*PARAMETERS, "actuator"), f"{section}."))
     return table.items()
+
+
+def _wrong_pattern(key: str, name: str) -> str:
+    """What is wrong with a parameter for some joints."""
+    if name in SHARED:
+        return f"{key}: {name} is one number for all joints; write {name} alone"
+    return f"{key}: what follows the @ is no regular expression; write e.g. {name}@.*_knee"
 
 
 def _parameters(table: Mapping[str, Any]) -> dict[str, float | str]:
@@ -196,36 +246,94 @@ def _parameters(table: Mapping[str, Any]) -> dict[str, float | str]:
 
 
 def _sampling(table: Any) -> Sampling:
+    sampling: Sampling = _filled(Sampling, "sampling", table)
+    return sampling
+
+
+def _filled(kind: type, section: str, table: Any, **changed: Any) -> Any:
+    """A section as the dataclass that describes it."""
     if not isinstance(table, dict):
-        raise UserError(f"sampling = {shown(table)} is no table; write [sampling] above its keys")
-    known = tuple(field.name for field in dataclasses.fields(Sampling))
+        raise UserError(f"{section} = {shown(table)} is no table; write [{section}] above its keys")
+    names = tuple(field.name for field in dataclasses.fields(kind))
     for key in table:
-        if key not in known:
-            raise UserError(_unknown(key, known, "sampling."))
+        if key not in names:
+            raise UserError(_unknown(key, names, f"{section}."))
     try:
-        return Sampling(**table)
+        return kind(**{**table, **changed})
     except ValidationError as error:
-        raise UserError(_explained(error, "sampling.")) from None
+        raise UserError(_explained(error, f"{section}.")) from None
 
 
-def _model(given: Any, folder: Path) -> Path:
+def _plant(table: Any, folder: Path) -> Plant:
+    changed: dict[str, Any] = {}
+    if isinstance(table, dict) and "model" in table:
+        changed["model"] = _file(table["model"], folder, "plant.model", "an MJCF or URDF file")
+    if isinstance(table, dict) and "joints" in table:
+        changed["joints"] = _patterns(table["joints"])
+    plant: Plant = _filled(Plant, "plant", table, **changed)
+    return plant
+
+
+def _patterns(given: Any) -> tuple[str, ...]:
+    """Patterns of joint names: one, or a list."""
+    patterns = (given,) if isinstance(given, str) else given
+    if not isinstance(patterns, list | tuple) or not patterns:
+        raise UserError(f"plant.joints = {shown(given)}; allowed: a list of patterns of names")
+    for pattern in patterns:
+        try:
+            re.compile(pattern)
+        except (re.error, TypeError):
+            raise UserError(
+                f"plant.joints: {shown(pattern)} is no regular expression; write e.g. '.*_knee'"
+            ) from None
+    return tuple(patterns)
+
+
+def _motion(table: Any, folder: Path) -> Motion:
+    changed: dict[str, Any] = {}
+    if isinstance(table, dict) and "file" in table:
+        changed["file"] = _file(table["file"], folder, "motion.file", "a CSV or NPZ file")
+    motion: Motion = _filled(Motion, "motion", table, **changed)
+    return motion
+
+
+def _push(table: Any, folder: Path) -> Push:
+    changed: dict[str, Any] = {}
+    if isinstance(table, dict) and "impulse" in table:
+        numbers = table["impulse"]
+        numbers = [as_number(item) for item in numbers] if isinstance(numbers, list) else []
+        if len(numbers) != 3 or not all(item is not None and abs(item) <= 1e9 for item in numbers):
+            raise UserError(
+                f"push.impulse = {shown(table['impulse'])}; allowed: three numbers [N s]"
+            )
+        changed["impulse"] = tuple(numbers)
+    push: Push = _filled(Push, "push", table, **changed)
+    return push
+
+
+_TABLE_READERS = {"plant": _plant, "motion": _motion, "push": _push}
+
+
+def _file(given: Any, folder: Path, key: str, kind: str) -> Path:
     if not isinstance(given, str) or not given or "\0" in given:
-        raise UserError(f"model = {shown(given)} is no path of an MJCF file")
+        raise UserError(f"{key} = {shown(given)} is no path of {kind}")
     path = folder / given
     try:
         there = path.is_file()
     except OSError:
         there = False
     if not there:
-        raise UserError(f"model = {shown(given)}: no such file (relative to the specification)")
+        raise UserError(f"{key} = {shown(given)}: no such file (relative to the specification)")
     return path
 
 
 def _unknown(key: str, known: Iterable[str], prefix: str = "") -> str:
     """What to say of a key that is not known where it stands."""
     name = canonical(key)
-    if not prefix and (name in PARAMETERS or name == "actuator"):
+    if not prefix and (base(name) in PARAMETERS or name == "actuator"):
         return f"{key}: is a parameter; write it below [parameters], or below [axes] to vary it"
+    if not prefix and key in ("model", "keyframe", "joints"):
+        return f"{key}: belongs to the robot; write it below [plant]"
     if prefix and key in OPTIONS:
         return f"{prefix}{key}: is an option of the whole sweep; write it above all [sections]"
     return f"{prefix}{shown(key)[1:-1]}: unknown key; {nearest(key, known)}"

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from jaxact.sweep.axes import Axis
-from jaxact.sweep.parameters import PARAMETERS, PRESETS
+from jaxact.sweep.parameters import PARAMETERS, PRESETS, of
 from jaxact.sweep.specification import Sampling, Specification
 
 SAMPLE = "sample"
@@ -34,16 +35,42 @@ class Coordinate:
 class Samples:
     """All loops of a sweep; n of them in C order of the dimensions.
 
-    values: every parameter of the table by its short name, each of shape (n,), float64, read-only
+    Only the values along each dimension are kept, so that a hundred million loops take no memory.
+
+    along: every parameter of the table by its short name, float64, of a shape that broadcasts to
+        `shape`
     dims: names of the dimensions, in order
     shape: their sizes
     coords: of the varied parameters by name
+    first: number of the first loop, from which its random numbers follow
     """
 
-    values: dict[str, np.ndarray]
+    along: dict[str, np.ndarray]
     dims: tuple[str, ...]
     shape: tuple[int, ...]
     coords: dict[str, Coordinate]
+    first: int = 0
+
+    @functools.cached_property
+    def values(self) -> dict[str, np.ndarray]:
+        """Every parameter of every loop by its short name, each of shape (n,): for a few loops."""
+        return {
+            name: np.broadcast_to(array, self.shape).reshape(-1)
+            for name, array in self.along.items()
+        }
+
+    def take(self, numbers: np.ndarray) -> dict[str, np.ndarray]:
+        """Every parameter of some loops, each of the shape of `numbers`.
+
+        numbers: of the loops, integers from 0 to n - 1
+        """
+        places = np.unravel_index(numbers, self.shape)
+        return {
+            name: np.broadcast_to(array.reshape(()), np.shape(numbers))
+            if array.size == 1
+            else np.broadcast_to(array, self.shape)[places]
+            for name, array in self.along.items()
+        }
 
     def __len__(self) -> int:
         """Number of loops."""
@@ -55,35 +82,54 @@ def expand(specification: Specification) -> Samples:
 
     Listed and gridded axes are dimensions in the order of the file. Sampled ranges share one last
     dimension, `sample`, and the same points are drawn for every combination of the other axes.
-    A parameter that does not vary takes no memory (its array has stride 0).
     """
     axes = specification.axes
     gridded = [axis for axis in axes if not axis.sampled]
     dims = tuple(axis.name for axis in gridded)
     shape = tuple(len(axis) for axis in gridded)
-    coords = {name: place for axis in gridded for name, place in _along(axis).items()}
+    coords: dict[str, Coordinate] = {}
+    for axis in gridded:
+        coords |= _along((axis.name,), axis.name, axis.values)
     if specification.sampling is not None:
         dims, shape = (*dims, SAMPLE), (*shape, specification.sampling.samples)
         ranges = [axis for axis in axes if axis.sampled]
         coords |= _drawn(ranges, specification.sampling, specification.seed)
-    number = int(np.prod(shape, dtype=np.int64))
-    values = {
-        name: _fill(coords[name], dims, shape)
+    along = {
+        name: _placed(coords[name], dims, shape)
         if name in coords
-        else np.broadcast_to(np.float64(value), (number,))
+        else np.full((1,) * len(dims), value, float)
         for name, value in specification.nominal.items()
     }
-    return Samples(values, dims, shape, coords)
+    return Samples(along, dims, shape, coords)
 
 
-def _along(axis: Axis) -> dict[str, Coordinate]:
-    """Coordinates that one listed or gridded axis makes."""
-    dims = (axis.name,)
-    if axis.name != "actuator":
-        return {axis.name: Coordinate(dims, axis.values, PARAMETERS[axis.name].attributes)}
-    wn, zeta = np.array([PRESETS[str(name)] for name in axis.values]).T
+def explicit(
+    specification: Specification, columns: dict[str, np.ndarray], *, first: int = 0
+) -> Samples:
+    """Loops that are given one by one, along the dimension `sample`.
+
+    specification: checked; the value of every parameter that is not given
+    columns: values of each varied parameter, or names of presets of `actuator`; shape (n,) each
+    first: number of the first loop
+    """
+    number = len(next(iter(columns.values())))
+    coords = {SAMPLE: Coordinate((SAMPLE,), np.arange(first, first + number), _NUMBER)}
+    for name, values in columns.items():
+        coords |= _along((SAMPLE,), name, values)
+    along = {
+        name: np.asarray(coords[name].values, float) if name in coords else np.full(1, value, float)
+        for name, value in specification.nominal.items()
+    }
+    return Samples(along, (SAMPLE,), (number,), coords, first)
+
+
+def _along(dims: tuple[str, ...], name: str, values: np.ndarray) -> dict[str, Coordinate]:
+    """Coordinates that the values of one parameter make."""
+    if name != "actuator":
+        return {name: Coordinate(dims, values, of(name).attributes)}
+    wn, zeta = np.array([PRESETS[str(name)] for name in values]).T
     return {
-        "actuator": Coordinate(dims, axis.values, _ACTUATOR),
+        "actuator": Coordinate(dims, values, _ACTUATOR),
         "wn": Coordinate(dims, wn, PARAMETERS["wn"].attributes),
         "zeta": Coordinate(dims, zeta, PARAMETERS["zeta"].attributes),
     }
@@ -94,9 +140,7 @@ def _drawn(ranges: list[Axis], sampling: Sampling, seed: int) -> dict[str, Coord
     points = _points(len(ranges), sampling, seed)
     numbers = np.arange(sampling.samples)
     return {SAMPLE: Coordinate((SAMPLE,), numbers, _NUMBER)} | {
-        axis.name: Coordinate(
-            (SAMPLE,), axis.place(points[:, column]), PARAMETERS[axis.name].attributes
-        )
+        axis.name: Coordinate((SAMPLE,), axis.place(points[:, column]), of(axis.name).attributes)
         for column, axis in enumerate(ranges)
     }
 
@@ -113,10 +157,9 @@ def _points(dimensions: int, sampling: Sampling, seed: int) -> np.ndarray:
     return np.asarray(points[: sampling.samples])
 
 
-def _fill(coordinate: Coordinate, dims: tuple[str, ...], shape: tuple[int, ...]) -> np.ndarray:
-    """A coordinate at every sample, shape (n,)."""
+def _placed(coordinate: Coordinate, dims: tuple[str, ...], shape: tuple[int, ...]) -> np.ndarray:
+    """A coordinate with a size of 1 along the dimensions that it does not depend on."""
     sizes: list[Any] = [
         size if dim in coordinate.dims else 1 for dim, size in zip(dims, shape, strict=True)
     ]
-    spread = np.broadcast_to(coordinate.values.reshape(sizes), shape)
-    return np.ascontiguousarray(spread, dtype=np.float64).reshape(-1)
+    return np.asarray(coordinate.values, dtype=np.float64).reshape(sizes)

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxact import rollout
-from jaxact.controller import Setpoint
 from jaxact.errors import UserError
 from jaxact.rollout import Trajectory
 from jaxact.sweep import execute, kernel
@@ -24,19 +23,36 @@ MOST_STEPS = 5_000_000
 
 
 @dataclass(frozen=True)
+class Joint:
+    """A driven joint.
+
+    name: of the joint
+    rotary: it is measured in rad and N m instead of m and N
+    """
+
+    name: str
+    rotary: bool
+
+
+@dataclass(frozen=True)
 class Single:
     """One loop and what it did.
 
     trajectory: NumPy arrays; time (steps,), all others (steps, joints)
     results: the variables of a sweep by name; figures of several joints are their worst
     values: every parameter of the loop by its short name
-    rotary: of each joint, whether it is measured in rad and N m instead of m and N
+    joints: the driven ones
     """
 
     trajectory: Trajectory
     results: dict[str, float]
     values: dict[str, float]
-    rotary: tuple[bool, ...]
+    joints: tuple[Joint, ...]
+
+    @property
+    def rotary(self) -> tuple[bool, ...]:
+        """Of each joint, whether it is measured in rad and N m."""
+        return tuple(joint.rotary for joint in self.joints)
 
 
 def simulate(specification: Specification) -> Single:
@@ -69,59 +85,83 @@ def simulate_all(specification: Specification, samples: Samples) -> list[Single]
             f"duration = {specification.duration:g} s makes {most * len(samples):,} physics steps;"
             f" up to {MOST_STEPS:,} can be kept"
         )
+    joints = _joints(one)
     results = execute.run(one, samples)
     found: dict[int, Single] = {}
     for plan in plans:
-        members = np.arange(len(samples)) if plan.members is None else plan.members
-        values = {name: array[members] for name, array in samples.values.items()}
-        kept, rotary = _trajectories(specification, plan.case, values, members)
+        members = np.concatenate([batch[:n] for batch, n in execute.batches(plan, samples)])
+        values = samples.take(members)
+        kept = _trajectories(specification, plan.case, values, members)
         for place, number in enumerate(members):
             found[int(number)] = Single(
                 trajectory=jax.tree.map(lambda leaf, place=place: leaf[place], kept),
                 results={name: float(array[number]) for name, array in results.items()},
                 values={name: float(array[place]) for name, array in values.items()},
-                rotary=rotary,
+                joints=joints,
             )
     return [found[number] for number in range(len(samples))]
 
 
 def _trajectories(
     specification: Specification, case: Case, values: dict[str, np.ndarray], numbers: np.ndarray
-) -> tuple[Trajectory, tuple[bool, ...]]:
-    """Trajectories with a leading axis for the loops, time (loops, steps); which joints turn."""
+) -> Trajectory:
+    """Trajectories with a leading axis for the loops, time (loops, steps)."""
     double = specification.precision == "float64"
+    # Never one alone, as in `jaxact.sweep.execute`.
+    twice = np.resize(np.arange(len(numbers)), max(2, len(numbers)))
+    values = {name: array[twice] for name, array in values.items()}
     with jax.enable_x64(True) if double else nullcontext():
-        dtype = np.float64 if double else np.float32
-        template = kernel.plant_template(specification.engine, specification.model)
-
-        def simulated(values: dict[str, jax.Array], number: jax.Array) -> Trajectory:
-            return rollout.trajectory(
-                kernel.loop_of(values, template, own_mass=case.own_mass),
-                case.drive,
-                case.rollout.ticks,
-                Setpoint(values["setpoint"]),
-                jax.random.fold_in(jax.random.key(specification.seed), number),
-                position=values["initial_position"],
-                velocity=values["initial_velocity"],
-            )
-
-        inputs = {name: jnp.asarray(value, dtype) for name, value in values.items()}
-        kept = jax.jit(jax.vmap(simulated))(inputs, jnp.asarray(numbers, jnp.uint32))
-        kept = jax.tree.map(np.asarray, kept)
+        kept = _simulated(specification, case, values, numbers[twice])
     rows = {
         name: getattr(kept, name).reshape((*kept.time.shape, -1))
         for name in Trajectory.__dataclass_fields__
-        if name != "time"
+        if name not in ("time", "configuration")
     }
-    return Trajectory(time=kept.time, **rows), _rotary(template)
+    return Trajectory(time=kept.time, **rows, configuration=kept.configuration)
 
 
-def _rotary(template: object) -> tuple[bool, ...]:
-    """Of each driven joint, whether it is a hinge; the mass slides."""
-    if template is None:
-        return (False,)
+def _simulated(
+    specification: Specification, case: Case, values: dict[str, np.ndarray], numbers: np.ndarray
+) -> Trajectory:
+    setting, seed = specification.setting, specification.seed
+    if case.engine == "mujoco":
+        from jaxact.sweep import outside  # imports MuJoCo
+
+        return outside.trajectories(case, setting, values, seed, numbers)
+    template = kernel.template_of(case, setting, "metrics")
+    robot = setting.plant is not None
+
+    def simulated(values: dict[str, jax.Array], number: jax.Array) -> Trajectory:
+        prepared, state, setpoint = kernel.start(case, template, values)
+        return rollout.follow(
+            prepared,
+            case.drive,
+            case.rollout.ticks,
+            state,
+            setpoint,
+            jax.random.fold_in(jax.random.key(seed), number),
+            setpoints=kernel.setpoints(template, values, case.rollout.ticks),
+            configuration=(lambda plant: plant.qpos) if robot else None,
+        )
+
+    dtype = jnp.result_type(float)
+    inputs = {name: jnp.asarray(value, dtype) for name, value in values.items()}
+    kept = jax.jit(jax.vmap(simulated))(inputs, jnp.asarray(numbers, jnp.uint32))
+    return jax.tree.map(np.asarray, kept)
+
+
+def _joints(specification: Specification) -> tuple[Joint, ...]:
+    """The driven joints; the mass and the built-in slide joint slide."""
+    if specification.plant is None:
+        return (Joint("joint", rotary=False),)
     import mujoco
 
-    model = template.model  # type: ignore[attr-defined]
-    joints = np.asarray(model.dof_jntid)[np.array(template.dofs)]  # type: ignore[attr-defined]
-    return tuple(np.asarray(model.jnt_type)[joints] == int(mujoco.mjtJoint.mjJNT_HINGE))
+    from jaxact.sweep import robots
+
+    robot = robots.scene(specification.plant).robot
+    hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
+    kinds = [int(robot.model.jnt_type[joint.joint]) for joint in robot.joints]
+    return tuple(
+        Joint(joint.name, rotary=kind == hinge)
+        for joint, kind in zip(robot.joints, kinds, strict=True)
+    )

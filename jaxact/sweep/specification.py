@@ -1,8 +1,11 @@
 """The specification of a sweep: what a TOML file says.
 
     engine = "mjx"                                 # top level: how every loop is simulated
+    [plant]                                        # a robot in place of a single joint
+    model = "robot.xml"
     [parameters]                                   # fixed values, see jaxact.sweep.parameters
-    mass = 0.7
+    wn = 800.0
+    "kp@.*_knee" = 300.0                           # of the joints whose names match
     [axes]                                         # what is varied: a list, or a range
     actuator = ["ideal", "hyq", "starleth"]
     kp = { min = 10, max = 1e5, num = 64, spacing = "log" }
@@ -17,6 +20,7 @@ pictures mark. `jaxact.sweep.reading` reads and checks it.
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,10 +29,11 @@ from pydantic.dataclasses import dataclass
 
 from jaxact.sweep import toml
 from jaxact.sweep.axes import MOST_SAMPLES, Axis
-from jaxact.sweep.parameters import PARAMETERS, PRESETS
+from jaxact.sweep.parameters import OF_MODEL, OF_ROBOTS, PARAMETERS, PRESETS
 
 _STRICT = ConfigDict(extra="forbid", strict=True)
-SECTIONS = ("parameters", "axes", "sampling")
+TABLES = ("plant", "motion", "push")
+SECTIONS = ("parameters", "axes", "sampling", *TABLES)
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -44,12 +49,80 @@ class Sampling:
 
 
 @dataclass(frozen=True, config=_STRICT)
+class Plant:
+    """A MuJoCo model in place of the built-in single joint.
+
+    model: MJCF or URDF file
+    keyframe: name of the start posture in the model; None: the model's default posture
+    posture: "settled" brings the keyframe to rest first, "keyframe" starts from it as it is
+    joints: patterns of the names of the joints (or actuators) that are driven
+    payload_body: name of the body that carries the payload; None: the heaviest one
+    """
+
+    model: Path
+    keyframe: Annotated[str, Field(max_length=200)] | None = None
+    posture: Literal["settled", "keyframe"] = "settled"
+    joints: tuple[str, ...] = (".*",)
+    payload_body: Annotated[str, Field(max_length=200)] | None = None
+
+
+@dataclass(frozen=True, config=_STRICT)
+class Motion:
+    """How the setpoint moves; its amplitude is the parameter `setpoint`.
+
+    kind: "step" at time 0, "sine", "chirp" from one frequency to another, or "file"
+    frequency: of the sine, at the start of the chirp [Hz]
+    end_frequency: at the end of the chirp [Hz]
+    file: CSV or NPZ with a column `time` [s] and one for each joint that moves, named like it;
+        positions as they are [m or rad], linear in between
+    """
+
+    kind: Literal["step", "sine", "chirp", "file"]
+    frequency: Annotated[float, Field(gt=0.0, le=1e5, allow_inf_nan=False)] | None = None
+    end_frequency: Annotated[float, Field(gt=0.0, le=1e5, allow_inf_nan=False)] | None = None
+    file: Path | None = None
+
+
+@dataclass(frozen=True, config=_STRICT)
+class Push:
+    """An impulse on a body of a robot, given as a constant force for a short while.
+
+    body: name of the body; the force acts on its centre of mass
+    impulse: in the world's axes [N s]
+    time: when it begins [s]
+    duration: how long it lasts [s]
+    """
+
+    body: Annotated[str, Field(max_length=200)]
+    impulse: tuple[float, float, float]
+    time: Annotated[float, Field(ge=0.0, le=1e5, allow_inf_nan=False)] = 0.1
+    duration: Annotated[float, Field(gt=0.0, le=1e5, allow_inf_nan=False)] = 0.05
+
+
+@dataclass(frozen=True, config=_STRICT)
+class Setting:
+    """What a robot's loops have in common beside their parameters; for keys of caches.
+
+    plant, motion, push: as in the specification
+    keys: of parameters for some joints, in order
+    """
+
+    plant: Plant | None
+    motion: Motion | None
+    push: Push | None
+    keys: tuple[str, ...]
+
+
+@dataclass(frozen=True, config=_STRICT)
 class Specification:
     """A sweep, checked and complete.
 
     description: a sentence for people, shown with the results
-    engine: plant, "mass" (exact) or "mjx" (MuJoCo in JAX)
-    model: MJCF file of the MJX plant, None for the built-in slide joint
+    engine: plant, "mass" (exact), "mjx" (MuJoCo in JAX), "mujoco" (MuJoCo in C, for robots), or
+        "auto", the faster of the two for a robot
+    plant: the robot of the MuJoCo engines, None for the built-in slide joint
+    motion: of the setpoint, None for a step
+    push: on a robot, None for none
     physics_step: step of the plant [s]; None: the control period for mass, 0.25 ms for mjx
     velocity: of the controller, "sampled" by a sensor or the "differenced" position
     duration: simulated time [s]
@@ -63,8 +136,7 @@ class Specification:
     """
 
     description: Annotated[str, Field(max_length=1000)] = ""
-    engine: Literal["mass", "mjx"] = "mass"
-    model: Path | None = None
+    engine: Literal["mass", "mjx", "mujoco", "auto"] = "mass"
     physics_step: Annotated[float, Field(ge=1e-7, le=1.0, allow_inf_nan=False)] | None = None
     velocity: Literal["sampled", "differenced"] = "sampled"
     duration: Annotated[float, Field(gt=0.0, le=1e5, allow_inf_nan=False)] = 2.0
@@ -75,11 +147,33 @@ class Specification:
     parameters: dict[str, float | str] = dataclasses.field(default_factory=dict)
     axes: tuple[Axis, ...] = ()
     sampling: Sampling | None = None
+    plant: Plant | None = None
+    motion: Motion | None = None
+    push: Push | None = None
+
+    @property
+    def model(self) -> Path | None:
+        """The model file of the robot, None for the built-in plants."""
+        return None if self.plant is None else self.plant.model
+
+    @property
+    def setting(self) -> Setting:
+        """What all loops have in common beside their parameters."""
+        keys = tuple(key for key in self.nominal if "@" in key)
+        return Setting(self.plant, self.motion, self.push, keys)
 
     @property
     def nominal(self) -> dict[str, float]:
-        """Value of every parameter where no axis varies it."""
+        """Value of every parameter where no axis varies it.
+
+        Of a robot, what its model may bring is not a number (NaN) where nothing is given; values of
+        some joints only follow those of all.
+        """
         values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+        if self.plant is not None:
+            values |= {name: math.nan for name in OF_MODEL} | OF_ROBOTS
+        # A key of an axis is a parameter of some joints, which has no value of its own elsewhere.
+        values |= {axis.name: math.nan for axis in self.axes if "@" in axis.name}
         for name, value in self.parameters.items():
             if isinstance(value, str):
                 values["wn"], values["zeta"] = PRESETS[value]
@@ -95,9 +189,12 @@ class Specification:
             for field in dataclasses.fields(self)
             if field.name not in SECTIONS and getattr(self, field.name) is not None
         }
-        if self.model is not None:
-            options["model"] = str(self.model)
-        sections: dict[str, Any] = {
+        tables = {
+            name: {key: _plain(value) for key, value in vars(table).items() if value is not None}
+            for name in TABLES
+            if (table := getattr(self, name)) is not None and dataclasses.is_dataclass(table)
+        }
+        sections: dict[str, Any] = tables | {
             "parameters": dict(self.parameters),
             "axes": {axis.name: axis.document for axis in self.axes},
         }
@@ -109,6 +206,13 @@ class Specification:
     def text(self) -> str:
         """The specification as TOML, which reads back as the same specification."""
         return toml.dumps(self.document)
+
+
+def _plain(value: Any) -> Any:
+    """A value as TOML has it."""
+    if isinstance(value, Path):
+        return str(value)
+    return list(value) if isinstance(value, tuple) else value
 
 
 OPTIONS = tuple(

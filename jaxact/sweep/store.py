@@ -1,17 +1,18 @@
-"""The result store: an xarray dataset on Zarr v3 that explains itself, written whole or not."""
+"""The result store: an xarray dataset on Zarr v3 that explains itself.
+
+What describes a store (the metadata of every array, the coordinates) is made here as files by their
+key, all at once; the results come chunk by chunk, see `jaxact.sweep.progress`.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import os
 import shlex
-import shutil
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -23,7 +24,10 @@ import numpy as np
 from jaxact import __version__
 from jaxact.errors import UserError
 from jaxact.status import Verdict
-from jaxact.sweep.parameters import PARAMETERS
+from jaxact.sweep import place as _place
+from jaxact.sweep.layout import Layout
+from jaxact.sweep.parameters import of
+from jaxact.sweep.place import Place
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Specification
 
@@ -31,8 +35,15 @@ if TYPE_CHECKING:
     import xarray as xr
 
 STORE = "sweep.zarr"
+ROOT = "zarr.json"
+# Beside the results: what says which chunks are done.
+PROGRESS = "progress"
+RECEIPT = "receipt"
+IDENTITY = "identity"
 _MARK = "jaxact_version"
-_PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scipy", "xarray", "zarr")
+# Another version of these may compute other numbers.
+NUMERIC = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scipy")
+_PACKAGES = (*NUMERIC, "xarray", "zarr")
 
 
 @dataclass(frozen=True)
@@ -72,38 +83,99 @@ VARIABLES: dict[str, Variable] = {
 }
 
 
-def dataset(
-    specification: Specification, samples: Samples, results: Mapping[str, np.ndarray]
-) -> xr.Dataset:
-    """The results of a sweep with named dimensions, coordinates, units and provenance.
+def dtype_of(variable: str, precision: str) -> np.dtype[Any]:
+    """Type of the numbers that are kept of a variable; precision: "float32" or "float64"."""
+    return np.dtype(np.int8 if variable == "verdict" else precision)
+
+
+def skeleton(
+    specification: Specification,
+    samples: Samples,
+    layout: Layout,
+    identity: str,
+    attributes: Mapping[str, Any],
+) -> dict[str, bytes]:
+    """All files of a store but its results, by key.
 
     specification: what was asked
     samples: all its loops
-    results: of every loop in their order, by name, each of shape (n,)
+    layout: how they are cut into chunks
+    identity: what a sweep that continues this one must share, JSON
+    attributes: of the whole store, from `provenance`
 
-    The attributes hold all that is needed to run it again: the specification (JSON, TOML and the
-    value of every parameter), versions, seed, command, device, time.
+    A receipt is a row of whole numbers: that of the chunk, the loops in a tile, and the checksum of
+    the chunk of every variable. A chunk is done when its receipt is there and true.
     """
     import xarray as xr
+    import zarr
+    from zarr.codecs import BytesCodec, Crc32cCodec
+    from zarr.storage import MemoryStore
 
-    arrays = {
-        name: (
-            samples.dims,
-            _stored(name, values, specification).reshape(samples.shape),
-            attributes,
-        )
-        for name, values in results.items()
-        for attributes in (_attributes(name),)
-    }
+    files: dict[str, Any] = {}
+    memory = MemoryStore(files)
     coords = {
         name: (place.dims, _plain(place.values), dict(place.attributes))
         for name, place in samples.coords.items()
     }
-    return xr.Dataset(arrays, coords, _provenance(specification))
+    with warnings.catch_warnings():
+        # one metadata file for the whole store, without which xarray warns whenever it is opened
+        warnings.filterwarnings("ignore", message="Consolidated metadata is currently not part")
+        described = xr.Dataset({}, coords, dict(attributes) | {IDENTITY: identity})
+        described.to_zarr(memory, mode="w", zarr_format=3, consolidated=False)
+        root = zarr.open_group(memory, mode="a", zarr_format=3, use_consolidated=False)
+        checked: dict[str, Any] = {
+            "serializer": BytesCodec(endian="little"),
+            "compressors": [Crc32cCodec()],
+            "filters": None,
+            "chunk_key_encoding": {"name": "default", "separator": "."},
+        }
+        for name in VARIABLES:
+            dtype = dtype_of(name, specification.precision)
+            root.create_array(
+                name,
+                shape=layout.shape,
+                chunks=layout.chunk,
+                dtype=dtype,
+                fill_value=math.nan if dtype.kind == "f" else -1,
+                dimension_names=samples.dims,
+                attributes=_attributes(name),
+                **checked,
+            )
+        progress = root.create_group(PROGRESS, attributes={IDENTITY: identity})
+        row = 2 + len(VARIABLES)
+        progress.create_array(
+            RECEIPT, shape=(len(layout), row), chunks=(1, row), dtype="uint32", fill_value=0,
+            dimension_names=("chunk", "entry"), **checked,
+        )  # fmt: skip
+        zarr.consolidate_metadata(memory, zarr_format=3)
+    return {key: bytes(content.to_bytes()) for key, content in files.items()}
 
 
-def _stored(name: str, values: np.ndarray, specification: Specification) -> np.ndarray:
-    return np.asarray(values, dtype=np.int8 if name == "verdict" else specification.precision)
+def attributes_of(place: Place, key: str = ROOT) -> dict[str, Any] | None:
+    """The attributes of a store or of a group in it, None where there is no readable one."""
+    try:
+        content = place.read(key)
+        found = json.loads(content)["attributes"] if content is not None else None
+    except (ValueError, KeyError, TypeError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def is_ours(place: Place) -> bool:
+    """Whether a store was made by jaxact."""
+    return _MARK in (attributes_of(place) or {}) or identity_of(place) is not None
+
+
+def identity_of(place: Place) -> dict[str, Any] | None:
+    """What a sweep that continues this store must share, kept twice; None where it is lost."""
+    for key in (ROOT, f"{PROGRESS}/{ROOT}"):
+        try:
+            found = json.loads((attributes_of(place, key) or {})[IDENTITY])
+        except (KeyError, ValueError, TypeError):
+            continue
+        if isinstance(found, dict):
+            return found
+    return None
 
 
 def _plain(values: np.ndarray) -> np.ndarray:
@@ -114,42 +186,52 @@ def _plain(values: np.ndarray) -> np.ndarray:
 def _attributes(name: str) -> dict[str, Any]:
     attributes: dict[str, Any] = dict(vars(VARIABLES[name])) if name in VARIABLES else {}
     if name == "verdict":
-        attributes["flag_values"] = np.array([int(kind) for kind in Verdict], dtype=np.int8)
+        attributes["flag_values"] = [int(kind) for kind in Verdict]
         attributes["flag_meanings"] = " ".join(kind.label.replace(" ", "_") for kind in Verdict)
     return attributes
 
 
-def _provenance(specification: Specification) -> dict[str, Any]:
-    import jax
+def provenance(specification: Specification, device: str) -> dict[str, Any]:
+    """Attributes of a store: all that is needed to run it again.
 
-    versions = {name: version(name) for name in _PACKAGES}
-    device = jax.devices()[0]
+    specification: what was asked
+    device: what it runs on, in words
+
+    The specification (JSON, TOML and the value of every parameter), versions, seed, command,
+    device, time.
+    """
     found = {
         "title": specification.description or "sweep of a joint's closed loop",
         _MARK: __version__,
-        "specification": _json(specification.document),
+        "specification": as_json(specification.document),
         "specification_toml": specification.text,
-        "parameters": _json(specification.nominal),
+        "parameters": as_json(specification.nominal),
         "seed": specification.seed,
-        "versions": _json({"jaxact": __version__, "python": sys.version.split()[0]} | versions),
-        "device": f"{jax.local_device_count()} x {device.platform} ({device.device_kind})",
+        "versions": as_json({"python": sys.version.split()[0]} | versions()),
+        "device": device,
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-    if specification.model is not None:
-        found["model_xml"] = specification.model.read_text(encoding="utf-8", errors="replace")
+    model = specification.model if specification.plant is None else specification.plant.model
+    if model is not None:
+        found["model_xml"] = model.read_text(encoding="utf-8", errors="replace")
     return found
 
 
-def _json(value: Any) -> str:
-    """JSON text in which an infinite number is the string "inf", which JSON has no number for."""
+def versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:
+    """Version of jaxact and of some packages."""
+    return {"jaxact": __version__} | {name: version(name) for name in packages}
+
+
+def as_json(value: Any) -> str:
+    """JSON text; infinity and not-a-number are the strings "inf" and "nan" there."""
 
     def finite(item: Any) -> Any:
         if isinstance(item, Mapping):
             return {name: finite(inner) for name, inner in item.items()}
         if isinstance(item, list | tuple):
             return [finite(inner) for inner in item]
-        return str(item) if isinstance(item, float) and math.isinf(item) else item
+        return str(item) if isinstance(item, float) and not math.isfinite(item) else item
 
     return json.dumps(finite(value), allow_nan=False)
 
@@ -166,71 +248,74 @@ def parameter(results: xr.Dataset, name: str) -> xr.DataArray:
 
     if name in results.coords:
         return results.coords[name]
-    return xr.DataArray(nominal(results)[name], name=name, attrs=dict(PARAMETERS[name].attributes))
+    # a parameter that is newer than the store has its default
+    value = nominal(results).get(name, of(name).default)
+    return xr.DataArray(value, name=name, attrs=dict(of(name).attributes))
 
 
-@contextlib.contextmanager
-def destination(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """A new folder to write into, which takes the place of `path` once the block is done.
+def find(where: str | Path) -> Place:
+    """The store that a user means: a results folder with a `sweep.zarr` in it, or the store itself.
 
-    path: of the store
-    overwrite: replace a jaxact store that is there already; nothing else is ever replaced
+    where: path or URL
 
-    The folder lies beside `path`, so that a forbidden place is found before the work.
-    Whatever ends the block with an exception leaves `path` as it was, and nothing else behind.
-
-    Raises UserError if `path` exists and may not be replaced, or cannot be written.
+    Raises UserError if there is none, or it is none of jaxact's.
     """
-    _refuse_existing(path, overwrite)
-    made = _make_folders(path.parent)
-    partial: Path | None = None
+    given = _place.at(where)
+    inner = given.inside(STORE)
     try:
-        partial = Path(
-            tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
-        )
-        yield partial
-        _replace(partial, path, overwrite)
-    except BaseException as error:
-        if partial is not None:
-            shutil.rmtree(partial, ignore_errors=True)
-        for folder in made:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
-        if isinstance(error, OSError):
-            raise UserError(_unwritable(path, error)) from error
-        raise
+        for store in (inner, given):
+            if is_ours(store):
+                return store
+        there = inner.entries() or given.entries()
+    except OSError as error:
+        raise UserError(f"{where}: cannot be read ({error.strerror or error})") from error
+    if there or (isinstance(given, _place.Folder) and given.path.exists()):
+        raise UserError(f"{where}: is no result of a sweep; give a folder that holds a {STORE}")
+    raise UserError(f"{where}: no such result; give the results folder of a sweep, or its {STORE}")
 
 
-def write(results: xr.Dataset, folder: Path) -> None:
-    """Write a dataset as a Zarr v3 store into an empty folder."""
-    with warnings.catch_warnings():
-        # one metadata file for the whole store, without which xarray warns whenever it is opened
-        warnings.filterwarnings("ignore", message="Consolidated metadata is currently not part")
-        results.to_zarr(folder, mode="w", zarr_format=3, consolidated=True)
-
-
-def open_result(path: Path) -> xr.Dataset:
+def open_result(where: str | Path, *, unfinished: bool = False) -> xr.Dataset:
     """The results of a sweep, read lazily.
 
-    path: results folder with a `sweep.zarr` in it, or the store itself
+    where: results folder with a `sweep.zarr` in it, or the store itself; path or URL
+    unfinished: also of a sweep that has not come to its end; what is missing is NaN, verdict -1
 
-    Raises UserError if there is none, it is none of jaxact's, or it is damaged.
+    Raises UserError if there is none, it is none of jaxact's, it is damaged, or it is unfinished.
     """
+    store = find(where)
+    results = opened(store)
+    if not results.attrs.get("complete", False) and not unfinished:
+        raise UserError(
+            f"{store.name}: the sweep has not come to its end; continue it with"
+            " `jaxact sweep ... --resume`, `jaxact status` shows how far it is"
+        )
+    return results
+
+
+def opened(store: Place) -> xr.Dataset:
+    """The dataset in a place, read lazily; raises UserError if it is damaged."""
     import xarray as xr
 
-    store = path / STORE if (path / STORE).is_dir() else path
-    if not store.exists():
-        raise UserError(
-            f"{path}: no such result; give the results folder of a sweep, or its {STORE}"
-        )
-    if not _is_ours(store):
-        raise UserError(f"{path}: is no result of a sweep; give a folder that holds a {STORE}")
     try:
-        results: xr.Dataset = xr.open_zarr(store)
+        results: xr.Dataset = xr.open_zarr(store.zarr(), zarr_format=3)
         json.loads(results.attrs["parameters"])
     except (OSError, ValueError, KeyError) as error:
-        raise UserError(f"{store}: cannot be read ({error}); run the sweep again") from error
+        raise UserError(
+            f"{store.name}: cannot be read ({error}); `jaxact validate` says what is damaged, and"
+            " `jaxact sweep ... --resume` mends it"
+        ) from error
     return results
+
+
+def loaded(results: xr.Dataset) -> xr.Dataset:
+    """The results with all numbers read into memory; raises UserError if a chunk is damaged."""
+    try:
+        return results.load()
+    except (OSError, ValueError) as error:
+        raise UserError(
+            f"a chunk of the results cannot be read ({error}); `jaxact validate` says which, and"
+            " `jaxact sweep ... --resume` computes it anew"
+        ) from error
 
 
 def to_netcdf(results: xr.Dataset, path: Path, *, overwrite: bool = False) -> None:
@@ -248,73 +333,20 @@ def to_netcdf(results: xr.Dataset, path: Path, *, overwrite: bool = False) -> No
         raise UserError(f"{path}: exists; give another name, or --overwrite to replace it")
     if not path.parent.is_dir():
         raise UserError(f"{path}: the folder {path.parent} does not exist; create it first")
-    encoded = results.load().assign_attrs({k: _netcdf(v) for k, v in results.attrs.items()})
+    encoded = loaded(results).assign_attrs({k: _netcdf(v) for k, v in results.attrs.items()})
     try:
         with tempfile.TemporaryDirectory(prefix=".jaxact-", dir=path.parent) as scratch:
             partial = Path(scratch) / path.name
             encoded.to_netcdf(partial, engine="h5netcdf")
             partial.replace(path)
     except OSError as error:
-        raise UserError(_unwritable(path, error)) from error
+        raise UserError(unwritable(path, error)) from error
 
 
 def _netcdf(value: Any) -> Any:
     return int(value) if isinstance(value, bool) else value
 
 
-def _is_ours(store: Path) -> bool:
-    try:
-        metadata = json.loads((store / "zarr.json").read_text(encoding="utf-8"))
-        return _MARK in metadata["attributes"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
-
-
-def _refuse_existing(path: Path, overwrite: bool) -> None:
-    if not os.path.lexists(path):
-        return
-    if not _is_ours(path) or path.is_symlink():
-        raise UserError(
-            f"{path}: exists and is no result of a sweep, so it stays; give another --out"
-        )
-    if not overwrite:
-        raise UserError(f"{path}: exists; give another --out, or --overwrite to replace it")
-
-
-def _make_folders(folder: Path) -> list[Path]:
-    """Make the folder and its parents; returns those that were not there, innermost first."""
-    missing = []
-    for step in (folder, *folder.parents):
-        if os.path.exists(step):
-            break
-        missing.append(step)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        for step in missing:
-            with contextlib.suppress(OSError):
-                step.rmdir()
-        raise UserError(_unwritable(folder, error)) from error
-    return missing
-
-
-def _replace(partial: Path, path: Path, overwrite: bool) -> None:
-    """Put the finished folder in its place; what was there is gone only after that."""
-    partial.chmod(0o777 & ~_umask())
-    if not (overwrite and path.exists()):
-        partial.rename(path)
-        return
-    old = path.with_name(f"{partial.name}.old")
-    path.rename(old)
-    partial.rename(path)
-    shutil.rmtree(old)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
-def _unwritable(path: Path, error: OSError) -> str:
-    return f"{path}: cannot be written ({error.strerror or error}); give another place with --out"
+def unwritable(where: str | Path, error: OSError) -> str:
+    """What to say of a place that cannot be written."""
+    return f"{where}: cannot be written ({error.strerror or error}); give another place with --out"

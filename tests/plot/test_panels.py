@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from synthetic_store import DRAWN, GRID, dataset
+from synthetic_store import DRAWN, GRID, dataset, dataset_of
 
 from jaxact.errors import UserError
 from jaxact.plot import look
 from jaxact.plot.panels import arrange, axis
-from jaxact.sweep import reading, store
+from jaxact.sweep import reading
 from jaxact.sweep.samples import expand
 
 
@@ -113,7 +113,7 @@ def test_more_axes_than_panels_can_show():
     specification = reading.parse(text)
     samples = expand(specification)
     flat = {"growth_rate": np.zeros(len(samples)), "verdict": np.zeros(len(samples), np.int8)}
-    results = store.dataset(specification, samples, flat)
+    results = dataset_of(specification, samples, flat)
     with pytest.raises(UserError, match="--select mass=VALUE"):
         arrange(results)
     assert len(arrange(results, select={"mass": "0.7"}).panels) == 4

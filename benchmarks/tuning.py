@@ -1,0 +1,64 @@
+"""Tuning many joints at once against SciPy's Nelder-Mead on the same exact objective."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+
+def rows(quick: bool) -> Iterator:
+    """Lines of the table: a joint of many, and one ensemble of 32."""
+    from benchmarks.timing import Row, alternate
+    from jaxact.tune.ensemble import ensemble
+    from jaxact.tune.goal import Goal
+    from jaxact.tune.joint import Case
+    from jaxact.tune.run import tune_all
+
+    number = 4 if quick else 64
+    random = np.random.default_rng(0)
+    plants = np.stack([
+        np.exp(random.uniform(np.log(0.02), np.log(8.0), number)),
+        np.exp(random.uniform(np.log(40.0), np.log(1200.0), number)),
+        random.uniform(0.25, 1.3, number), random.uniform(0.0, 12e-3, number),
+    ])  # fmt: skip
+    goal = Goal(max_peak=1.6)
+    cases = [Case(ensemble(*plant), goal) for plant in plants.T]
+    members = ensemble(0.7, random.uniform(90, 130, 32), 0.9, random.uniform(0, 5e-3, 32))
+
+    def joints() -> float:
+        tune_all(cases)
+        return number
+
+    def together() -> float:
+        tune_all([Case(members, goal)])
+        return 1
+
+    for what, ours, theirs in (
+        (f"gains of a joint, {number} at once, certified", joints, cases[:3]),
+        ("gains for an ensemble of 32 actuators, certified", together, [Case(members, goal)]),
+    ):
+
+        def rival(theirs=theirs) -> float:
+            for case in theirs:
+                _nelder_mead(case)
+            return len(theirs)
+
+        yield Row(what, "Nelder-Mead of SciPy, one start, same exact objective",
+                  *alternate(ours, rival, 3), "tuning", "at least 1", 1.0)  # fmt: skip
+
+
+def _nelder_mead(case) -> None:
+    import scipy.optimize
+
+    from jaxact.tune import joint, reference
+
+    problem = joint.problem([case])
+    kp, kd, _ = reference.simc(case.members)
+
+    def penalised(x: np.ndarray) -> float:
+        found = problem(x[None])
+        return float(-x[0] + 40.0 * max(found.violation[0], 0.0)) if found.usable[0] else 1e3
+
+    scipy.optimize.minimize(penalised, np.log([kp, kd]), method="Nelder-Mead",
+                            options={"xatol": 1e-5, "fatol": 1e-6})  # fmt: skip

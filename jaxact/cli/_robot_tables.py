@@ -1,0 +1,247 @@
+"""The margins of a whole robot as tables and as JSON."""
+
+from __future__ import annotations
+
+import json as _json
+import math
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxact.robot_margins import Mode
+    from jaxact.sweep.specification import Specification
+    from jaxact.sweep.whole_robot import WholeRobot
+
+# Joints of a mode that are named.
+_MOST_NAMED = 6
+# Acceleration left at a posture that is worth a warning [m/s^2 or rad/s^2].
+_RESIDUAL = 1e-2
+_WIDTH = 118
+
+
+def title(specification: Specification) -> str:
+    """The robot and its keyframe."""
+    plant = specification.plant
+    assert plant is not None
+    return plant.model.name + (f", keyframe {plant.keyframe}" if plant.keyframe else "")
+
+
+def as_json(specification: Specification, label: str, found: WholeRobot) -> str:
+    """All figures as one object; null where one means nothing, "inf" for infinity."""
+    plant, margins = specification.plant, found.margins
+    assert plant is not None
+    row: dict[str, Any] = {
+        "model": str(plant.model), "keyframe": plant.keyframe, "posture": plant.posture,
+        "loop": label, "engine": found.engine, "residual": found.residual,
+        "neutral_directions": found.neutral, "control_period": found.robot.period,
+        "physics_step": found.physics_step, "stable": margins.stable,
+        "unstable_roots": margins.unstable_roots, "spectral_radius": margins.spectral_radius,
+        "growth_rate": margins.growth_rate, "gain_to_boundary": margins.gain_to_boundary,
+        "log_gain_to_boundary": margins.log_gain_to_boundary,
+    }  # fmt: skip
+    names = found.robot.names
+    row["all"] = None if margins.whole is None else dict(vars(margins.whole))
+    row["joints"] = [
+        {"name": name, "kp": float(kp), "kd": float(kd)} | _of_joint(found, place)
+        for place, (name, kp, kd) in enumerate(zip(names, found.kp, found.kd, strict=True))
+    ]
+    row["ranking"] = [names[place] for place in margins.ranking]
+    for key, mode in (
+        ("critical_mode", margins.critical),
+        ("slowest_mode", margins.slowest),
+        ("response_at_peak", margins.at_peak),
+    ):
+        row[key] = (
+            None
+            if mode is None
+            else vars(mode)
+            | {"participation": dict(zip(names, mode.participation.tolist(), strict=True))}
+        )
+    return _json.dumps(_plain(row), allow_nan=False)
+
+
+def _of_joint(found: WholeRobot, place: int) -> dict[str, Any]:
+    """The margins of one joint by name, the phase margin in degrees; null for an unstable robot."""
+    from jaxact.robot_margins import JointMargins
+
+    names = [field.name for field in fields(JointMargins) if field.name != "name"]
+    if not found.margins.stable:
+        return dict.fromkeys(names)
+    own = {name: getattr(found.margins.joints[place], name) for name in names}
+    return own | {"phase_margin": math.degrees(own["phase_margin"])}
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON has it."""
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, float) and math.isinf(value):
+        return "inf" if value > 0 else "-inf"
+    return value
+
+
+def as_text(specification: Specification, label: str, found: WholeRobot) -> str:
+    """What there is to say of a robot, as lines and tables."""
+    parts = [_head(specification, label, found), _rendered(_whole_table(found))]
+    if found.margins.stable:
+        parts.append(
+            "Each joint with all others closed, nearest to shaking first:\n"
+            + _rendered(_joint_table(found))
+        )
+    else:
+        parts.append(_advice(found))
+    return "\n\n".join(parts) + "\n"
+
+
+def _head(specification: Specification, label: str, found: WholeRobot) -> str:
+    plant = specification.plant
+    assert plant is not None
+    period, step = found.robot.period, found.physics_step
+    count = len(found.robot.names)
+    lines = [
+        f"{title(specification)}{f': {label}' if label else ''}",
+        f"{count} driven joint{'' if count == 1 else 's'}, control {1 / period:g} Hz, physics step "
+        f"{step * 1e3:g} ms, {found.engine}, posture {plant.posture}, "
+        f"residual acceleration {found.residual:.2g}",
+    ]
+    if found.neutral:
+        directions = "direction" if found.neutral == 1 else "directions"
+        lines.append(
+            f"{found.neutral} neutral {directions} left out, in which a displaced robot just stays "
+            "displaced"
+        )
+    if found.residual > _RESIDUAL:
+        lines.append(
+            f"warning: the posture is no equilibrium (accelerations up to {found.residual:.3g}); "
+            "the figures are those of the linearisation there, which the robot leaves"
+        )
+    return "\n".join(lines)
+
+
+def _whole_table(found: WholeRobot) -> Any:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("all joints at once")
+    table.add_column("")
+    margins = found.margins
+    table.add_row("stable", "yes" if margins.stable else "NO")
+    table.add_row("unstable roots", str(margins.unstable_roots))
+    table.add_row("growth rate", f"{margins.growth_rate:.4g} 1/s")
+    if margins.whole is not None:
+        for name, value in _whole_rows(found):
+            table.add_row(name, value)
+    modes = [
+        ("fastest growing mode" if not margins.stable else "least damped mode", margins.critical),
+        ("slowest mode", margins.slowest if margins.stable else None),
+        ("response at Ms", margins.at_peak),
+    ]
+    for name, mode in modes:
+        if mode is not None:
+            table.add_row(name, _mode(mode, found.robot.names))
+    return table
+
+
+def _whole_rows(found: WholeRobot) -> list[tuple[str, str]]:
+    from jaxact.plot.look import quantity
+
+    whole = found.margins.whole
+    assert whole is not None
+
+    def at(frequency: float) -> str:
+        return f" at {quantity(frequency, 'rad/s')}" if math.isfinite(frequency) else ""
+
+    gain, disk = whole.gain_margin, whole.disk_margin
+    decibel = f" ({20.0 * math.log10(gain):.1f} dB)" if math.isfinite(gain) else ""
+    up = quantity(gain) + decibel + at(whole.gain_margin_frequency)
+    rows = [
+        ("gain margin", up),
+        (
+            "gain reduction margin",
+            f"{whole.gain_reduction_margin:.4g}{at(whole.gain_reduction_frequency)}",
+        ),
+        ("delay margin", quantity(whole.delay_margin, "s") + at(whole.delay_margin_frequency)),
+        (
+            "Ms (peak of σmax S)",
+            f"{whole.sensitivity_peak:.4g}{at(whole.sensitivity_peak_frequency)}",
+        ),
+        (
+            "Mt (peak of σmax T)",
+            f"{whole.complementary_peak:.4g}{at(whole.complementary_peak_frequency)}",
+        ),
+        ("disk margin", f"{disk:.4g}{at(whole.disk_margin_frequency)}"),
+        (
+            "  guarantees, of each joint",
+            f"gains ×{max((2.0 - disk) / (2.0 + disk), 0.0):.3g} to "
+            f"×{_upper(disk)}, phase ±{2.0 * math.degrees(math.atan(0.5 * disk)):.3g}°",
+        ),
+        ("  joints mixed as well", f"{whole.unscaled_disk_margin:.4g}"),
+    ]
+    return [row for row in rows if row[0] != "gain reduction margin" or whole.gain_reduction_margin]
+
+
+def _upper(disk: float) -> str:
+    return f"{(2.0 + disk) / (2.0 - disk):.3g}" if disk < 2.0 else "∞"
+
+
+def _mode(mode: Mode, names: tuple[str, ...]) -> str:
+    """`4.58 rad/s, damping ratio 0.242, -1.14 1/s: LF_HAA 12 %, ...`."""
+    if mode.frequency > 0.0:
+        words = [f"{mode.frequency:.4g} rad/s"]
+        words += [f"damping ratio {mode.damping_ratio:.3g}"] if mode.growth_rate else []
+    else:
+        words = ["no oscillation" if mode.growth_rate else "constant"]
+    words += [f"{mode.growth_rate:.3g} 1/s"] if mode.growth_rate else []
+    order = np.argsort(-mode.participation, kind="stable")[:_MOST_NAMED]
+    shares = [
+        f"{names[i]} {100.0 * mode.participation[i]:.0f} %"
+        for i in order
+        if mode.participation[i] >= 0.01
+    ]
+    more = ", ..." if len(shares) == _MOST_NAMED < len(names) else ""
+    return f"{', '.join(words)}: {', '.join(shares)}{more}"
+
+
+def _joint_table(found: WholeRobot) -> Any:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    heads = ("joint", "kp", "kd", "disk margin", "Ms", "Mt", "gain margin", "down to",
+             "phase [°]", "delay [ms]", "mode")  # fmt: skip
+    for head in heads:
+        table.add_column(head, justify="left" if head == "joint" else "right", no_wrap=True)
+    shares = found.margins.critical.participation
+    for place in found.margins.ranking:
+        own = found.margins.joints[place]
+        figures = (
+            found.kp[place], found.kd[place], own.disk_margin, own.sensitivity_peak,
+            own.complementary_peak, own.gain_margin, own.gain_reduction_margin,
+            math.degrees(own.phase_margin), 1e3 * own.delay_margin,
+        )  # fmt: skip
+        cells = [f"{value:.4g}".replace("inf", "∞") for value in figures]
+        table.add_row(own.name, *cells, f"{100.0 * shares[place]:.0f} %")
+    return table
+
+
+def _advice(found: WholeRobot) -> str:
+    factor = found.margins.gain_to_boundary
+    if factor is None:
+        change = "no common factor on the gains makes it stable"
+    else:
+        change = f"the nearest change of stability is at a factor of {factor:.4g} on all gains"
+    return f"Margins of an unstable loop mean nothing; {change}."
+
+
+def _rendered(table: Any) -> str:
+    from rich.console import Console
+
+    console = Console(width=_WIDTH, highlight=False)
+    with console.capture() as captured:
+        console.print(table)
+    return "\n".join(line.rstrip() for line in captured.get().splitlines()).strip("\n")

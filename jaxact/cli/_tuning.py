@@ -1,0 +1,278 @@
+"""What `jaxact tune` shows of a result: JSON, table, and the files of its folder."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxact.cli import _loops
+from jaxact.cli.margins import ALWAYS, MARGINS, plain
+
+if TYPE_CHECKING:
+    from jaxact.tune.ensemble import Ensemble
+    from jaxact.tune.run import Tuned
+
+_SHOWN = ("gain_margin", "phase_margin", "delay_margin", "sensitivity_peak", "complementary_peak",
+          "disk_margin")  # fmt: skip
+_GRID = 110
+
+
+def report(tuned: Tuned, loops: _loops.Loops, sampled: bool, velocity: str) -> dict[str, Any]:
+    """The result as plain values, for JSON.
+
+    loops: the nominal loop before (if there is a start) and after
+    sampled: margins of the sampled loop
+    """
+    from jaxact.cli import _responses
+
+    find = _responses.sampled_margins if sampled else None
+    found = _responses.margins(loops) if find is None else find(loops, velocity)
+    names = (*ALWAYS[:2], *MARGINS, *ALWAYS[2:])
+    rows = [{name: plain(name, found, i) for name in names} for i in range(len(loops))]
+    certificate = tuned.certificate
+    return {
+        "kp": tuned.kp,
+        "kd": tuned.kd,
+        "objective": _plain(tuned.value),
+        "objective_name": tuned.goal.objective,
+        "objective_before": _plain(tuned.value_before),
+        "margins": {"before": rows[0] if tuned.before is not None else None, "after": rows[-1]},
+        "certified": tuned.certified,
+        "feasible": tuned.feasible,
+        "improved": tuned.improved,
+        "verdict": tuned.verdict,
+        "constraints": [
+            {"constraint": c.constraint, "figure": c.figure, "bound": c.bound,
+             "value": _plain(c.value), "member": c.member, "met": c.met}
+            for c in certificate.checks
+        ],
+        "binding": list(certificate.binding),
+        "members": certificate.members,
+        "corners": certificate.corners,
+        "worst_interior_excess": _plain(certificate.interior),
+        "agreeing_starts": certificate.agreeing,
+        "gap_to_brute_force": _plain(certificate.gap),
+        "notes": list(certificate.notes),
+        "iterations": tuned.iterations,
+        "evaluations": tuned.evaluations,
+        "seconds": tuned.seconds,
+    }  # fmt: skip
+
+
+def _plain(value: float | None) -> Any:
+    if value is None or math.isnan(value):
+        return None
+    if math.isinf(value):
+        return "inf" if value > 0 else "-inf"
+    return value
+
+
+def as_json(document: Any) -> str:
+    """One line of JSON."""
+    return json.dumps(document, allow_nan=False)
+
+
+def table(document: dict[str, Any], unit: str) -> str:
+    """The same for people: gains, margins before and after, and what is guaranteed."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    from jaxact.cli.margins import UNITS
+    from jaxact.plot.look import quantity
+
+    before, after = document["margins"]["before"], document["margins"]["after"]
+    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    shown.add_column("")
+    if before is not None:
+        shown.add_column("before", justify="right")
+    shown.add_column("after", justify="right")
+
+    def cell(value: Any, units: str) -> str:
+        if value is None:
+            return "-"
+        return value.replace("inf", "∞") if isinstance(value, str) else quantity(value, units)
+
+    def row(name: str, *values: Any, units: str = "1") -> None:
+        shown.add_row(
+            name, *(cell(v, units) for v in values if before is not None or v is values[-1])
+        )
+
+    units = "" if unit == "1" else unit
+    row(
+        document["objective_name"], document["objective_before"], document["objective"], units=units
+    )
+    for name in _SHOWN:
+        old = None if before is None else before[name]
+        row(name.replace("_", " "), old, after[name], units=UNITS[name])
+    console = Console(width=100, highlight=False)
+    with console.capture() as captured:
+        console.print(shown)
+    gains = f"kp {document['kp']:.6g} N/m, kd {document['kd']:.6g} N s/m"
+    lines = [line.rstrip() for line in captured.get().rstrip().splitlines()]
+    guaranteed = "certified: " if document["certified"] else "NOT certified: "
+    words = [gains, *lines, "", guaranteed + document["verdict"]]
+    if document["members"] > 1 and document["binding"]:
+        words.append("binding: " + ", ".join(document["binding"][:8]))
+    words += document["notes"]
+    if document["gap_to_brute_force"] is not None:
+        words.append(
+            f"brute force finds no better by more than {document['gap_to_brute_force']:.2g}"
+        )
+    share = f"{100 * document['agreeing_starts']:.0f} % of the starts agree within 1 %"
+    words.append(
+        f"{share}; {document['evaluations']:,} loops evaluated, {document['seconds']:.1f} s"
+    )
+    return "\n".join(words)
+
+
+def front_table(points: Sequence[Tuned], unit: str) -> str:
+    """A line for each point of a front."""
+    names = f"{'max peak':>9} {'kp [N/m]':>12} {'kd [N s/m]':>12}"
+    head = f"{names} {'objective [' + unit + ']':>18}  certified"
+    rows = [
+        f"{p.goal.max_peak:9.4f} {p.kp:12.6g} {p.kd:12.6g} {p.value:18.6g}  "
+        f"{'yes' if p.certified else 'no: ' + p.verdict}"
+        for p in points
+    ]
+    return "\n".join([head, *rows])
+
+
+def write_folder(
+    folder: Path, tuned: Tuned, loops: _loops.Loops, sampled: bool, velocity: str, joint: str,
+    command: str,
+) -> None:  # fmt: skip
+    """Gains as TOML and MJCF, and the pictures, into a folder that is there."""
+    from jaxact.cli import _responses
+    from jaxact.plot import look, tuning
+    from jaxact.plot.sensitivity import sensitivity
+    from jaxact.tune.result import mjcf_text, toml_text
+
+    (folder / "gains.toml").write_text(toml_text(tuned, command), encoding="utf-8")
+    (folder / "gains.xml").write_text(mjcf_text(tuned, joint), encoding="utf-8")
+    footer = tuned.verdict
+    after = tuned.kp, tuned.kd
+    plane = _plane(tuned)
+    pictures = {
+        "stability_map": tuning.tuning_map(
+            plane, tuned.before, after, max_peak=tuned.goal.max_peak, footer=footer
+        ),
+        "convergence": _convergence(tuned),
+        "step": _steps(tuned),
+    }
+    drawn = _responses.responses(loops, sampled=sampled, velocity=velocity)
+    # As in the other pictures, blue is after.
+    pictures["sensitivity"] = sensitivity(drawn[::-1], footer=footer)
+    for name, figure in pictures.items():
+        look.write(figure, folder / f"{name}.png", title=f"jaxact tune: {name.replace('_', ' ')}")
+
+
+def write_front(folder: Path, points: Sequence[Tuned], unit: str, marked: float) -> None:
+    """A front as CSV and picture, into a folder that is there."""
+    from jaxact.plot import look, tuning
+
+    rows = ["max_peak,kp,kd,objective,certified"]
+    rows += [
+        f"{p.goal.max_peak!r},{p.kp!r},{p.kd!r},{p.value!r},{str(p.certified).lower()}"
+        for p in points
+    ]
+    (folder / "front.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    peaks = np.array([p.goal.max_peak for p in points])
+    values = np.array([p.value if p.certified else np.nan for p in points])
+    known = np.isfinite(values)
+    inside = known.sum() > 1 and peaks[known][0] <= marked <= peaks[known][-1]
+    at = float(np.interp(marked, peaks[known], values[known])) if inside else None
+    figure = tuning.front(
+        peaks, values, np.array([p.kd for p in points]),
+        label=f"{points[0].goal.objective} [{unit}]", marked=None if at is None else (marked, at),
+    )  # fmt: skip
+    look.write(figure, folder / "front.png", title="jaxact tune: front")
+
+
+def _binding(tuned: Tuned) -> Ensemble:
+    """A few members that say where the bounds are: those that bind, else the first."""
+    from jaxact.tune.ensemble import chosen
+
+    named = {tuned.members.name(i): i for i in range(len(tuned.members))}
+    index = [named[name] for name in tuned.certificate.binding if name in named][:4]
+    return chosen(tuned.members, np.array(index or [0]))
+
+
+def _plane(tuned: Tuned) -> Any:
+    from jaxact.boundary import continuous_boundary, sampled_boundary
+    from jaxact.plot.tuning import Plane
+    from jaxact.tune import figures
+
+    members = _binding(tuned)
+    pairs = np.array([pair for pair in (tuned.before, (tuned.kp, tuned.kd)) if pair is not None])
+    low, high = pairs.min(axis=0) / np.array([8.0, 4.0]), pairs.max(axis=0) * np.array([8.0, 4.0])
+    kp, kd = (np.geomspace(a, b, _GRID) for a, b in zip(low, high, strict=True))
+    sampling = tuned.members.sampling
+    grid = _GRID if sampling is None else _GRID // 3
+    kp, kd = kp[:: _GRID // grid], kd[:: _GRID // grid]
+    log_kp, log_kd = np.meshgrid(np.log(kp), np.log(kd))
+    shaped = {name: getattr(members, name)[:, None, None] for name in _FIELDS}
+    found = figures.evaluate(log_kp[None], log_kd[None], shaped, sampling)
+    peak = np.maximum(found.log["sensitivity_peak"], found.log["complementary_peak"])
+    worst = np.where(found.stable, peak, np.inf).max(axis=0)
+    ranges: dict[str, Any] = {"kp_range": (low[0], high[0]), "kd_range": (low[1], high[1])}
+    curves = []
+    for i in range(len(members)):
+        plant = [float(getattr(members, name)[i]) for name in _FIELDS]
+        if sampling is None:
+            curves += continuous_boundary(*plant, **ranges)
+        else:
+            curves += sampled_boundary(
+                *plant, sampling.control_period, velocity=sampling.velocity,
+                velocity_filter=sampling.velocity_filter, **ranges,
+            )  # fmt: skip
+    return Plane(kp, kd, np.where(np.isfinite(worst), np.exp(worst), np.nan), curves)
+
+
+_FIELDS = ("mass", "natural_frequency", "damping_ratio", "delay")
+
+
+def _convergence(tuned: Tuned) -> Any:
+    from jaxact.plot import tuning
+    from jaxact.tune.goal import OBJECTIVES
+
+    goal, paths = tuned.goal, tuned.paths
+    unit = OBJECTIVES[goal.objective][2]
+    label = goal.objective if unit == "1" else f"{goal.objective} [{unit}]"
+    with np.errstate(over="ignore"):
+        values = np.exp(goal.sense * paths.path_value)
+        ratio = np.exp(paths.path_violation)
+    return tuning.convergence(values, ratio, label=label, given=tuned.before is not None)
+
+
+def _steps(tuned: Tuned) -> Any:
+    from jaxact.plot import tuning
+    from jaxact.tune.response import step_responses
+
+    slowest = max(tuned.kd / tuned.kp, math.sqrt(float(tuned.members.mass.max()) / tuned.kp))
+    duration = 6.0 * slowest
+    time, after = step_responses(tuned.members, tuned.kp, tuned.kd, duration)
+    before = None
+    if tuned.before is not None:
+        _, before = step_responses(tuned.members, *tuned.before, duration)
+    return tuning.step_band(time, before, after)
+
+
+def loops_of(loops: _loops.Loops, tuned: Tuned) -> _loops.Loops:
+    """The nominal loop with the gains before (where there is a start) and after.
+
+    loops: the nominal loop, one
+    """
+    pairs = [pair for pair in (tuned.before, (tuned.kp, tuned.kd)) if pair is not None]
+    labels = ("before", "after")[-len(pairs) :]
+    values = {name: np.repeat(array, len(pairs)) for name, array in loops.values.items()}
+    values["kp"] = np.array([kp for kp, _ in pairs])
+    values["kd"] = np.array([kd for _, kd in pairs])
+    named = tuple(f"{label}: {loops.labels[0]}" for label in labels)
+    return replace(loops, values=values, labels=named)

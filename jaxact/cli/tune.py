@@ -1,0 +1,250 @@
+"""`jaxact tune`: the best gains for a joint, certified."""
+
+from __future__ import annotations
+
+import math
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import OmitArgPrefixes, arg
+
+from jaxact.cli import _cache, _folders, _loops
+from jaxact.cli._pictures import VELOCITIES, Velocity
+from jaxact.errors import UserError, nearest, shown
+
+if TYPE_CHECKING:
+    from jaxact.tune.ensemble import Ensemble
+    from jaxact.tune.goal import Goal
+
+Parameters = _loops.options((*_loops.LINEAR, "control_rate"), several=False)
+
+
+def _number(metavar: str, words: str, default: str) -> Any:
+    return arg(metavar=metavar, help=words, help_behavior_hint=f"(default: {default})")
+
+
+def main(
+    parameters: Annotated[Parameters, OmitArgPrefixes] = Parameters(),  # type: ignore[valid-type] # noqa: B008
+    *,
+    objective: Annotated[
+        str,
+        arg(
+            metavar="NAME",
+            help="stiffness: largest kp. bandwidth: largest. disk-margin: largest, with --min-kp. "
+            "settling: shortest time to 2 %. tracking:FILE: smallest rms error along a CSV file of "
+            "time [s], setpoint [m].",
+        ),
+    ] = "stiffness",
+    max_peak: Annotated[
+        float,
+        _number(
+            "RATIO",
+            "Largest Ms and Mt, against any modelling error; inf: none.",
+            "1.6, none for disk-margin",
+        ),
+    ] = _loops.UNSET,
+    min_gain_margin: Annotated[
+        float,
+        arg(metavar="FACTOR", help="Smallest gain margin, against a lighter load; 1: none."),
+    ] = 1.0,
+    min_delay_margin: Annotated[
+        float,
+        arg(metavar="SECONDS", help="Smallest delay margin [s], against a later bus; 0: none."),
+    ] = 0.0,
+    min_kp: Annotated[
+        float, arg(metavar="VALUE", help="Softest kp [N/m], against a joint too soft; 0: none.")
+    ] = 0.0,
+    max_kp: Annotated[
+        float, arg(metavar="VALUE", help="Stiffest kp [N/m], against hard contact; inf: none.")
+    ] = math.inf,
+    max_noise_gain: Annotated[
+        float,
+        arg(
+            metavar="VALUE",
+            help="Largest rms force per encoder count [N/m], against noise and heat: rounding read "
+            "at the control rate, 1 kHz without one; inf: none.",
+        ),
+    ] = math.inf,
+    uncertainty: Annotated[
+        str,
+        arg(
+            metavar="RANGES",
+            help="What is not known, e.g. wn=0.8..1.2,zeta=0.7..1.1,delay=0..5e-3,mass=0.5..1.0: "
+            "wn and zeta as factors on the actuator's, mass [kg] and delay [s] as they are; an x "
+            "makes them factors too: mass=0.8x..1.2x.",
+            help_behavior_hint="(default: none)",
+        ),
+    ] = "",
+    ensemble: Annotated[
+        int, arg(metavar="NUMBER", help="Samples of the uncertainty, beside its corners.")
+    ] = 32,
+    risk: Annotated[
+        str,
+        arg(metavar="worst|mean|cvar:A", help="Which members count; all are stable in any case."),
+    ] = "worst",
+    velocity: Velocity = "sampled",
+    starts: Annotated[int, arg(metavar="NUMBER", help="Default starts of the descent.")] = 8,
+    steps: Annotated[int, arg(metavar="NUMBER", help="Steps of the descent.")] = 150,
+    seed: Annotated[int, arg(metavar="NUMBER", help="Of the sampled uncertainty.")] = 0,
+    pareto: Annotated[
+        int, arg(metavar="NUMBER", help="Points of the front over the peak allowed; 0: none.")
+    ] = 0,
+    verify: Annotated[bool, arg(help="Compare with a brute-force grid over all gains.")] = False,
+    out: Annotated[
+        Path | None,
+        arg(
+            metavar="FOLDER",
+            help="Write gains.toml, gains.xml (MJCF) and pictures there.",
+            help_behavior_hint="(default: no)",
+        ),
+    ] = None,
+    joint: Annotated[str, arg(metavar="NAME", help="Joint in the MJCF file.")] = "joint",
+    overwrite: Annotated[bool, arg(help="Replace the folder if it is there.")] = False,
+    json: Annotated[bool, arg(help="Print the result as one line of JSON.")] = False,
+    no_cache: Annotated[
+        bool, arg(help="Compile anew, and keep no compiled kernels from run to run.")
+    ] = False,
+) -> None:
+    """Find the best gains of a joint behind its actuator, and certify them.
+
+    By default the stiffest gains whose Ms and Mt stay at or below 1.6, found by gradient descent
+    on the exact margins from several starts. With --uncertainty they hold for every actuator in
+    the box: samples, corners and its worst interior point. With --control-rate the margins are
+    those of the sampled loop. Gains are never worse than --kp and --kd, where they are given. What
+    cannot be met is said, with the closest value that can. All units are SI, delays in seconds.
+
+    examples:
+      jaxact tune --mass 0.7 --actuator starleth --delay 1e-3 --max-peak 1.6
+      jaxact tune --actuator starleth --delay 1e-3 --uncertainty delay=0..5e-3,mass=0.5..1 --json
+      jaxact tune --actuator hyq --delay 1e-3 --kp 400 --kd 20 --pareto 20 --out tuned
+    """
+    _folders.check_folder(out, overwrite=overwrite)
+    if velocity not in VELOCITIES:
+        raise UserError(f"--velocity {shown(velocity)}; {nearest(velocity, VELOCITIES)}")
+    for name, number in (("starts", starts), ("steps", steps), ("ensemble", ensemble)):
+        if not 1 <= number <= 10_000:
+            raise UserError(f"--{name} {number}: give between 1 and 10000")
+    given = _loops.given(parameters)
+    start = _start(given)
+    chosen = _loops.combinations({n: (v,) for n, v in given.items()}, velocity=velocity)
+    goal = _goal(objective, risk, max_peak=max_peak, min_gain_margin=min_gain_margin,
+                 min_delay_margin=min_delay_margin, min_kp=min_kp, max_kp=max_kp,
+                 max_noise_gain=max_noise_gain)  # fmt: skip
+    sampled = "control_rate" in given
+    _cache.prepare(wanted=not no_cache)
+
+    from jaxact.cli import _tuning
+    from jaxact.tune import pareto as _pareto
+    from jaxact.tune.goal import OBJECTIVES
+    from jaxact.tune.robust import tune_box
+    from jaxact.tune.run import tune
+    from jaxact.tune.uncertainty import read_box
+
+    if pareto:
+        _pareto.peaks(pareto)
+    nominal = _nominal(chosen, velocity, sampled=sampled)
+    box = read_box(uncertainty, nominal) if uncertainty else None
+    how = _descent(steps)
+    if box is None:
+        tuned = tune(nominal, goal, start=start, starts=starts, how=how, verify=verify)
+    else:
+        tuned = tune_box(box, goal, number=ensemble, seed=seed, start=start, starts=starts,
+                         how=how, verify=verify)  # fmt: skip
+    points = _pareto.front(tuned.members, goal, pareto, starts=starts, how=how) if pareto else []
+    unit = OBJECTIVES[goal.objective][2]
+    loops = _tuning.loops_of(chosen, tuned)
+    document = _tuning.report(tuned, loops, sampled, velocity)
+    if points:
+        document["pareto"] = [
+            {"max_peak": p.goal.max_peak, "kp": p.kp, "kd": p.kd, "objective": p.value,
+             "certified": p.certified}
+            for p in points
+        ]  # fmt: skip
+    if out is not None:
+        with _folders.whole_folder(out) as folder:
+            command = shlex.join(["jaxact", *sys.argv[1:]])
+            _tuning.write_folder(folder, tuned, loops, sampled, velocity, joint, command)
+            if points:
+                _tuning.write_front(folder, points, unit, goal.max_peak)
+    print(_tuning.as_json(document) if json else _tuning.table(document, unit))
+    if points and not json:
+        print("\n" + _tuning.front_table(points, unit))
+    if out is not None and not json:
+        print(f"wrote {out}")
+
+
+def _start(given: dict[str, Any]) -> tuple[float, float] | None:
+    """The gains to be no worse than: both, or none."""
+    own = [name for name in ("kp", "kd") if name in given]
+    if len(own) == 1:
+        raise UserError(f"--{own[0]}: give both --kp and --kd to start from, or none")
+    if not own:
+        return None
+    for name in own:
+        if not 0 < given[name] < math.inf:
+            raise UserError(f"--{name} {given[name]:g}: a start must be positive and finite")
+    return float(given["kp"]), float(given["kd"])
+
+
+def _goal(objective: str, risk: str, *, max_peak: float, **bounds: float) -> Goal:
+    from jaxact.tune.goal import Goal, check
+
+    name, colon, file = objective.partition(":")
+    extra: dict[str, Any] = {}
+    if name == "tracking" and colon:
+        extra["reference"], extra["reference_period"] = _reference(Path(file))
+    elif colon:
+        raise UserError(f"--objective {shown(objective)}: only tracking takes a file")
+    if max_peak is _loops.UNSET:
+        max_peak = math.inf if name == "disk-margin" else 1.6
+    if any(math.isnan(value) for value in (max_peak, *bounds.values())):
+        raise UserError("nan is no bound")
+    return check(Goal(objective=name, risk=risk, max_peak=max_peak, **bounds, **extra))
+
+
+def _reference(path: Path) -> tuple[tuple[float, ...], float]:
+    """Setpoints and the time between them, from a CSV file of time and setpoint."""
+    import numpy as np
+
+    try:
+        rows = np.loadtxt(path, delimiter=",", comments="#", ndmin=2, encoding="utf-8")
+    except OSError as error:
+        reason = error.strerror or "is missing"
+        raise UserError(f"{path}: cannot be read ({reason}); give a CSV file") from None
+    except (ValueError, UnicodeDecodeError):
+        raise UserError(
+            f"{path}: write lines of time [s], setpoint [m]; # begins a comment"
+        ) from None
+    if rows.shape[1] != 2 or len(rows) < 2 or not np.all(np.isfinite(rows)):
+        raise UserError(f"{path}: write at least two lines of time [s], setpoint [m]")
+    time, setpoint = rows.T
+    if not np.all(np.diff(time) > 0):
+        raise UserError(f"{path}: times must rise")
+    if np.ptp(setpoint) == 0:
+        raise UserError(f"{path}: the setpoint never moves, any gains track it")
+    period = float(np.min(np.diff(time)))
+    even = np.arange(time[0], time[-1] + 0.5 * period, period)
+    if len(even) > 100_000:
+        raise UserError(f"{path}: its shortest interval divides it into {len(even):,} steps")
+    return tuple(map(float, np.interp(even, time, setpoint))), period
+
+
+def _nominal(chosen: _loops.Loops, velocity: str, *, sampled: bool) -> Ensemble:
+    """The plant that was named, as an ensemble of one."""
+    from jaxact.tune.ensemble import Sampling, ensemble
+
+    own = chosen.one(0)
+    delay = own["delay"] + own["measurement_delay"] + own["output_delay"]
+    sampling = None
+    if sampled:
+        sampling = Sampling(1.0 / own["control_rate"], velocity, own["velocity_filter"])
+    return ensemble(own["mass"], own["wn"], own["zeta"], delay, sampling=sampling,
+                    names=(chosen.labels[0],))  # fmt: skip
+
+
+def _descent(steps: int) -> Any:
+    from jaxact.tune.optimize import Descent
+
+    return Descent(steps=steps)

@@ -1,0 +1,57 @@
+"""`jaxact validate`: are the results what was computed, and what would be computed again?"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from jaxact.cli import _cache
+from jaxact.errors import UserError
+
+
+def main(
+    result: Annotated[
+        Positional[str],
+        arg(metavar="RESULT", help="Results folder of a sweep, or its sweep.zarr; path or URL."),
+    ],
+    *,
+    samples: Annotated[
+        int, arg(metavar="N", help="Loops to compute again, drawn at random; 0: none.")
+    ] = 64,
+    seed: Annotated[int, arg(metavar="N", help="Of that draw.")] = 0,
+    no_cache: Annotated[bool, arg(help="Compile anew, and keep no compiled kernels.")] = False,
+) -> None:
+    """Check every checksum of a result, and compute some of its loops again.
+
+    Loops computed again must have the same bits where versions and machine are those of the sweep,
+    the same figures to rounding elsewhere. Exit code 2 where anything differs.
+
+    examples:
+      jaxact validate results/paper_gain_map
+      jaxact validate results/paper_gain_map --samples 1000 --seed 7
+    """
+    if samples < 0:
+        raise UserError(f"--samples {samples}: allowed: 0 or more")
+    from jaxact.sweep import store
+
+    target = store.find(result)
+    _cache.prepare(wanted=not no_cache)
+    from jaxact.sweep import validation
+
+    checked = validation.checksums(target)
+    print(f"{checked.done:,} of {checked.chunks:,} chunks are whole")
+    if checked.wrong:
+        raise UserError(
+            f"{target.name}: {len(checked.wrong)} chunks are not whole:"
+            f" {'; '.join(checked.wrong[:3])}; jaxact sweep ... --resume computes them again"
+        )
+    if not samples:
+        return
+    again = validation.recompute(target, samples, seed)
+    print(f"{again.loops:,} loops computed again: {again.words}")
+    if again.wrong:
+        raise UserError(
+            f"{target.name}: {again.wrong} of {again.loops} loops differ from what is computed now:"
+            f" {again.example}"
+        )

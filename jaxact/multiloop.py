@@ -1,0 +1,262 @@
+"""Frequency responses of a sampled loop with several joints, from its matrices over one period.
+
+    x' = M x + N d,     u = C x + d,     S(e^(jt)) = I + C (e^(jt) I - M)^-1 N,     t = w T
+
+One Schur decomposition M = Q U Q^H, then a triangular system at each frequency. Peaks and crossings
+are looked for on a grid that is made of the loop's own roots, and refined to rounding
+(Chandrupatla's methods, as `scipy.optimize.elementwise` has them).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from scipy.optimize import elementwise
+
+# Rows of a triangular system that are solved one by one before the rest is updated at once.
+_BLOCK = 16
+# Numbers that one call works on: bounds the memory of many frequencies at once.
+_ENTRIES = 2_000_000
+# Of the grid: points in a decade, their least relative distance, and places around a root in
+# half-widths of its resonance.
+_PER_DECADE = 24
+_APART = 1e-7
+_AROUND = (-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0)
+# Local maxima of a curve that are refined.
+_CANDIDATES = 4
+
+
+Matrices = tuple[np.ndarray, np.ndarray, np.ndarray]
+Family = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Multiloop:
+    """A closed loop over one control period, ready to be evaluated; n states, m joints.
+
+    roots: eigenvalues of M, shape (n,)
+    vectors: Q, scaled back to the states, shape (n, n)
+    triangular: U, shape (n, n)
+    inputs: Q^-1 N, shape (n, m)
+    outputs: C Q, shape (m, n)
+    opened: eigenvalues of M - N C, the loop without its controllers, shape (n,)
+    kept: places of the n states among those of M
+    period: T [s]
+    """
+
+    roots: np.ndarray
+    vectors: np.ndarray
+    triangular: np.ndarray
+    inputs: np.ndarray
+    outputs: np.ndarray
+    opened: np.ndarray
+    kept: np.ndarray
+    period: float
+
+
+def multiloop(M: np.ndarray, N: np.ndarray, C: np.ndarray, period: float) -> Multiloop:
+    """Decompose the matrices of a loop.
+
+    M, N, C: shape (n, n), (n, m), (m, n)
+    period: T [s]
+
+    States that nothing moves, or that move nothing, are left out: their roots are 0.
+    """
+    kept = joined((M, N, C))
+    M, N, C = reduced((M, N, C))
+    balanced, (scale, _) = scipy.linalg.matrix_balance(M, permute=False, separate=True)
+    triangular, vectors = scipy.linalg.schur(balanced, output="complex")
+    return Multiloop(
+        roots=np.diag(triangular).copy(),
+        vectors=scale[:, None] * vectors,
+        triangular=triangular,
+        inputs=vectors.conj().T @ (N / scale[:, None]),
+        outputs=(C * scale) @ vectors,
+        opened=scipy.linalg.eigvals(M - N @ C),
+        kept=kept,
+        period=period,
+    )
+
+
+def joined(matrices: Matrices) -> np.ndarray:
+    """Places of the states that something moves, and that move something."""
+    M, N, C = matrices
+    kept = np.arange(len(M))
+    while True:
+        inside = M[np.ix_(kept, kept)]
+        others = inside - np.diag(np.diag(inside))
+        moved = np.any(others, axis=1) | np.any(N[kept], axis=1) | (np.diag(inside) != 0.0)
+        moving = np.any(others, axis=0) | np.any(C[:, kept], axis=0) | (np.diag(inside) != 0.0)
+        if (moved & moving).all():
+            return kept
+        kept = kept[moved & moving]
+
+
+def reduced(matrices: Matrices) -> Matrices:
+    """M, N, C without the states that nothing moves, or that move nothing."""
+    M, N, C = matrices
+    kept = joined(matrices)
+    return M[np.ix_(kept, kept)], N[kept], C[:, kept]
+
+
+def _solved(loop: Multiloop, z: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(z I - U)^-1 at each z; right and result of shape (n, frequencies, k)."""
+    U = loop.triangular
+    states = np.array(right, complex)
+    shape = states.shape
+    for end in range(len(U), 0, -_BLOCK):
+        first = max(end - _BLOCK, 0)
+        for row in range(end - 1, first - 1, -1):
+            states[row] /= (z - U[row, row])[:, None]
+            for above in range(first, row):
+                if U[above, row] != 0.0:
+                    states[above] += U[above, row] * states[row]
+        if first:
+            block = states[first:end].reshape(end - first, -1)
+            states[:first] += (U[:first, first:end] @ block).reshape(first, *shape[1:])
+    return states
+
+
+def states(loop: Multiloop, angle: float, force: np.ndarray) -> np.ndarray:
+    """States x in response to forces d of one frequency; complex, shape (all states,) of M's kind.
+
+    angle: w T [rad]
+    force: complex, shape (m,)
+    """
+    z = np.array([np.exp(1j * angle)])
+    found = _solved(loop, z, (loop.inputs @ force)[:, None, None])[:, 0, 0]
+    return loop.vectors @ found
+
+
+def sensitivity(loop: Multiloop, angle: np.ndarray) -> np.ndarray:
+    """S at w T = `angle` [rad], shape (k,): complex, shape (k, m, m)."""
+    z = np.exp(1j * np.asarray(angle, float))
+    size, joints = loop.inputs.shape
+    chunk = max(1, _ENTRIES // (size * joints))
+    parts = []
+    for part in (z[first : first + chunk] for first in range(0, len(z), chunk)):
+        right = np.broadcast_to(loop.inputs[:, None], (size, len(part), joints))
+        solved = _solved(loop, part, right).reshape(size, -1)
+        back = (loop.outputs @ solved).reshape(joints, len(part), joints)
+        parts.append(np.eye(joints) + back.transpose(1, 0, 2))
+    return np.concatenate(parts) if parts else np.zeros((0, joints, joints), complex)
+
+
+def own_sensitivity(loop: Multiloop, angle: np.ndarray, joint: np.ndarray) -> np.ndarray:
+    """S_ii of joint `joint` at w T = `angle` [rad]; all of shape (k,)."""
+    z = np.exp(1j * np.asarray(angle, float))
+    solved = _solved(loop, z, loop.inputs[:, joint][..., None])[..., 0]
+    return 1.0 + np.einsum("kn,nk->k", loop.outputs[joint], solved)
+
+
+def grid(loop: Multiloop) -> np.ndarray:
+    """Angles w T [rad] from 0 to pi, both included, dense around every root of the loop."""
+    roots = np.concatenate([loop.roots, loop.opened])
+    # What is almost 0 decays within a period and has no frequency of its own.
+    rates = np.log(roots[np.abs(roots) > 1e-4])
+    corner, turning, width = np.abs(rates), np.abs(rates.imag), np.abs(rates.real)
+    around = turning[:, None] + width[:, None] * np.array(_AROUND)
+    slowest = min(1e-3, float(corner[corner > 0.0].min(initial=1e-3)))
+    lowest = max(0.03 * slowest, 1e-9)
+    decades = math.log10(math.pi / lowest)
+    spread = np.geomspace(lowest, math.pi, max(2, round(_PER_DECADE * decades)))
+    points = np.concatenate([around.ravel(), corner, turning, spread])
+    inside = np.unique(points[(points >= lowest) & (points < math.pi * (1.0 - _APART))])
+    # Neighbours that differ by rounding would make a maximum of every slope.
+    inside = inside[np.diff(inside, prepend=0.0) > _APART * inside]
+    return np.concatenate([[0.0], inside, [math.pi]])
+
+
+def peaks(angle: np.ndarray, values: np.ndarray, family: Family) -> tuple[np.ndarray, np.ndarray]:
+    """Largest values of several curves over frequency, refined.
+
+    angle: the grid [rad], rising, shape (k,)
+    values: of the curves on the grid, shape (k, c)
+    family: (angles (j,), numbers of curves (j,)) -> values (j,)
+
+    Returns the peaks and their angles [rad], shape (c,) each.
+    """
+    best = np.argmax(values, axis=0)
+    columns = np.arange(values.shape[1])
+    peak, where = values[best, columns], angle[best]
+    rows, which = _local_maxima(values)
+    if rows.size:
+        bracket = (angle[rows - 1], angle[rows], angle[rows + 1])
+        found = elementwise.find_minimum(
+            lambda t, number: -family(t, number.astype(int)), bracket, args=(which,)
+        )
+        refined = np.where(found.success, -found.f_x, -np.inf)
+        for curve, value, at in zip(which, refined, found.x, strict=True):
+            if value > peak[curve]:
+                peak[curve], where[curve] = value, at
+    return peak, where
+
+
+def _local_maxima(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the largest inner local maxima of each column."""
+    inner = values[1:-1]
+    top = (inner >= values[:-2]) & (inner >= values[2:])
+    rows, columns = [], []
+    for column in range(values.shape[1]):
+        places = 1 + np.flatnonzero(top[:, column])
+        order = np.argsort(-values[places, column])[:_CANDIDATES]
+        rows.append(places[order])
+        columns.append(np.full(len(order), column))
+    return np.concatenate(rows), np.concatenate(columns)
+
+
+def zeros(angle: np.ndarray, values: np.ndarray, family: Family) -> tuple[np.ndarray, np.ndarray]:
+    """Where several real curves pass zero strictly inside the grid.
+
+    angle, values, family: as for `peaks`
+
+    Returns angles [rad] and numbers of the curves, shape (number of zeros,) each.
+    """
+    rows, which = np.nonzero(values[:-1] * values[1:] < 0.0)
+    if not rows.size:
+        return np.zeros(0), np.zeros(0, int)
+    found = elementwise.find_root(
+        lambda t, number: family(t, number.astype(int)),
+        (angle[rows], angle[rows + 1]),
+        args=(which,),
+    )
+    at = np.where(found.success, found.x, 0.5 * (angle[rows] + angle[rows + 1]))
+    return at, which
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Sensitivities over frequency.
+
+    frequency: w [rad/s], rising, up to pi/T, shape (k,)
+    sensitivity, complementary: largest singular value of S and of T [-], shape (k,) each
+    own_sensitivity, own_complementary: |S_ii| and |1 - S_ii| [-], shape (k, m) each
+    names: of the m joints
+    """
+
+    frequency: np.ndarray
+    sensitivity: np.ndarray
+    complementary: np.ndarray
+    own_sensitivity: np.ndarray
+    own_complementary: np.ndarray
+    names: tuple[str, ...]
+
+
+def curves(loop: Multiloop, names: tuple[str, ...]) -> Curves:
+    """Sensitivities on the loop's grid."""
+    angle = grid(loop)[1:]
+    S = sensitivity(loop, angle)
+    T = np.eye(len(names)) - S
+    own = np.diagonal(S, axis1=1, axis2=2)
+    return Curves(
+        frequency=angle / loop.period,
+        sensitivity=np.linalg.svd(S, compute_uv=False)[:, 0],
+        complementary=np.linalg.svd(T, compute_uv=False)[:, 0],
+        own_sensitivity=np.abs(own),
+        own_complementary=np.abs(1.0 - own),
+        names=names,
+    )

@@ -1,0 +1,99 @@
+"""Models whose mesh or texture files are not there: what is only looked at can be left out."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+
+import mujoco
+
+from jaxact.plants.findings import HARMLESS, Finding, named
+
+_MISSING = re.compile(r"opening file '([^']+)'")
+
+
+def compile_model(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, list[Finding]]:
+    """Compile a specification without the missing files of what is only looked at.
+
+    A geom is only looked at if it touches nothing and its body's inertia is given or does not
+    come from it.
+
+    spec: geoms, meshes and textures that are left out are removed from it
+
+    Returns the model, and what is to be said: of files left out, and of MuJoCo's own warnings.
+    Raises ValueError with the reason where MuJoCo refuses the model.
+    """
+    gone: list[str] = []
+    while True:
+        try:
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                model = spec.compile()
+            break
+        except ValueError as error:
+            missing = _MISSING.search(str(error))
+            if missing is None or not _leave_out(spec, Path(missing[1]).name):
+                raise
+            gone.append(Path(missing[1]).name)
+    said = {" ".join(str(warning.message).split()) for warning in caught}
+    found = [
+        Finding(
+            "model", "warning", text, "is not concerned", HARMLESS, "a remark of MuJoCo's compiler"
+        )
+        for text in sorted(said)
+    ]
+    if gone:
+        value = gone[0] if len(gone) == 1 else f"{gone[0]} and {len(gone) - 1} more"
+        found.append(
+            Finding(
+                "model",
+                "missing files",
+                value,
+                "cannot load the model",
+                HARMLESS,
+                "only looked at: geoms that touch nothing and give no inertia, and textures; they "
+                "are left out",
+            )  # fmt: skip
+        )
+    return model, found
+
+
+def _leave_out(spec: mujoco.MjSpec, file: str) -> bool:
+    """Remove what comes from this file; False if nothing does.
+
+    Raises ValueError if the motion depends on it.
+    """
+    meshes = [mesh for mesh in spec.meshes if Path(mesh.file).name == file]
+    names = {mesh.name for mesh in meshes}
+    geoms = [geom for geom in spec.geoms if geom.meshname in names] if meshes else []
+    for geom in geoms:
+        if not _only_looked_at(spec, geom):
+            body = named("body", geom.parent.name, geom.parent.id)
+            raise ValueError(
+                f"the mesh file {file} is missing, and {body} needs it for its contacts or its "
+                "inertia"
+            )
+    textures = [
+        texture
+        for texture in spec.textures
+        if file in {Path(name).name for name in (texture.file, *texture.cubefiles)}
+    ]
+    lost = {texture.name for texture in textures}
+    for material in spec.materials if textures else ():
+        material.textures = ["" if name in lost else name for name in material.textures]
+    for item in (*geoms, *meshes, *textures):
+        spec.delete(item)
+    return bool(meshes or textures)
+
+
+def _only_looked_at(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
+    touches = geom.contype or geom.conaffinity
+    touches = touches or any(geom.name in (pair.geomname1, pair.geomname2) for pair in spec.pairs)
+    from_geoms = spec.compiler.inertiafromgeom
+    given = (
+        geom.parent.explicitinertial
+        and from_geoms != mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    )
+    weightless = geom.mass == 0.0 or (geom.mass != geom.mass and geom.density == 0.0)
+    return not touches and bool(given or weightless or geom.parent.name == "world")

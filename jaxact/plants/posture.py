@@ -1,0 +1,154 @@
+"""Where a robot starts: a posture at rest, and the joint forces that carry it there.
+
+A posture is settled in C MuJoCo: stiff, well damped joints hold the keyframe until the robot has
+come to rest on its contacts. What the joints then exert is the feedforward; with it, the settled
+posture is an equilibrium of the closed loop whatever its gains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from jaxact.errors import UserError
+from jaxact.plants.model import Robot
+from jaxact.plants.silence import silenced
+
+_LONGEST = 20.0  # [s] to come to rest
+_AT_REST = 1e-6  # [1/s^2, relative to gravity] of the largest acceleration that counts as rest
+# Natural frequency of the joints that hold the keyframe [rad/s], and its product with the physics
+# step at most. The stiffer they are, the sooner the creep of MuJoCo's friction has ended.
+_RATE, _MOST = 200.0, 0.25
+
+
+@dataclass(frozen=True)
+class Posture:
+    """A state to start from.
+
+    Attributes:
+        qpos, qvel, act: as MuJoCo orders them.
+        ctrl: of the actuators, zero for the driven ones.
+        force: that the driven joints exert [N or N m], shape (joints,).
+        residual: largest acceleration that is left under this force [rad/s^2 or m/s^2]; 0 for an
+            equilibrium.
+        settled: whether the robot was brought to rest.
+    """
+
+    qpos: np.ndarray
+    qvel: np.ndarray
+    act: np.ndarray
+    ctrl: np.ndarray
+    force: np.ndarray
+    residual: float
+    settled: bool
+
+    def joints(self, robot: Robot) -> np.ndarray:
+        """Positions of the driven joints [m or rad], shape (joints,)."""
+        return self.qpos[[joint.qpos for joint in robot.joints]]
+
+
+def _data(robot: Robot) -> mujoco.MjData:
+    data = mujoco.MjData(robot.model)
+    data.qpos, data.qvel, data.ctrl = robot.qpos, robot.qvel, robot.ctrl
+    if robot.model.na:
+        data.act = robot.act
+    return data
+
+
+def _places(robot: Robot) -> tuple[list[int], list[int], list[int]]:
+    """Indices of the driven joints: positions, degrees of freedom, actuators."""
+    rows = [(joint.qpos, joint.dof, joint.index) for joint in robot.joints]
+    qpos, dofs, actuators = (list(column) for column in zip(*rows, strict=True))
+    return qpos, dofs, actuators
+
+
+def _posture(robot: Robot, data: mujoco.MjData, force: np.ndarray, *, settled: bool) -> Posture:
+    """The posture of this state, with what is left of the accelerations under `force`."""
+    _, _, actuators = _places(robot)
+    data.ctrl[actuators] = force
+    mujoco.mj_forward(robot.model, data)
+    ctrl = data.ctrl.copy()
+    ctrl[actuators] = 0.0
+    return Posture(
+        qpos=data.qpos.copy(),
+        qvel=data.qvel.copy(),
+        act=data.act.copy(),
+        ctrl=ctrl,
+        force=force.copy(),
+        residual=float(np.max(np.abs(data.qacc), initial=0.0)),
+        settled=settled,
+    )
+
+
+def given(robot: Robot) -> Posture:
+    """The keyframe as it is, with the joint forces that inverse dynamics asks for.
+
+    Forces on the unactuated degrees of freedom cannot be given; what is missing there is the
+    residual.
+    """
+    data = _data(robot)
+    _, dofs, _ = _places(robot)
+    data.qacc[:] = 0.0
+    mujoco.mj_forward(robot.model, data)
+    passive = data.qfrc_actuator.copy()
+    data.qacc[:] = 0.0
+    mujoco.mj_inverse(robot.model, data)
+    return _posture(robot, data, (data.qfrc_inverse - passive)[dofs], settled=False)
+
+
+def settled(robot: Robot) -> Posture:
+    """The keyframe brought to rest on its contacts, and the joint forces that hold it there.
+
+    A keyframe that is at rest already stays as it is: on its way through a sag it might topple.
+
+    Raises:
+        UserError: the robot does not come to rest: it falls, or slides.
+    """
+    data = _data(robot)
+    model = robot.model
+    gravity = max(float(np.linalg.norm(model.opt.gravity)), 1.0)
+    there = given(robot)
+    if not np.any(robot.qvel) and there.residual < _AT_REST * gravity:
+        return replace(there, settled=True)
+    qpos, dofs, actuators = _places(robot)
+    data.qvel[:] = 0.0
+    mujoco.mj_forward(model, data)
+    inertia, coupling = _inertia(model, data, dofs)
+    rate = min(_RATE, _MOST / (model.opt.timestep * coupling))
+    stiffness, damping = inertia * rate**2, 2.0 * inertia * rate
+    held = data.qpos[qpos].copy()
+    for _ in range(round(_LONGEST / model.opt.timestep)):
+        holding = stiffness * (held - data.qpos[qpos]) - damping * data.qvel[dofs]
+        data.ctrl[actuators] = holding
+        with silenced():
+            mujoco.mj_step(model, data)
+        motion = np.abs(np.concatenate([data.qvel, data.qacc]))
+        if not np.isfinite(motion).all() or np.max(motion, initial=0.0) < _AT_REST * gravity:
+            break
+    force = stiffness * (held - data.qpos[qpos])
+    data.qvel[:] = 0.0
+    found = _posture(robot, data, force, settled=True)
+    if not np.isfinite(found.residual) or found.residual > 1e-2 * gravity:
+        raise UserError(
+            f"{robot.path.name}: the posture does not come to rest within {_LONGEST:g} s (residual "
+            f"acceleration {found.residual:.3g}); give a keyframe that stands by itself, or "
+            'posture = "keyframe" to start from it as it is'
+        )
+    return found
+
+
+def _inertia(
+    model: mujoco.MjModel, data: mujoco.MjData, dofs: list[int]
+) -> tuple[np.ndarray, float]:
+    """What each driven joint feels when the others are held [kg or kg m^2], shape (joints,).
+
+    And how many times faster the fastest joint answers to damping in proportion to it when all are
+    free, because they move each other.
+    """
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    inertia = np.diag(full)[dofs].copy()
+    answers = np.linalg.inv(full)[np.ix_(dofs, dofs)] * inertia
+    return inertia, max(1.0, float(np.max(np.abs(np.linalg.eigvals(answers)))))

@@ -1,0 +1,111 @@
+"""Changes of a MuJoCo model that differ from sample to sample: payload, inertia, damping, friction.
+
+Only fields that vary are replaced, so that a batch shares all others. What MuJoCo derives from a
+model when it is compiled (the inverse inertias that set the stiffness of constraints) stays as it
+is, in both engines alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+NEUTRAL = {
+    "payload": 0.0,
+    "inertia_scale": 1.0,
+    "joint_damping": 0.0,
+    "joint_armature": 0.0,
+    "joint_friction": 0.0,
+    "contact_friction": 1.0,
+}
+"""The value of each change that changes nothing."""
+
+
+@dataclass(frozen=True)
+class Variation:
+    """Changes of a model; None for what is as in the model.
+
+    Attributes:
+        payload: mass added at the centre of the payload's body [kg], shape ().
+        inertia_scale: factor on mass and inertia of every body that a driven joint moves directly;
+            shape () or (joints,).
+        joint_damping: added to the driven joints' viscous damping [N s/m or N m s/rad].
+        joint_armature: added to the driven joints' armature [kg or kg m^2].
+        joint_friction: added to the driven joints' dry friction [N or N m].
+        contact_friction: factor on the friction coefficients of all geoms, shape ().
+    """
+
+    payload: jax.Array | float | None = None
+    inertia_scale: jax.Array | float | None = None
+    joint_damping: jax.Array | float | None = None
+    joint_armature: jax.Array | float | None = None
+    joint_friction: jax.Array | float | None = None
+    contact_friction: jax.Array | float | None = None
+
+
+jax.tree_util.register_dataclass(
+    Variation, data_fields=[item.name for item in fields(Variation)], meta_fields=[]
+)
+
+
+def changed(
+    model: Any,
+    variation: Variation,
+    *,
+    dofs: tuple[int, ...],
+    bodies: tuple[int, ...],
+    payload_body: int,
+) -> dict[str, jax.Array]:
+    """The fields of a model that a variation replaces.
+
+    Args:
+        model: MuJoCo's or MJX's; only its fields are read.
+        variation: leaves may be traced.
+        dofs, bodies: of the driven joints; static.
+        payload_body: the body that carries the payload; static.
+
+    Returns:
+        New values by the name of the field.
+    """
+    at, moved = np.array(dofs), np.array(bodies)
+    new: dict[str, Any] = {}
+    if variation.payload is not None or variation.inertia_scale is not None:
+        mass = jnp.asarray(model.body_mass)
+        inertia = jnp.asarray(model.body_inertia)
+        before = mass
+        if variation.inertia_scale is not None:
+            scale = jnp.broadcast_to(jnp.asarray(variation.inertia_scale), moved.shape)
+            factors = jnp.ones_like(mass).at[moved].set(scale)
+            mass, inertia = mass * factors, inertia * factors[:, None]
+        if variation.payload is not None:
+            mass = mass.at[payload_body].add(variation.payload)
+        new["body_mass"], new["body_inertia"] = mass, inertia
+        above = jnp.asarray(_ancestors(np.asarray(model.body_parentid)), mass.dtype)
+        new["body_subtreemass"] = model.body_subtreemass + above @ (mass - before)
+    for name, field in (
+        ("joint_damping", "dof_damping"),
+        ("joint_armature", "dof_armature"),
+        ("joint_friction", "dof_frictionloss"),
+    ):
+        added = getattr(variation, name)
+        if added is not None:
+            new[field] = jnp.asarray(getattr(model, field)).at[at].add(added)
+    if variation.contact_friction is not None:
+        new["geom_friction"] = jnp.asarray(model.geom_friction) * variation.contact_friction
+    return new
+
+
+def _ancestors(parents: np.ndarray) -> np.ndarray:
+    """1 where a body carries another one or is it itself, shape (bodies, bodies)."""
+    carries = np.zeros((parents.size, parents.size))
+    for body in range(parents.size):
+        above = body
+        carries[above, body] = 1.0
+        while above:
+            above = int(parents[above])
+            carries[above, body] = 1.0
+    return carries

@@ -1,0 +1,134 @@
+"""A sweep from its specification to a finished store: lock, resume, compute, complete."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from jaxact.errors import UserError
+from jaxact.sweep import adaptive, fill, lock, planning, progress
+from jaxact.sweep import store as _store
+from jaxact.sweep.fill import Workers
+from jaxact.sweep.place import Folder, Place
+from jaxact.sweep.planning import Planned
+from jaxact.sweep.progress import Store
+from jaxact.sweep.samples import Samples, expand
+from jaxact.sweep.specification import Specification
+from jaxact.sweep.summary import summary
+
+Planner = Callable[[Specification, Samples], Planned]
+
+
+@dataclass(frozen=True)
+class How:
+    """How a sweep is run; nothing of it changes the results of a grid.
+
+    resume: continue what is in the folder
+    overwrite: replace it
+    width: relative width to which the stability boundary is refined; None: the whole grid
+    planner: plans on the machine that computes
+    workers: compute
+    moved: called with the number of loops done and in all
+    """
+
+    resume: bool = False
+    overwrite: bool = False
+    width: float | None = None
+    planner: Planner = planning.plan
+    workers: Workers = fill.here
+    moved: Callable[[int, int], None] = lambda done, total: None
+
+
+def sweep(specification: Specification, folder: Place, how: How) -> Store:
+    """Run a sweep to its end.
+
+    specification: checked
+    folder: of the results, made if it is not there; the store is `sweep.zarr` in it
+    how: to run it
+
+    Whatever ends it early, the chunks that are done stay; before the first one is, nothing is
+    touched, and an old store that is to be replaced stays.
+
+    Raises UserError if the folder holds another sweep, another process fills it, or it cannot be
+    written; and as `jaxact.sweep.planning.plan`.
+    """
+    target = folder.inside(_store.STORE)
+    try:
+        fill.refuse_existing(target, resume=how.resume, overwrite=how.overwrite)
+    except OSError as error:
+        raise UserError(_store.unwritable(target.name, error)) from error
+    with _locked(folder):
+        fill.refuse_existing(target, resume=how.resume, overwrite=how.overwrite)
+        samples = expand(specification)
+        try:
+            if how.width is None:
+                store = _grid(target, specification, samples, how)
+            else:
+                store = adaptive.refine(folder, specification, samples, how.width, how)
+            complete(store)
+        except OSError as error:
+            raise UserError(_full(target, error)) from error
+    return store
+
+
+def _grid(target: Place, specification: Specification, samples: Samples, how: How) -> Store:
+    planned = how.planner(specification, samples)
+    return fill.fill(
+        target, specification, samples, planned,
+        workers=how.workers, resume=how.resume, moved=how.moved,
+    )  # fmt: skip
+
+
+def complete(store: Store) -> None:
+    """Put the mark of completion and the summary on a store whose chunks are all done."""
+    root = _store.attributes_of(store.place) or {}
+    if not root.get("complete"):
+        store.finish({"complete": True, "summary": summary(_store.opened(store.place))})
+    store.place.clean()
+
+
+@contextlib.contextmanager
+def _locked(folder: Place) -> Iterator[None]:
+    """Hold the folder; one that was made for it and stays empty is removed again."""
+    made = [] if not isinstance(folder, Folder) else _missing(folder)
+    try:
+        try:
+            if isinstance(folder, Folder):
+                folder.path.mkdir(parents=True, exist_ok=True)
+            held = contextlib.ExitStack()
+            held.enter_context(lock.held(folder))
+        except OSError as error:
+            raise UserError(_full(folder.inside(_store.STORE), error)) from error
+        with held:
+            yield
+    finally:
+        for path in made:
+            with contextlib.suppress(OSError):
+                path.rmdir()
+
+
+def _missing(folder: Folder) -> list[Path]:
+    """The folder and its parents that are not there, innermost first."""
+    return [path for path in (folder.path, *folder.path.parents) if not _there(path)]
+
+
+def _there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
+def _full(target: Place, error: OSError) -> str:
+    """What to say when the store could not be written any more."""
+    reason = error.strerror or error
+    store = progress.existing(target)
+    if store is None:
+        return _store.unwritable(target.name, error)
+    done = len(progress.times(target.entries()))
+    return (
+        f"{target.name}: cannot be written ({reason}); {done} of {len(store.layout)} chunks are"
+        " kept: make room, then continue with --resume"
+    )

@@ -1,0 +1,260 @@
+"""Filling a store: what is missing is computed chunk by chunk, and written beside the next one."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxact.errors import UserError
+from jaxact.sweep import place as _place
+from jaxact.sweep import planning, progress
+from jaxact.sweep import store as _store
+from jaxact.sweep.place import Place
+from jaxact.sweep.planning import Planned
+from jaxact.sweep.progress import State, Store
+from jaxact.sweep.samples import Samples
+from jaxact.sweep.specification import Specification
+
+if TYPE_CHECKING:
+    from jaxact.sweep.execute import Plan
+
+# Chunks that are computed and not yet written, at most.
+_WAITING = 1
+
+
+@dataclass(frozen=True)
+class Work:
+    """All that is needed to compute any chunk of a store, here or on another machine.
+
+    specification: checked; its tile is that of the store
+    samples: all loops
+    outline: loops that span all values of theirs, from which the kernel's static options follow
+    together: loops that are computed together
+    store: where the results go
+    """
+
+    specification: Specification
+    samples: Samples
+    outline: Samples
+    together: int
+    store: Store
+
+
+# Computes chunks by their numbers and says, for each that is in the store, which it was.
+Workers = Callable[[Work, list[int], Callable[[], None]], Iterator[int]]
+
+
+def fill(
+    target: Place,
+    specification: Specification,
+    samples: Samples,
+    planned: Planned,
+    *,
+    workers: Workers,
+    outline: Samples | None = None,
+    resume: bool = False,
+    more: dict[str, object] | None = None,
+    moved: Callable[[int, int], None] = lambda done, total: None,
+) -> Store:
+    """Make a store complete; what is in it already, whole, stays when it is resumed.
+
+    target: where the store is, or will be once its first chunk is computed
+    specification: checked
+    samples: expanded from it
+    planned: how it is computed
+    workers: who computes
+    outline: loops that span all values of the samples; None: the samples themselves
+    resume: continue what is there; otherwise it is replaced
+    more: further parts of the identity
+    moved: called with the number of loops done and in all
+
+    Raises UserError if what is there belongs to another specification, OSError if the store cannot
+    be written.
+    """
+    old = progress.existing(target) if resume else None
+    layout = planned.layout(samples)
+    wanted = planning.identity(specification, planned, layout, **(more or {}))
+    attributes = _store.provenance(specification, planned.device)
+    if old is not None:
+        wanted = same(target, specification, wanted)
+        layout = old.layout
+        attributes = _kept(target) or attributes
+    tile = int(str(wanted["tile"]))
+    specification = dataclasses.replace(specification, tile=tile)
+    store = Store(target, layout, specification.precision, tile)
+    description = _store.skeleton(
+        specification, samples, layout, _store.as_json(wanted), attributes | {"complete": False}
+    )
+    numbers = list(range(len(layout)))
+    if old is not None:
+        target.clean()
+        numbers = [n for n in numbers if store.look(n).state is not State.DONE]
+        if numbers or not _whole(target, description):
+            progress.repair(target, description)
+    done = len(samples) - sum(layout.span(n)[1] for n in numbers)
+    moved(done, len(samples))
+
+    def begin() -> None:
+        """Make the store, in place of an old one, as soon as there is something to put in it."""
+        if old is None:
+            target.remove()
+            progress.repair(target, description)
+
+    together = layout.loops if outline is None else planned.loops
+    work = Work(specification, samples, outline or samples, together, store)
+    for number in workers(work, numbers, begin):
+        done += layout.span(number)[1]
+        moved(done, len(samples))
+    return store
+
+
+def same(
+    target: Place, specification: Specification, wanted: dict[str, object]
+) -> dict[str, object]:
+    """The identity of the store that is continued; raises UserError if it is another sweep's."""
+    there = _store.identity_of(target) or {}
+    taken = {key: there[key] for key in planning.TAKEN_OVER if key in there}
+    compared = {key: value for key, value in wanted.items() if key not in planning.TAKEN_OVER}
+    if specification.tile is not None:
+        compared["tile"] = wanted["tile"]
+    progress.demand_equal(
+        {key: value for key, value in there.items() if key in compared or key not in taken},
+        compared,
+        target.name,
+    )
+    return wanted | taken
+
+
+def _kept(target: Place) -> dict[str, Any] | None:
+    """What a store says of its beginning; None where that is lost."""
+    found = _store.attributes_of(target)
+    if found is None:
+        return None
+    ours = ("complete", "summary", "coordinates", _store.IDENTITY)
+    return {key: value for key, value in found.items() if key not in ours}
+
+
+def _whole(target: Place, description: dict[str, bytes]) -> bool:
+    """Whether a finished store has all of its description."""
+    root = _store.attributes_of(target) or {}
+    return bool(root.get("complete")) and all(
+        target.read(key) == content for key, content in description.items() if key != _store.ROOT
+    )
+
+
+def here(
+    work: Work,
+    numbers: Iterable[int],
+    begin: Callable[[], None],
+    *,
+    keep: Callable[[Plan, Specification, float], None] = lambda plan, asked, rate: None,
+) -> Iterator[int]:
+    """Compute chunks on the devices of this process; one is written while the next is computed.
+
+    work, numbers, begin: see `Workers`
+    keep: told the plan and its rate [physics steps per second on one device] in the end
+    """
+    compute = Computer(work)
+    begun, spent, loops = False, 0.0, 0
+    waiting: deque[tuple[int, Future[None]]] = deque()
+    with ThreadPoolExecutor(1) as writer:
+        for number in numbers:
+            started = time.perf_counter()
+            results, tile = compute(number)
+            # the first chunk is compiled for
+            spent += (time.perf_counter() - started) * begun
+            loops += work.store.layout.span(number)[1] * begun
+            if not begun:
+                begin()
+                begun = True
+            waiting.append((number, writer.submit(work.store.write, number, results, tile)))
+            while len(waiting) > _WAITING:
+                yield _written(*waiting.popleft())
+        while waiting:
+            yield _written(*waiting.popleft())
+    if spent > 0.0:
+        plan, asked = compute.plan
+        keep(plan, asked, loops * plan.steps / (spent * plan.devices))
+
+
+def _written(number: int, future: Future[None]) -> int:
+    future.result()
+    return number
+
+
+class Computer:
+    """Computes chunks; once a device runs out of memory, in tiles of half the size."""
+
+    def __init__(self, work: Work) -> None:
+        self._work = work
+        self._plan(work.store.tile)
+
+    def _plan(self, tile: int) -> None:
+        from jaxact.sweep import execute
+
+        self._tile = tile
+        self._specification = dataclasses.replace(self._work.specification, tile=tile)
+        self._groups = execute.plans(
+            self._specification, self._work.outline, together=self._work.together
+        )
+
+    @property
+    def plan(self) -> tuple[Plan, Specification]:
+        """The plan of the largest group of samples, and the specification with its tile."""
+        return max(self._groups, key=lambda group: group.batch), self._specification
+
+    def __call__(self, number: int) -> tuple[dict[str, np.ndarray], int]:
+        """The results of a chunk by variable, and the tile they were computed with."""
+        from jaxact.sweep import execute
+
+        numbers = self._work.store.layout.numbers(number)
+        while True:
+            try:
+                rows = execute.compute(
+                    self._groups, self._specification, self._work.samples, numbers
+                )
+                return rows, self._tile
+            except (RuntimeError, MemoryError) as error:
+                if not _out_of_memory(error):
+                    raise
+                if self._tile == 1:
+                    raise UserError(
+                        "a device has too little memory for a single loop; shorten the delays or"
+                        " the duration, or use another device"
+                    ) from error
+            self._plan(self._tile // 2)
+
+
+def _out_of_memory(error: Exception) -> bool:
+    words = str(error)
+    return isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in words
+
+
+def refuse_existing(target: Place, *, resume: bool, overwrite: bool) -> None:
+    """Raise UserError unless a store may be begun, continued or replaced there."""
+    name = target.name
+    if isinstance(target, _place.Folder):
+        path = target.path
+        foreign = path.is_symlink() or (path.exists() and not path.is_dir())
+    else:
+        foreign = False
+    if not foreign and not _store.is_ours(target):
+        foreign = bool(target.entries())
+        if not foreign:
+            return
+    if foreign:
+        raise UserError(
+            f"{name}: exists and is no result of a sweep, so it stays; give another --out"
+        )
+    if not resume and not overwrite:
+        raise UserError(
+            f"{name}: exists; continue it with --resume, replace it with --overwrite, or give"
+            " another --out"
+        )

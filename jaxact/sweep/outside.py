@@ -1,0 +1,258 @@
+"""Samples of a robot whose physics runs in C MuJoCo: one batch of a sweep.
+
+The counterpart of `jaxact.sweep.kernel` for the engine "mujoco"; parameters, drive and metrics are
+the same code.
+"""
+
+from __future__ import annotations
+
+import copy
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from jaxact import batch_rollout, linearize
+from jaxact import drive as _drive
+from jaxact.batch_rollout import BatchState
+from jaxact.controller import Setpoint
+from jaxact.drive import Coefficients
+from jaxact.metrics import Metrics
+from jaxact.plants import variation
+from jaxact.plants.mujoco import Impulse, Simulations
+from jaxact.plants.variation import Variation
+from jaxact.rollout import Trajectory
+from jaxact.sweep import kernel, robots
+from jaxact.sweep.kernel import Case
+from jaxact.sweep.robots import Scene
+from jaxact.sweep.specification import Setting
+from jaxact.sweep.template import Template
+
+Observer = Callable[[int, Setpoint, BatchState, jax.Array], None]
+
+
+@functools.lru_cache(maxsize=4)
+def template(case: Case, setting: Setting) -> Template:
+    """What the samples share; it holds no JAX arrays, so any precision may use it."""
+    return kernel.template_of(case, setting, "metrics")
+
+
+def moved(case: Case, setting: Setting, values: Mapping[str, np.ndarray]) -> tuple[Any, Any] | None:
+    """A and B of the linear plant of every sample, where the model varies.
+
+    Args:
+        case, setting: static.
+        values: of the samples, shape (n,) each.
+
+    Returns:
+        Shapes (n, kept, kept) and (n, kept, joints), in the nominal plant's coordinates; None where
+        all samples have the nominal model.
+    """
+    if not case.varied:
+        return None
+    scene = template(case, setting).scene
+    assert scene is not None
+    rows = np.stack([_at_joints(case, setting, values, name) for name in case.varied], axis=1)
+    distinct, places = np.unique(rows.reshape(len(rows), -1), axis=0, return_inverse=True)
+    basis = linearize.linear_c(scene.robot, scene.posture, case.step).basis
+    found = []
+    for row in distinct.reshape(-1, *rows.shape[1:]):
+        model = _changed(case, scene, row)
+        A, B, _ = linearize.linearise_c(scene.robot, scene.posture, case.step, model)
+        found.append((basis.T @ A @ basis, basis.T @ B))
+    which = places.reshape(-1)
+    return np.stack([a for a, _ in found])[which], np.stack([b for _, b in found])[which]
+
+
+def _at_joints(case: Case, setting: Setting, values: Mapping[str, np.ndarray], name: str):
+    """A change of the model for every sample and joint, shape (n, joints)."""
+    made = template(case, setting)
+    keys = [key for key in values if key.partition("@")[0] == name]
+    joints = len(made.scene.labels) if made.scene is not None else 1
+    found = np.repeat(np.asarray(values[name], float)[:, None], joints, axis=1)
+    for key in keys:
+        if key != name:
+            mine = np.asarray(values[key], float)[:, None]
+            found = np.where(made.masks[key] & ~np.isnan(mine), mine, found)
+    return found
+
+
+def _changed(case: Case, scene: Scene, row: np.ndarray) -> Any:
+    """A copy of the robot's model with the changes of one sample, shape (varied, joints)."""
+    model = copy.copy(scene.robot.model)
+    for field, value in _fields(case, scene, row).items():
+        getattr(model, field)[:] = value
+    return model
+
+
+def _fields(case: Case, scene: Scene, row: np.ndarray) -> dict[str, np.ndarray]:
+    """The model's fields that a sample's changes replace."""
+    given = {
+        name: values[0] if name in ("payload", "contact_friction") else values
+        for name, values in zip(case.varied, row, strict=True)
+    }
+    joints = scene.robot.joints
+    with jax.enable_x64(True):
+        fields = variation.changed(
+            scene.robot.model,
+            Variation(**given),
+            dofs=tuple(joint.dof for joint in joints),
+            bodies=tuple(joint.body for joint in joints),
+            payload_body=scene.payload_body,
+        )
+    arrays = {name: np.asarray(value) for name, value in fields.items()}
+    return arrays | {"dof_M0": _own_inertia(scene, arrays)}
+
+
+def _own_inertia(scene: Scene, fields: Mapping[str, np.ndarray]) -> np.ndarray:
+    """What C MuJoCo keeps of the inertia of bodies without children, instead of computing it."""
+    model = copy.copy(scene.robot.model)
+    for name, value in fields.items():
+        getattr(model, name)[:] = value
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model.dof_M0.copy()
+
+
+def metrics(
+    case: Case,
+    setting: Setting,
+    values: Mapping[str, np.ndarray],
+    growth_rate: np.ndarray,
+    seed: int,
+    numbers: np.ndarray,
+    *,
+    watch: Callable[[Simulations, Coefficients], Observer] | None = None,
+) -> Metrics:
+    """Metrics of a batch of samples; see `jaxact.sweep.kernel.metrics`, which does one.
+
+    Args:
+        case, setting: static.
+        values: of the samples, shape (n,) each.
+        growth_rate: [1/s], shape (n,).
+        seed: of the sweep.
+        numbers: of the samples, shape (n,).
+        watch: makes the observer that `jaxact.batch_rollout.evaluate` calls at every physics step.
+    """
+    made = template(case, setting)
+    scene = made.scene
+    assert scene is not None
+    dtype = jnp.result_type(float)
+    arrays = {name: jnp.asarray(value, dtype) for name, value in values.items()}
+    prepared = _prepare(case, setting)(arrays, seed, jnp.asarray(numbers, jnp.uint32))
+    fields = {}
+    if case.varied:
+        rows = np.stack([_at_joints(case, setting, values, name) for name in case.varied], axis=1)
+        each = [_fields(case, scene, row) for row in rows]
+        fields = {name: np.stack([one[name] for one in each]) for name in each[0]}
+    simulations = Simulations(
+        scene.robot,
+        scene.posture,
+        case.step,
+        len(numbers),
+        fields=fields,
+        impulse=_impulse(setting, scene),
+    )
+    coefficients, state, start, setpoint, setpoints, keys, active = prepared
+    result = batch_rollout.evaluate(
+        simulations,
+        coefficients,
+        case.drive,
+        case.rollout.ticks,
+        state,
+        (np.asarray(start[0], float), np.asarray(start[1], float)),
+        setpoint,
+        jnp.asarray(growth_rate, dtype),
+        keys,
+        active_ticks=active,
+        masked=case.masked,
+        rest_amplitude=arrays["rest_amplitude"],
+        setpoints=setpoints,
+        observe=None if watch is None else watch(simulations, coefficients),
+    )
+    return jax.tree.map(lambda leaf: jnp.nanmax(leaf, axis=1) if leaf.ndim > 1 else leaf, result)
+
+
+def _impulse(setting: Setting, scene: Scene) -> Impulse | None:
+    push = setting.push
+    if push is None:
+        return None
+    number = robots.body(scene.robot, push.body, "push.body")
+    force = np.array(push.impulse) / push.duration
+    return Impulse(number, force, push.time, push.duration)
+
+
+@functools.lru_cache(maxsize=8)
+def _prepare(case: Case, setting: Setting) -> Any:
+    """The compiled function that makes everything a batch starts from out of its parameters."""
+    made = template(case, setting)
+
+    def one(values: Mapping[str, jax.Array], seed: jax.Array, number: jax.Array):
+        resolved = kernel.resolved(made, values)
+        drive = kernel.drive_of(resolved)
+        rest = jnp.asarray(made.position, values["kp"].dtype)
+        force = jnp.asarray(made.force, rest.dtype)
+        coefficients = _drive.prepare(drive, case.drive, rest.shape)
+        position = rest + resolved["initial_position"]
+        velocity = jnp.broadcast_to(resolved["initial_velocity"], rest.shape)
+        state = _drive.init(coefficients, case.drive, position, velocity, command=force)
+        zero = jnp.zeros_like(rest)
+        setpoint = Setpoint(rest + resolved["setpoint"], zero, force)
+        active = jnp.ceil(case.duration * values["control_rate"] - 1e-4)
+        return (
+            coefficients,
+            state,
+            (position, velocity),
+            setpoint,
+            kernel.setpoints(made, values, case.rollout.ticks),
+            jax.random.fold_in(jax.random.key(seed), number),
+            active,
+        )
+
+    return jax.jit(jax.vmap(one, in_axes=(0, None, 0)))
+
+
+def trajectories(
+    case: Case,
+    setting: Setting,
+    values: Mapping[str, np.ndarray],
+    seed: int,
+    numbers: np.ndarray,
+) -> Trajectory:
+    """Every physics step of a few samples; see `jaxact.rollout.follow`.
+
+    Args:
+        case, setting, values, seed, numbers: as for `metrics`.
+
+    Returns:
+        NumPy arrays with a leading axis for the loops, the configuration at every control tick.
+    """
+    rows: list[tuple[np.ndarray, ...]] = []
+    configurations: list[np.ndarray] = []
+
+    def watch(simulations: Simulations, coefficients: Coefficients) -> Observer:
+        older_share = np.asarray(coefficients.older_share)
+
+        def observe(place: int, setpoint: Setpoint, state: BatchState, force: jax.Array) -> None:
+            position, velocity = simulations.measure()
+            share = older_share[:, place]
+            older, newer = np.asarray(state.drive.older), np.asarray(state.drive.newer)
+            delayed = share * older + (1.0 - share) * newer
+            held = np.asarray(setpoint.position), np.asarray(state.command)
+            rows.append((held[0], position, velocity, held[1], delayed, np.asarray(force)))
+            if place == 0:
+                configurations.append(simulations.qpos.copy())
+
+        return observe
+
+    growth_rate = np.zeros(len(numbers))
+    metrics(case, setting, values, growth_rate, seed, numbers, watch=watch)
+    names = ("setpoint", "position", "velocity", "command", "delayed_command", "force")
+    columns = zip(names, zip(*rows, strict=True), strict=True)
+    arrays: dict[str, Any] = {name: np.stack(column, axis=1) for name, column in columns}
+    arrays["time"] = np.broadcast_to(case.step * np.arange(len(rows)), (len(numbers), len(rows)))
+    arrays["configuration"] = np.stack(configurations, axis=1)
+    return Trajectory(**arrays)

@@ -1,0 +1,129 @@
+"""What the loops of one compiled kernel share: the plant before its parameters are known.
+
+Everything here is static or constant; the values of a sample are put in by `jaxact.sweep.kernel`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.sweep.specification import Setting
+
+if TYPE_CHECKING:
+    from jaxact.plants.linear import LinearPlant
+    from jaxact.sweep.robots import Scene
+
+
+@dataclass(frozen=True)
+class Template:
+    """What the samples of a kernel share.
+
+    Attributes:
+        plant: a loaded MJX plant, None for the mass.
+        linear: the plant linearised at its posture in float64, for growth rates; None where the
+            plant itself serves.
+        basis: of the linear plant in the plant's own coordinates, shape (n, kept).
+        position: of the driven joints at rest [m or rad], shape (joints,), or 0.
+        force: of the driven joints at rest [N or N m], shape (joints,), or 0.
+        defaults: parameters that the robot's model brings, shape (joints,) each.
+        masks: which joints a key for some joints is meant for, shape (joints,) each.
+        profile: setpoint over time as a share of its amplitude, shape (ticks,), or None for a step.
+        track: setpoint over time that is added to the posture [m or rad], (ticks, joints), or None.
+        scene: the robot, None for the built-in plants.
+    """
+
+    plant: Any = None
+    linear: LinearPlant | None = None
+    basis: np.ndarray | None = None
+    position: np.ndarray | float = 0.0
+    force: np.ndarray | float = 0.0
+    defaults: Mapping[str, np.ndarray] = field(default_factory=dict)
+    masks: Mapping[str, np.ndarray] = field(default_factory=dict)
+    profile: np.ndarray | None = None
+    track: np.ndarray | None = None
+    scene: Scene | None = None
+
+
+def built_in(engine: str) -> Template:
+    """The template of a built-in plant, in the precision that JAX has at this moment."""
+    if engine == "mass":
+        return Template()
+    from jaxact.plants import mjx  # imports MuJoCo, which the mass plant does not need
+
+    return Template(plant=mjx.load())
+
+
+def of_robot(
+    setting: Setting,
+    engine: str,
+    *,
+    varied: tuple[str, ...],
+    step: float,
+    period: float,
+    ticks: int,
+    growth: bool,
+) -> Template:
+    """The template of a robot, in the precision that JAX has at this moment.
+
+    Args:
+        setting: with a plant.
+        engine: "mjx" or "mujoco", which loads no MJX plant.
+        varied: changes of the model that differ between samples.
+        step: physics step [s].
+        period: control period [s].
+        ticks: control periods.
+        growth: the linear plant is wanted.
+
+    Raises:
+        UserError: the robot, or what is said of it, cannot be used.
+    """
+    from jaxact import linearize
+    from jaxact.sweep import motions, robots
+
+    assert setting.plant is not None
+    scene = robots.scene(setting.plant)
+    plant = found = None
+    if engine == "mjx":
+        plant = _placed(setting, scene, varied)
+    if growth and plant is not None:
+        found = linearize.linearise(replace(plant, push=None), scene.posture.force, step)
+    elif growth:
+        found = linearize.linear_c(scene.robot, scene.posture, step)
+    profile, track = motions.sampled(setting.motion, scene, period, ticks)
+    return Template(
+        plant=plant,
+        linear=None if found is None else found.plant,
+        basis=None if found is None else found.basis,
+        position=scene.positions,
+        force=scene.posture.force,
+        defaults=robots.brought(scene),
+        masks={key: robots.matched(scene, key) for key in setting.keys},
+        profile=profile,
+        track=track,
+        scene=scene,
+    )
+
+
+def _placed(setting: Setting, scene: Scene, varied: tuple[str, ...]) -> Any:
+    """The MJX plant of a robot, its push included."""
+    from jaxact.plants import mjx
+    from jaxact.sweep import robots
+
+    plant = mjx.place(
+        scene.robot,
+        scene.posture,
+        payload_body=scene.payload_body,
+        dry_friction="joint_friction" in varied,
+    )
+    push = setting.push
+    if push is None:
+        return plant
+    force = jnp.asarray(np.array(push.impulse) / push.duration)
+    number = robots.body(scene.robot, push.body, "push.body")
+    start, duration = jnp.asarray(push.time), jnp.asarray(push.duration)
+    return replace(plant, push=mjx.Push(force, start, duration, number))

@@ -1,0 +1,137 @@
+"""The margins of a robot as a specification describes it, its samples one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact import robot_loop
+from jaxact.drive import DriveOptions
+from jaxact.multiloop import Curves, Matrices, curves, multiloop
+from jaxact.robot_loop import PeriodMap
+from jaxact.robot_margins import Robot, RobotMargins, robot_margins
+from jaxact.sweep import execute, kernel
+from jaxact.sweep.kernel import Case
+from jaxact.sweep.samples import Samples, expand
+from jaxact.sweep.specification import Specification
+from jaxact.sweep.template import Template
+
+
+@dataclass(frozen=True)
+class WholeRobot:
+    """A robot's linearised loop with the parameters of one sample, and its margins.
+
+    robot: the loop
+    margins: all of them
+    kp, kd: gains of the joints, shape (joints,) each
+    residual: largest acceleration left at the posture [rad/s^2 or m/s^2]; 0 at an equilibrium
+    neutral: number of directions in which a displaced robot just stays displaced; left out
+    physics_step: [s]
+    engine: that the plant was linearised in, "mujoco" or "mjx"
+    """
+
+    robot: Robot
+    margins: RobotMargins
+    kp: np.ndarray
+    kd: np.ndarray
+    residual: float
+    neutral: int
+    physics_step: float
+    engine: str
+
+    @property
+    def curves(self) -> Curves:
+        """Sensitivities over frequency."""
+        return curves(multiloop(*self.robot.matrices, self.robot.period), self.robot.names)
+
+
+def evaluate(specification: Specification) -> list[WholeRobot]:
+    """The margins of every sample of a specification with a [plant].
+
+    Raises UserError as `jaxact.sweep.execute.plans`.
+    """
+    specification = execute.resolved(specification)
+    samples = expand(specification)
+    found: dict[int, WholeRobot] = {}
+    for plan in execute.plans(specification, samples):
+        numbers = np.concatenate([batch[:n] for batch, n in execute.batches(plan, samples)])
+        with jax.enable_x64(True):
+            template = kernel.template_of(plan.case, specification.setting, "growth_rate")
+            compiled = _compiled(plan.case, template)
+        moved = _moved(plan.case, specification, samples, numbers)
+        for place, number in enumerate(numbers):
+            values = {
+                name: float(row[0]) for name, row in samples.take(numbers[place, None]).items()
+            }
+            own = None if moved is None else tuple(part[place] for part in moved)
+            found[int(number)] = _one(plan.case, template, compiled, values, own)
+    return [found[number] for number in range(len(samples))]
+
+
+def _options(case: Case) -> DriveOptions:
+    """Lines with room for up to a period of delay more."""
+    return replace(case.drive, command_slots=case.drive.command_slots + 2)
+
+
+def _compiled(case: Case, template: Template) -> Callable[..., tuple[PeriodMap, Any, Any, Any]]:
+    """From parameters and an extra delay to the loop's matrices, inertias and gains."""
+    options = _options(case)
+
+    def matrices(values, moved, extra):
+        loop = kernel.linear_loop(case, template, values, moved)
+        found = robot_loop.period_map(robot_loop.with_later_commands(loop, extra), options)
+        like = jnp.zeros(loop.plant.shape)
+        gains = loop.drive.controller
+        return found, robot_loop.felt_inertias(loop.plant), gains.kp + like, gains.kd + like
+
+    return jax.jit(matrices)
+
+
+def _moved(
+    case: Case, specification: Specification, samples: Samples, numbers: np.ndarray
+) -> tuple[Any, Any] | None:
+    """A and B of every sample, where C MuJoCo linearises models that differ."""
+    if case.engine != "mujoco":
+        return None
+    from jaxact.sweep import outside  # imports MuJoCo
+
+    return outside.moved(case, specification.setting, samples.take(numbers))
+
+
+def _one(case: Case, template: Template, compiled, values: dict[str, float], moved) -> WholeRobot:
+    def computed(extra: float):
+        with jax.enable_x64(True):
+            inputs = {name: jnp.asarray(value, float) for name, value in values.items()}
+            own = None if moved is None else tuple(jnp.asarray(part, float) for part in moved)
+            return jax.tree.map(np.asarray, compiled(inputs, own, jnp.asarray(extra, float)))
+
+    def matrices(extra: float) -> Matrices:
+        found = computed(extra)[0]
+        return found.M, found.N, found.C
+
+    found, inertias, kp, kd = computed(0.0)
+    scene, basis = template.scene, template.basis
+    assert scene is not None and basis is not None
+    robot = Robot(
+        matrices=(found.M, found.N, found.C),
+        velocities=found.velocities,
+        inertias=inertias,
+        names=scene.labels,
+        period=1.0 / values["control_rate"],
+        later_by=matrices,
+    )
+    return WholeRobot(
+        robot=robot,
+        margins=robot_margins(robot),
+        kp=kp,
+        kd=kd,
+        residual=scene.posture.residual,
+        neutral=basis.shape[0] - basis.shape[1],
+        physics_step=case.step,
+        engine=case.engine,
+    )

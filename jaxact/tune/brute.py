@@ -1,0 +1,96 @@
+"""The check of an optimum by trying every gain of a grid: `--verify`.
+
+Tabulated responses on a fine frequency axis decide which gains of the grid meet the constraints;
+the grid then closes in on the best of them, and the last word is that of the exact figures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.tune import joint
+from jaxact.tune.certificate import over_all
+from jaxact.tune.joint import Case, Table
+from jaxact.tune.spectrum import tabulate
+
+_POINTS = 600
+_GRID = 64
+_REFINEMENTS = 4
+_TILE = 64
+# The tables' own error in ln of a peak.
+_SLACK = 2e-4
+
+
+@dataclass(frozen=True)
+class Brute:
+    """What brute force found.
+
+    value: ln of the objective, signed so that larger is better; -inf if nothing meets everything
+    x: log-gains, shape (2,)
+    evaluations: gains tried
+    """
+
+    value: float
+    x: np.ndarray
+    evaluations: int
+
+
+def brute_force(case: Case, timed: Any = None) -> Brute:
+    """The best gains of a grid over everything that could be stable, refined four times."""
+    spectrum = tabulate(case.members, joint.time_scale(case), _POINTS)
+    data = joint.table([case])
+    data = Table(jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), spectrum),
+                 data.log_bounds[0], data.low[0], data.high[0], data.plant[0])  # fmt: skip
+    lag, mass = joint.time_scale(case).max(), case.members.mass.min()
+    low = np.log([2e-4 * mass / lag**2, 2e-2 * mass / lag])
+    high = np.log([1.5 * mass / lag**2, 1.6 * mass / lag])
+    bounds = joint.log_bounds(case.goal)
+    low[0], high[0] = max(low[0], bounds[0, 0]), max(min(high[0], bounds[1, 0]), bounds[0, 0])
+    centre, half = 0.5 * (low + high), 0.5 * (high - low)
+    smooth = joint.surrogate(case.goal, timed)
+    tried = 0
+    for _ in range(_REFINEMENTS + 1):
+        axes = [np.linspace(c - h, c + h, _GRID) for c, h in zip(centre, half, strict=True)]
+        grid = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
+        grid = np.clip(grid, *(np.where(np.isfinite(b), b, g) for b, g in
+                               zip(bounds, (grid.min(0), grid.max(0)), strict=True)))  # fmt: skip
+        value, violation, stable = map(
+            np.asarray, _all(smooth, data, jnp.asarray(grid, jnp.float32))
+        )
+        tried += len(grid)
+        score = np.where(stable & (violation <= _SLACK), value, -np.inf)
+        if not np.any(np.isfinite(score)):
+            return Brute(-np.inf, centre, tried)
+        order = np.argsort(-score)
+        centre, half = grid[order[0]], half * 4.0 / _GRID
+    return _exactly(case, grid[order[:256]], tried, timed)
+
+
+@partial(jax.jit, static_argnums=0)
+def _all(smooth: Any, data: Table, grid: jax.Array) -> tuple[jax.Array, ...]:
+    def one(x: jax.Array) -> tuple[jax.Array, ...]:
+        seen = smooth(x, data, jnp.asarray(1e5, x.dtype))
+        return seen.value, seen.violation, seen.stable
+
+    return jax.lax.map(one, grid, batch_size=_TILE)
+
+
+def _exactly(case: Case, x: np.ndarray, tried: int, timed: Any) -> Brute:
+    """The best of a few gains that meets all constraints exactly."""
+    found = joint.exact([case] * len(x), x, timed)
+    rows = joint.rows_of([case.goal] * len(x), x, found)
+    excess = [
+        max((over_all(sign * (found.log[figure][i] - np.log(bound)), case.goal)
+             for _, figure, sign, bound in case.goal.rows), default=-np.inf)
+        for i in range(len(x))
+    ]  # fmt: skip
+    met = rows.usable & (np.array(excess) <= 0.0)
+    value = np.where(met, rows.worst_value, -np.inf)
+    best = int(np.argmax(value))
+    return Brute(float(value[best]), x[best], tried + len(x))

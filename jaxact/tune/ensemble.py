@@ -1,0 +1,111 @@
+"""The actuators that gains are tuned for: one, or many that all must get along with the same gains.
+
+A member is a mass behind a force servo with a delay. Where a control rate is given its loop is the
+sampled one, margins and all.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jaxact.errors import UserError
+
+PARAMETERS = ("mass", "natural_frequency", "damping_ratio", "delay")
+# The noise of an encoder that is read at this rate where no control rate is given [s].
+DEFAULT_PERIOD = 1e-3
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How the controller samples; static, the same for all members.
+
+    control_period: T [s]
+    velocity: "sampled" or "differenced"
+    velocity_filter: cutoff of the filter of the differenced velocity [rad/s], inf = none
+    """
+
+    control_period: float
+    velocity: str = "sampled"
+    velocity_filter: float = math.inf
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Plants and actuators, n of them; float64 NumPy arrays of shape (n,).
+
+    mass: m [kg], > 0
+    natural_frequency: wn of the force servo [rad/s], > 0, inf = ideal
+    damping_ratio: zeta [-], > 0
+    delay: sum of command, measurement and output delay [s], >= 0
+    sampling: of the controller; None for the loop in continuous time
+    names: what each is called in reports, numbered by default
+    """
+
+    mass: np.ndarray
+    natural_frequency: np.ndarray
+    damping_ratio: np.ndarray
+    delay: np.ndarray
+    sampling: Sampling | None = None
+    names: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        """Number of members."""
+        return len(self.mass)
+
+    @property
+    def lag(self) -> np.ndarray:
+        """What delays the force at low frequency [s], shape (n,): delay + 2 zeta / wn + T / 2."""
+        hold = 0.0 if self.sampling is None else 0.5 * self.sampling.control_period
+        return self.delay + 2.0 * self.damping_ratio / self.natural_frequency + hold
+
+    def name(self, index: int) -> str:
+        """What a member is called."""
+        return self.names[index] if self.names else f"member {index}"
+
+
+def ensemble(
+    mass: object,
+    natural_frequency: object,
+    damping_ratio: object,
+    delay: object,
+    *,
+    sampling: Sampling | None = None,
+    names: tuple[str, ...] = (),
+) -> Ensemble:
+    """A checked ensemble from numbers or arrays that broadcast to one dimension.
+
+    Arguments as the fields of `Ensemble`. Raises UserError for values out of their domain.
+    """
+    given = (mass, natural_frequency, damping_ratio, delay)
+    arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, dtype=float)) for a in given))
+    if arrays[0].ndim != 1:
+        raise UserError("the members of an ensemble lie along one dimension")
+    m, wn, zeta, td = (np.ascontiguousarray(a) for a in arrays)
+    fine = (m > 0) & np.isfinite(m) & (wn > 0) & (zeta > 0) & np.isfinite(zeta)
+    fine &= (td >= 0) & np.isfinite(td)
+    if not fine.all():
+        index = int(np.flatnonzero(~fine)[0])
+        raise UserError(
+            f"member {index}: mass {m[index]:g} kg, wn {wn[index]:g} rad/s, zeta {zeta[index]:g}, "
+            f"delay {td[index]:g} s; mass, wn and zeta must be positive, the delay not negative"
+        )
+    if names and len(names) != len(m):
+        raise UserError(f"{len(names)} names for {len(m)} members; give one for each")
+    return Ensemble(m, wn, zeta, td, sampling, names)
+
+
+def joined(first: Ensemble, second: Ensemble) -> Ensemble:
+    """The members of both, with the sampling of the first."""
+    names = tuple(e.name(i) for e in (first, second) for i in range(len(e)))
+    rows = (np.concatenate([getattr(first, p), getattr(second, p)]) for p in PARAMETERS)
+    return Ensemble(*rows, sampling=first.sampling, names=names)
+
+
+def chosen(members: Ensemble, index: np.ndarray) -> Ensemble:
+    """Some of the members, by their numbers."""
+    names = tuple(members.name(int(i)) for i in index)
+    rows = (getattr(members, p)[index] for p in PARAMETERS)
+    return Ensemble(*rows, sampling=members.sampling, names=names)

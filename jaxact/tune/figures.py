@@ -1,0 +1,156 @@
+"""Exact figures of every loop and their derivatives, float64: what is polished and certified.
+
+No smoothing: the margins are those of `jaxact.margins` and `jaxact.sampled_margins`, refined to
+rounding. Derivatives are by the logarithms of the gains and by the members' parameters.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.frequency import JointLoop
+from jaxact.margins import margins
+from jaxact.sampled import SampledLoop
+from jaxact.sampled_margins import sampled_margins
+from jaxact.tune.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
+from jaxact.tune.noise import bandwidth, noise_gain
+
+# Loops are computed in batches of these sizes, so that few programs are compiled.
+_SIZES = (8, 64, 512)
+_ALWAYS = (
+    "sensitivity_peak", "complementary_peak", "gain_margin", "delay_margin", "disk_margin",
+    "log_gain_to_boundary",
+)  # fmt: skip
+_INPUTS = 2 + len(PARAMETERS)
+
+
+@dataclass(frozen=True)
+class Exact:
+    """Figures of loops, NumPy float64; `log` and `slope` are NaN where they mean nothing.
+
+    stable: shape (...)
+    log: ln of each figure by name, shape (...); `log_gain_to_boundary` is the figure itself
+    slope: derivatives of `log` by (ln kp, ln kd, mass, wn, zeta, delay), shape (..., 6)
+    """
+
+    stable: np.ndarray
+    log: Mapping[str, np.ndarray]
+    slope: Mapping[str, np.ndarray]
+
+    @property
+    def gain_slope(self) -> dict[str, np.ndarray]:
+        """Derivatives by the logarithms of the two gains, shape (..., 2)."""
+        return {name: array[..., :2] for name, array in self.slope.items()}
+
+
+def evaluate(
+    log_kp: np.ndarray,
+    log_kd: np.ndarray,
+    members: Ensemble | Mapping[str, np.ndarray],
+    sampling: Sampling | None,
+    extra: tuple[str, ...] = (),
+    timed: Any = None,
+) -> Exact:
+    """Exact figures of many loops.
+
+    log_kp, log_kd: ln of the gains, any shape
+    members: parameters that broadcast with them
+    sampling: of the controller, None for continuous time
+    extra: figures beyond the margins: "noise_gain", "bandwidth", and what `timed` gives
+    timed: static `jaxact.tune.response.Timed`, of figures from simulated time; None for none
+    """
+    rows = [members[n] if isinstance(members, Mapping) else getattr(members, n) for n in PARAMETERS]
+    arrays = np.broadcast_arrays(log_kp, log_kd, *rows)
+    shape = arrays[0].shape
+    flat = np.stack([np.asarray(a, dtype=float).reshape(-1) for a in arrays])
+    steps = 0
+    if sampling is not None and flat.shape[1]:
+        steps = int(np.floor(flat[5].max() / sampling.control_period + 1e-9))
+    wanted = tuple(name for name in extra if name not in _ALWAYS)
+    parts = []
+    start = 0
+    with jax.enable_x64(True):
+        function = _compiled(sampling, steps, wanted, timed)
+        while start < flat.shape[1]:
+            left = flat.shape[1] - start
+            size = next((s for s in _SIZES if s >= left), _SIZES[-1])
+            part = flat[:, start : start + size]
+            number = part.shape[1]
+            padded = np.pad(part, ((0, 0), (0, size - number)), mode="edge")
+            found = jax.tree.map(np.asarray, function(jnp.asarray(padded)))
+            parts.append(jax.tree.map(lambda a, n=number: a[..., :n], found))
+            start += size
+    joined = jax.tree.map(lambda *a: np.concatenate(a, axis=-1), *parts)
+    stable, log, slope = joined
+    return Exact(
+        stable.reshape(shape),
+        {name: a.reshape(shape) for name, a in log.items()},
+        {name: np.moveaxis(a, 0, -1).reshape((*shape, _INPUTS)) for name, a in slope.items()},
+    )
+
+
+@functools.cache
+def _compiled(
+    sampling: Sampling | None, steps: int, wanted: tuple[str, ...], timed: Any
+) -> Callable[[jax.Array], Any]:
+    def logs(inputs: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+        kp, kd = jnp.exp(inputs[0]), jnp.exp(inputs[1])
+        found = _figures(kp, kd, inputs[2:], sampling, steps, wanted, timed)
+        stable = found.pop("stable")
+        distance = found.pop("log_gain_to_boundary")
+        result = {name: jnp.log(value) for name, value in found.items()}
+        return result | {"log_gain_to_boundary": distance}, stable
+
+    def both(inputs: jax.Array) -> tuple[jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
+        value, push, stable = jax.linearize(logs, inputs, has_aux=True)
+        # Each loop depends on its own inputs only: one pass for each kind of input does all loops.
+        basis = jnp.eye(_INPUTS, dtype=inputs.dtype)[:, :, None] * jnp.ones_like(inputs)[None]
+        return stable, value, jax.vmap(push)(basis)
+
+    return jax.jit(both)
+
+
+def _figures(
+    kp: jax.Array,
+    kd: jax.Array,
+    plant: jax.Array,
+    sampling: Sampling | None,
+    steps: int,
+    wanted: tuple[str, ...],
+    timed: Any,
+) -> dict[str, jax.Array]:
+    """All figures of a flat batch, with `stable`; the gains' own logarithms are not among them."""
+    mass, wn, zeta, delay = plant
+    found: Any
+    if sampling is None:
+        found = margins(JointLoop(kp, kd, mass, wn, zeta, delay))
+        period, hold = DEFAULT_PERIOD, 0.0
+    else:
+        period, hold = sampling.control_period, 0.5 * sampling.control_period
+        loop = SampledLoop(
+            kp, kd, mass, wn, zeta, delay,
+            jnp.full_like(kp, period), jnp.full_like(kp, sampling.velocity_filter),
+            velocity=sampling.velocity,
+        )  # fmt: skip
+        found = sampled_margins(loop, max_delay_steps=steps)
+    result = {name: getattr(found, name) for name in _ALWAYS}
+    # The hold delays by half a period: what is defined in continuous time sees it so.
+    held = JointLoop(kp, kd, mass, wn, zeta, delay + hold)
+
+    def settled(value: jax.Array) -> jax.Array:
+        return jnp.where(found.stable, value, jnp.nan)
+
+    if "noise_gain" in wanted:
+        result["noise_gain"] = settled(noise_gain(held, period))
+    if "bandwidth" in wanted:
+        result["bandwidth"] = settled(bandwidth(held))
+    if timed is not None:
+        result[timed.figure] = settled(timed.of_loops(kp, kd, plant))
+    return result | {"stable": found.stable}

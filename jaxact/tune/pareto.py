@@ -1,0 +1,44 @@
+"""The front of stiffness against robustness: the same goal for many sensitivity peaks at once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from jaxact.errors import UserError
+from jaxact.tune.ensemble import Ensemble
+from jaxact.tune.goal import Goal
+from jaxact.tune.joint import Case
+from jaxact.tune.optimize import Descent
+from jaxact.tune.run import STARTS, Tuned, tune_all
+
+LOWEST, HIGHEST = 1.15, 3.0
+MOST = 200
+
+
+def peaks(number: int) -> np.ndarray:
+    """Peaks Ms and Mt along a front [-], shape (number,): even in the modulus margin, 1/M.
+
+    Raises UserError for fewer than two.
+    """
+    if not 2 <= number <= MOST:
+        raise UserError(f"--pareto {number}: give between 2 and {MOST} points")
+    return 1.0 / np.linspace(1.0 / LOWEST, 1.0 / HIGHEST, number)
+
+
+def front(
+    members: Ensemble,
+    goal: Goal,
+    number: int,
+    *,
+    starts: int = STARTS,
+    how: Descent | None = None,
+) -> list[Tuned]:
+    """The best gains for every peak of `peaks`, all in one compiled descent.
+
+    members, goal, starts, how: as for `jaxact.tune.run.tune`; the goal's own peak does not count
+    number: of points
+    """
+    cases = [Case(members, replace(goal, max_peak=float(peak))) for peak in peaks(number)]
+    return tune_all(cases, starts=starts, how=how)

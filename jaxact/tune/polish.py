@@ -1,0 +1,296 @@
+"""From where the descent ended to the optimum of the exact problem, in float64.
+
+    maximise  min_k value_k(x)   subject to  c_r(x) <= 0,  low <= x <= high
+
+by a sequence of linear programmes in a trust region (Fletcher and Maza, 1989): every value and
+every constraint of every member is a row, so that those that bind find each other; where two bind
+it converges like Newton's method. A violation that cannot be avoided is made as small as it gets.
+Rows come from a function of x, so that anything with rows can be polished: a joint, a robot.
+Many problems are polished side by side, because their rows are computed in one batch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+# Constraints are met when no row exceeds this: the bounds hold to better than 1e-9.
+MET = 1e-10
+_AIM = 4e-11
+_RADIUS, _SMALLEST = 0.15, 1e-7
+_STEPS = 60
+_ELASTIC = 1e3
+_NEAR = 1.0
+# A step that promises less than this is not worth an evaluation.
+_GAIN = 1e-8
+_REACHES = (1e-2, 1e-3, 1e-4)
+_LOOKS = 6
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Exact values and constraints of several problems at one point each; p problems, d unknowns.
+
+    value: to be large, shape (p, k)
+    value_slope: shape (p, k, d)
+    excess: c, at most 0 where a constraint is met, shape (p, r)
+    excess_slope: shape (p, r, d)
+    usable: whether the problem's rows mean anything, every member stable; shape (p,)
+    """
+
+    value: np.ndarray
+    value_slope: np.ndarray
+    excess: np.ndarray
+    excess_slope: np.ndarray
+    usable: np.ndarray
+
+    @property
+    def worst_value(self) -> np.ndarray:
+        """Smallest value, -inf where unusable; shape (p,)."""
+        return np.where(self.usable, _smallest(self.value), -np.inf)
+
+    @property
+    def violation(self) -> np.ndarray:
+        """Largest excess, inf where unusable; shape (p,)."""
+        return np.where(self.usable, -_smallest(-self.excess), np.inf)
+
+
+Problem = Callable[[np.ndarray], Rows]
+"""x of every problem, shape (p, d) -> the rows there."""
+
+
+def _smallest(rows: np.ndarray) -> np.ndarray:
+    filled = np.where(np.isnan(rows), -np.inf, rows)
+    return np.min(filled, axis=1, initial=np.inf)
+
+
+@dataclass(frozen=True)
+class Polished:
+    """Best points found; p problems.
+
+    x: shape (p, d)
+    value: smallest value [-], shape (p,)
+    violation: largest excess [-], shape (p,); at most MET where all constraints are met
+    evaluations: points at which each problem was evaluated
+    """
+
+    x: np.ndarray
+    value: np.ndarray
+    violation: np.ndarray
+    evaluations: int
+
+    @property
+    def feasible(self) -> np.ndarray:
+        """Whether all constraints are met, shape (p,)."""
+        return self.violation <= MET
+
+
+def better(
+    value: np.ndarray, violation: np.ndarray, than_value: np.ndarray, than_violation: np.ndarray
+) -> np.ndarray:
+    """Whether one point beats another: constraints first, then the value; elementwise."""
+    met, than_met = violation <= MET, than_violation <= MET
+    higher = met & than_met & (value > than_value)
+    closer = ~met & ~than_met & (violation < than_violation)
+    return (met & ~than_met) | higher | closer
+
+
+def polish(problem: Problem, start: np.ndarray, low: np.ndarray, high: np.ndarray) -> Polished:
+    """The best points near the starts.
+
+    problem: rows of every problem at a point of each
+    start: shape (p, d)
+    low, high: bounds that are never left, shape (p, d)
+    """
+    best, x, stuck = _descend(problem, np.clip(start, low, high), low, high)
+    for reach in _REACHES if stuck.any() else ():
+        best, x = _across_kinks(problem, best, x, stuck, reach, low, high)
+    return best
+
+
+def _descend(
+    problem: Problem, x: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[Polished, np.ndarray, np.ndarray]:
+    """The sequence of linear programmes; where it ended, and whether it got stuck there."""
+    number = len(x)
+    rows = problem(x)
+    best = Polished(x.copy(), rows.worst_value, rows.violation, 1)
+    radius = np.full(number, _RADIUS)
+    finished = np.zeros(number, dtype=bool)
+    for _ in range(_STEPS):
+        going = (radius > _SMALLEST) & rows.usable & ~finished
+        if not going.any():
+            break
+        trial, weight, gain = x.copy(), np.zeros(number), np.zeros(number)
+        for i in np.flatnonzero(going):
+            cuts = _cuts(rows, [], i, x[i], radius[i])
+            sides = np.maximum(low[i] - x[i], -radius[i]), np.minimum(high[i] - x[i], radius[i])
+            step, weight[i], gain[i] = _linear_step(cuts, sides, rows.violation[i])
+            trial[i] = np.clip(x[i] + step, low[i], high[i])
+        there = problem(trial)
+        best = _keep_better(best, trial, there)
+        merit = _merit(rows, weight) - _merit(there, weight)
+        taken = there.usable & (merit > 0.05 * gain)
+        length = np.max(np.abs(trial - x), axis=1)
+        good = taken & (merit > 0.7 * gain) & (length > 0.9 * radius)
+        finished |= going & (gain <= _GAIN) & (rows.violation <= MET)
+        radius = np.where(taken, np.where(good, 2.0 * radius, radius), 0.35 * length)
+        radius = np.minimum(radius, _NEAR)
+        x = np.where(taken[:, None], trial, x)
+        rows = _where(taken, there, rows)
+    return best, x, ~finished & rows.usable
+
+
+def _across_kinks(
+    problem: Problem,
+    best: Polished,
+    x: np.ndarray,
+    stuck: np.ndarray,
+    reach: float,
+    low: np.ndarray,
+    high: np.ndarray,
+) -> tuple[Polished, np.ndarray]:
+    """Look a little to every side, then step where all that was seen there allows.
+
+    A margin is a maximum over frequencies. Where two peaks are level, the rows at one point know of
+    one of them only, and the other stops every step.
+    """
+    size = x.shape[1]
+    sides = reach * np.concatenate([np.eye(size), -np.eye(size)])
+    around = [np.clip(x + side, low, high) for side in sides]
+    memory = [(point, problem(point)) for point in around]
+    rows = problem(x)
+    best = _counted(best, len(memory) + 1)
+    for _ in range(_LOOKS):
+        trial = x.copy()
+        for i in np.flatnonzero(rows.usable & stuck):
+            cuts = _cuts(rows, memory, i, x[i], 2.0 * reach)
+            limits = np.maximum(low[i] - x[i], -reach), np.minimum(high[i] - x[i], reach)
+            step, _, gain = _linear_step(cuts, limits, rows.violation[i])
+            if gain > _GAIN:
+                trial[i] = np.clip(x[i] + step, low[i], high[i])
+        if np.array_equal(trial, x):
+            break
+        there = problem(trial)
+        best = _keep_better(best, trial, there)
+        memory.append((x, rows))
+        fine = there.usable
+        x, rows = np.where(fine[:, None], trial, x), _where(fine, there, rows)
+    return best, x
+
+
+def _counted(best: Polished, more: int) -> Polished:
+    return Polished(best.x, best.value, best.violation, best.evaluations + more)
+
+
+def _merit(rows: Rows, weight: np.ndarray) -> np.ndarray:
+    """To be small: -value + weight * violation; shape (p,)."""
+    excess = np.maximum(rows.violation, 0.0)
+    with np.errstate(invalid="ignore"):
+        return -rows.worst_value + weight * excess
+
+
+def _where(mask: np.ndarray, first: Rows, second: Rows) -> Rows:
+    def pick(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.where(mask.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
+
+    return Rows(
+        pick(first.value, second.value),
+        pick(first.value_slope, second.value_slope),
+        pick(first.excess, second.excess),
+        pick(first.excess_slope, second.excess_slope),
+        mask & first.usable | ~mask & second.usable,
+    )
+
+
+def _keep_better(best: Polished, x: np.ndarray, rows: Rows) -> Polished:
+    value, violation = rows.worst_value, rows.violation
+    wins = better(value, violation, best.value, best.violation)
+    return Polished(
+        np.where(wins[:, None], x, best.x),
+        np.where(wins, value, best.value),
+        np.where(wins, violation, best.violation),
+        best.evaluations + 1,
+    )
+
+
+@dataclass(frozen=True)
+class _Cuts:
+    """Linearised rows of one problem, about its present point.
+
+    value + value_slope s, to be large;  excess + excess_slope s, to be at most 0
+    """
+
+    value: np.ndarray
+    value_slope: np.ndarray
+    excess: np.ndarray
+    excess_slope: np.ndarray
+
+
+def _cuts(
+    rows: Rows, memory: list[tuple[np.ndarray, Rows]], index: int, x: np.ndarray, radius: float
+) -> _Cuts:
+    """Rows at the present point, and of points nearby; what contradicts the present is dropped."""
+    own_value = _finite(rows.value[index], rows.value_slope[index])
+    own_excess = _finite(rows.excess[index], rows.excess_slope[index])
+    values, excesses = [own_value], [own_excess]
+    for point, kept in memory:
+        back = x - point[index]
+        if not kept.usable[index] or np.abs(back).max() > 2.0 * radius:
+            continue
+        value, value_slope = _finite(kept.value[index], kept.value_slope[index])
+        excess, excess_slope = _finite(kept.excess[index], kept.excess_slope[index])
+        value, excess = value + value_slope @ back, excess + excess_slope @ back
+        fits = value >= own_value[0].min()
+        values.append((value[fits], value_slope[fits]))
+        fits = excess <= max(own_excess[0].max(initial=-np.inf), 0.0) + radius * radius
+        excesses.append((excess[fits], excess_slope[fits]))
+    joined = [
+        np.concatenate(part) for pair in (values, excesses) for part in zip(*pair, strict=True)
+    ]
+    return _Cuts(*joined)
+
+
+def _linear_step(
+    cuts: _Cuts, sides: tuple[np.ndarray, np.ndarray], violation: float
+) -> tuple[np.ndarray, float, float]:
+    """The linear programme of one problem: step, weight of a violation, gain promised.
+
+    sides: smallest and largest step, shape (d,) each
+    violation: present largest excess
+
+    Unknowns (s, t, e): maximise t - elastic * e with value + slope s >= t, excess + slope s <= e.
+    """
+    from scipy.optimize import linprog
+
+    value, excess = cuts.value, cuts.excess
+    size = cuts.value_slope.shape[1]
+    # Far rows cannot bind within the step.
+    reach = np.abs(cuts.excess_slope) @ np.maximum(np.abs(sides[0]), np.abs(sides[1]))
+    near = excess + reach > min(0.0, excess.max(initial=-np.inf)) - 1e-9
+    excess, excess_slope = excess[near], cuts.excess_slope[near]
+    one, nil = np.ones, np.zeros
+    matrix = np.block([
+        [-cuts.value_slope, one((len(value), 1)), nil((len(value), 1))],
+        [excess_slope, nil((len(excess), 1)), -one((len(excess), 1))],
+    ])  # fmt: skip
+    limit = np.concatenate([value, -excess - _AIM])
+    cost = np.concatenate([nil(size), [-1.0, _ELASTIC]])
+    bounds = [*zip(*sides, strict=True), (None, None), (0.0, None)]
+    found = linprog(cost, matrix, limit, bounds=bounds)
+    if found.x is None or not np.all(np.isfinite(found.x)):
+        return nil(size), 1.0, 0.0
+    step, target, slack = found.x[:size], found.x[size], found.x[size + 1]
+    dual = float(-np.sum(found.ineqlin.marginals[len(value) :]))
+    weight = _ELASTIC if slack > MET else max(2.0 * dual, 1.0)
+    before = -value.min() + weight * max(violation, 0.0)
+    promised = before - (-target + weight * max(slack - _AIM, 0.0))
+    return step, weight, float(promised)
+
+
+def _finite(value: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that are numbers: an infinite margin neither binds nor leads anywhere."""
+    keep = np.isfinite(value) & np.all(np.isfinite(slope), axis=1)
+    return value[keep], slope[keep]

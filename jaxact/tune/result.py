@@ -1,0 +1,72 @@
+"""The result as files: a small TOML with what was assumed and guaranteed, and an MJCF snippet."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from jaxact import __version__
+from jaxact.sweep import toml
+from jaxact.tune.ensemble import PARAMETERS
+from jaxact.tune.goal import OBJECTIVES
+from jaxact.tune.run import Tuned
+
+
+def document(tuned: Tuned, command: str = "") -> dict[str, Any]:
+    """The result as tables of plain values.
+
+    command: that made it
+    """
+    import jax
+
+    goal, certificate = tuned.goal, tuned.certificate
+    assumed: dict[str, Any] = {"members": len(tuned.members)}
+    for name in PARAMETERS:
+        values = getattr(tuned.members, name)
+        low, high = float(values.min()), float(values.max())
+        assumed[name] = low if low == high else [low, high]
+    if tuned.members.sampling is not None:
+        sampling = tuned.members.sampling
+        assumed |= {"control_period": sampling.control_period, "velocity": sampling.velocity}
+    asked = {name: getattr(goal, name) for name in goal.active}
+    asked |= {"min_kp": goal.min_kp} if goal.min_kp > 0 else {}
+    asked |= {"max_kp": goal.max_kp} if math.isfinite(goal.max_kp) else {}
+    guaranteed: dict[str, Any] = {
+        "certified": tuned.certified,
+        "verdict": tuned.verdict,
+        "stable": certificate.stable,
+        "binding": list(certificate.binding),
+    }
+    guaranteed |= {f"worst_{check.figure}": check.value for check in certificate.checks}
+    return {
+        **({"command": command} if command else {}),
+        "gains": {"kp": tuned.kp, "kd": tuned.kd},
+        "objective": {
+            "name": goal.objective,
+            "figure": goal.figure,
+            "unit": OBJECTIVES[goal.objective][2],
+            "value": tuned.value,
+            "risk": goal.risk,
+        },
+        "asked": asked,
+        "assumed": assumed,
+        "guaranteed": guaranteed,
+        "versions": {"jaxact": __version__, "jax": jax.__version__},
+    }
+
+
+def toml_text(tuned: Tuned, command: str = "") -> str:
+    """The result as TOML; arguments as for `document`."""
+    return toml.dumps(document(tuned, command))
+
+
+def mjcf_text(tuned: Tuned, joint: str = "joint") -> str:
+    """A MuJoCo position actuator with the gains, for the joint of that name.
+
+    The actuator's lag and delay are not in it: MuJoCo's own are something else.
+    """
+    return (
+        "<mujoco>\n  <actuator>\n"
+        f'    <position name="{joint}" joint="{joint}" kp="{tuned.kp!r}" kv="{tuned.kd!r}"/>\n'
+        "  </actuator>\n</mujoco>\n"
+    )

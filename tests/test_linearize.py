@@ -1,0 +1,155 @@
+"""A robot linearised: against difference quotients of MuJoCo in C, and of the closed loop."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+from robots import HOPPER, PENDULUM
+
+from jaxact import Actuator, Controller, Drive, Loop, Sensor, Setpoint, drive, growth, linearize
+from jaxact import loop as loops
+from jaxact.plants import mjx, model, posture
+
+STEP = 1e-3
+
+
+def _robot(folder, text, **options):
+    path = folder / "robot.xml"
+    path.write_text(text)
+    return model.read(path, **options)
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory):
+    robot = _robot(tmp_path_factory.mktemp("pendulum"), PENDULUM, keyframe="home")
+    return robot, posture.settled(robot)
+
+
+@pytest.fixture(scope="module")
+def hopper(tmp_path_factory):
+    robot = _robot(tmp_path_factory.mktemp("hopper"), HOPPER)
+    return robot, posture.settled(robot)
+
+
+def _transition(robot, start, step):
+    """A and B of mjd_transitionFD, called here on its own."""
+    c_model = robot.model
+    c_model.opt.timestep = step
+    c_model.opt.tolerance = 0.0
+    data = mujoco.MjData(c_model)
+    data.qpos, data.ctrl = start.qpos, start.ctrl
+    data.ctrl[[joint.index for joint in robot.joints]] = start.force
+    mujoco.mj_forward(c_model, data)
+    size = 2 * c_model.nv
+    A, B = np.zeros((size, size)), np.zeros((size, c_model.nu))
+    mujoco.mjd_transitionFD(c_model, data, 1e-6, True, A, B, None, None)
+    return A, B[:, [joint.index for joint in robot.joints]]
+
+
+@pytest.mark.parametrize("name", ["pendulum", "hopper"])
+def test_jacobians_of_mjx_equal_difference_quotients_of_c(name, request):
+    robot, start = request.getfixturevalue(name)
+    A, B = _transition(robot, start, STEP)
+    with jax.enable_x64(True):
+        plant = mjx.place(robot, start).prepare(jnp.asarray(STEP))
+        found = jax.jit(linearize.jacobians)(plant, jnp.asarray(start.force))
+    np.testing.assert_allclose(found[0], A, atol=1e-5 * np.abs(A).max())
+    np.testing.assert_allclose(found[1], B, atol=1e-5 * np.abs(B).max())
+
+
+def test_a_floating_robot_is_the_same_anywhere_on_the_plane(hopper):
+    robot, start = hopper
+    found = linearize.linear_c(robot, start, STEP)
+    # Two directions and the heading.
+    assert found.neutral == 3
+    assert found.plant.A.shape == (2 * robot.model.nv - 3,) * 2
+    full, _, _ = linearize.linearise_c(robot, start, STEP)
+    whole = np.sort(np.abs(np.linalg.eigvals(full)))
+    kept = np.sort(np.abs(np.linalg.eigvals(np.asarray(found.plant.A))))
+    # Nothing but eigenvalues of 1 has gone.
+    ones = np.count_nonzero(np.abs(whole - 1.0) < 1e-9) - np.count_nonzero(np.abs(kept - 1) < 1e-9)
+    assert ones == 3
+    assert whole[-1] == pytest.approx(kept[-1], rel=1e-9)
+
+
+def _loop(robot, start, linear):
+    control = Controller(kp=jnp.array([80.0, 30.0]), kd=jnp.array([4.0, 1.0]))
+    actuator = Actuator(jnp.array([150.0, 200.0]), 0.8, jnp.array([2.3e-3, 1.0e-3]))
+    sensor = Sensor(delay=0.7e-3)
+    servo = Drive(control, actuator, sensor, control_period=2 * STEP)
+    options = drive.options(servo, substeps=2)
+    if linear is None:
+        plant = mjx.place(robot, start)
+        rest = jnp.asarray(start.joints(robot))
+    else:
+        plant, rest = linear.plant, jnp.zeros(2)
+    prepared = loops.prepare(Loop(plant, servo), options)
+    force = jnp.asarray(start.force) if linear is None else 0.0
+    state = loops.init(prepared, options, rest, jnp.zeros(2), command=force)
+    return prepared, options, state, Setpoint(rest, force=force)
+
+
+def _period(prepared, options, state, setpoint):
+    """The map of the real leaves over one control period."""
+    flat, unravel = ravel_pytree(state)
+
+    def advance(vector):
+        return ravel_pytree(loops.step(prepared, options, unravel(vector), setpoint)[0])[0]
+
+    return flat, jax.jit(advance)
+
+
+def test_the_closed_loop_equals_its_central_differences(pendulum):
+    """Delays, force loops and the plant of the nonlinear loop against the linear plant's loop."""
+    robot, start = pendulum
+    with jax.enable_x64(True):
+        linear = linearize.linear_c(robot, start, STEP)
+        flat, advance = _period(*_loop(robot, start, None))
+        size = 1e-6
+        columns = [
+            (advance(flat + size * unit) - advance(flat - size * unit)) / (2 * size)
+            for unit in jnp.eye(flat.size)
+        ]
+        difference = np.stack(columns, axis=1)
+        exact = np.asarray(jax.jacfwd(advance)(flat))
+        np.testing.assert_allclose(exact, difference, atol=1e-5 * np.abs(exact).max())
+        flat, advance = _period(*_loop(robot, start, linear))
+        reduced = np.asarray(jax.jacfwd(advance)(flat))
+    whole = np.sort(np.abs(np.linalg.eigvals(difference)))[::-1]
+    kept = np.sort(np.abs(np.linalg.eigvals(reduced)))[::-1]
+    # The nonlinear loop also carries warm starts and time, whose eigenvalues are 0 and 1.
+    whole = whole[np.abs(whole - 1.0) > 1e-9]
+    np.testing.assert_allclose(whole[:8], kept[:8], rtol=1e-5)
+
+
+def test_growth_rate_of_the_linear_plant_is_the_spectral_radius(pendulum):
+    robot, start = pendulum
+    with jax.enable_x64(True):
+        linear = linearize.linear_c(robot, start, STEP)
+        prepared, options, state, setpoint = _loop(robot, start, linear)
+        measure = growth.GrowthOptions(dimension=24, stacked=True)
+        rate = float(growth.growth_rate(prepared, options, state, setpoint, measure))
+        flat, advance = _period(prepared, options, state, setpoint)
+        radius = np.abs(np.linalg.eigvals(np.asarray(jax.jacfwd(advance)(flat)))).max()
+    assert rate == pytest.approx(np.log(radius) / (2 * STEP), abs=0.02)
+
+
+def test_a_settled_posture_is_an_equilibrium(hopper):
+    robot, start = hopper
+    assert start.residual < 1e-3
+    data = mujoco.MjData(robot.model)
+    data.qpos, data.ctrl = start.qpos, start.ctrl
+    data.ctrl[[joint.index for joint in robot.joints]] = start.force
+    mujoco.mj_forward(robot.model, data)
+    assert np.abs(data.qacc).max() == pytest.approx(start.residual, abs=1e-9)
+    # Gravity is carried: the arm leans forward, and its motor holds it.
+    assert abs(start.force[0]) > 0.1
+
+
+def test_inverse_dynamics_hold_a_keyframe_that_is_not_settled(pendulum):
+    robot, _ = pendulum
+    start = posture.given(robot)
+    np.testing.assert_array_equal(start.qpos, [0.4, -0.7])
+    assert start.residual < 1e-9

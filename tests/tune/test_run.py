@@ -1,0 +1,216 @@
+"""Constraints, rescue, uncertainty, objectives: what tuning promises, held against other code."""
+
+import math
+
+import brute_force
+import jax
+import numpy as np
+import pytest
+
+from jaxact.errors import UserError
+from jaxact.frequency import JointLoop
+from jaxact.margins import margins
+from jaxact.sampled import SampledLoop
+from jaxact.sampled_margins import sampled_margins
+from jaxact.tune import pareto
+from jaxact.tune.ensemble import PARAMETERS, Sampling, ensemble
+from jaxact.tune.goal import Goal, tail_weights
+from jaxact.tune.joint import Case
+from jaxact.tune.robust import tune_box
+from jaxact.tune.run import tune, tune_all
+from jaxact.tune.uncertainty import read_box
+
+STARLETH = ensemble(0.7, 110.0, 0.9, 1e-3)
+LATE = ensemble(0.7, 110.0, 0.9, 5e-3)
+
+
+_MARGINS = jax.jit(margins)
+_SIZE = 512
+
+
+def _margins(members, kp, kd):
+    """Of all members, NumPy; in batches of one size, so that one program is compiled."""
+    plant = (getattr(members, name) for name in PARAMETERS)
+    rows = np.broadcast_arrays(np.float64(kp), np.float64(kd), *plant)
+    number = rows[0].size
+    whole = _SIZE * -(-number // _SIZE)
+    padded = [np.pad(row, (0, whole - number), mode="edge") for row in rows]
+    with jax.enable_x64(True):
+        parts = [_MARGINS(JointLoop(*(row[i : i + _SIZE] for row in padded)))
+                 for i in range(0, whole, _SIZE)]  # fmt: skip
+    return jax.tree.map(lambda *a: np.concatenate(a)[:number], *parts)
+
+
+def test_what_cannot_be_met_is_said_with_the_closest_value():
+    """The study's loop: Ms cannot get below 2.9761 at kp = 400, best at kd = 24.49."""
+    tuned = tune(LATE, Goal(max_peak=1.6, min_kp=400.0))
+    assert not tuned.feasible and not tuned.certified
+    assert "infeasible" in tuned.verdict and "2.976" in tuned.verdict
+    assert "sensitivity peak" in tuned.verdict and "max_peak" in tuned.verdict
+    (worst, _) = tuned.closest
+    assert worst.value == pytest.approx(2.9761, abs=1e-4) and tuned.kp == 400.0
+    assert tuned.kd == pytest.approx(24.49, rel=2e-3)
+
+
+def test_no_stable_gains_at_all_is_said_too():
+    tuned = tune(LATE, Goal(max_peak=1.6, min_kp=5000.0))
+    assert not tuned.feasible and "stable" in tuned.verdict
+
+
+def test_fifty_unstable_starts_are_rescued():
+    members, peaks = brute_force.random_members(50, 3)
+    random = np.random.default_rng(4)
+    lag = members[:, 3] + 2.0 * members[:, 2] / members[:, 1]
+    kp = members[:, 0] / lag**2 * np.exp(random.uniform(-0.5, 3.0, 50))
+    kd = members[:, 0] / lag * np.exp(random.uniform(-3.0, 2.0, 50))
+    cases = [
+        Case(ensemble(*row), Goal(max_peak=float(peak)))
+        for row, peak in zip(members, peaks, strict=True)
+    ]
+    plants = ensemble(*members.T)
+    assert not _margins(plants, kp, kd).stable.any()
+    # No default start helps: each has to find back from where it is.
+    tuned = tune_all(cases, list(zip(kp, kd, strict=True)), starts=0)
+    assert all(t.certified and t.improved for t in tuned)
+    assert all(math.isnan(t.value_before) for t in tuned)
+    found = _margins(plants, [t.kp for t in tuned], [t.kd for t in tuned])
+    assert np.all(found.sensitivity_peak <= peaks * (1 + 1e-9))
+
+
+def test_gains_are_never_worse_than_the_start():
+    best = tune(STARLETH, Goal(max_peak=1.6))
+    # One step of descent from a start that is already the optimum cannot do better.
+    again = tune(STARLETH, Goal(max_peak=1.6), start=(best.kp, best.kd))
+    assert again.kp >= best.kp * (1.0 - 1e-12)
+    softer = tune(STARLETH, Goal(max_peak=1.6), start=(20.0, 8.0))
+    assert softer.improved and softer.kp > 20.0 and softer.value_before == pytest.approx(20.0)
+    # Where nothing can be met, the closer of the two is kept.
+    kept = tune(LATE, Goal(max_peak=1.6, min_kp=400.0), start=(400.0, 24.506))
+    assert kept.certificate.checks[0].value <= 2.97616
+
+
+def test_every_constraint_binds_where_it_should():
+    goal = Goal(max_peak=2.5, min_gain_margin=6.0)
+    tuned = tune(LATE, goal)
+    found = _margins(LATE, tuned.kp, tuned.kd)
+    assert found.gain_margin[0] == pytest.approx(6.0, rel=1e-8) and tuned.certified
+    assert found.gain_margin[0] >= 6.0 * (1 - 1e-9)
+    goal = Goal(max_peak=2.5, min_delay_margin=0.05)
+    tuned = tune(LATE, goal)
+    found = _margins(LATE, tuned.kp, tuned.kd)
+    assert found.delay_margin[0] >= 0.05 * (1 - 1e-9) and tuned.certified
+    tuned = tune(STARLETH, Goal(max_peak=2.5, max_kp=90.0))
+    assert tuned.kp == pytest.approx(90.0) and tuned.kp <= 90.0
+
+
+@pytest.mark.parametrize(
+    ("objective", "bounds"),
+    [("disk-margin", {"max_peak": math.inf, "min_kp": 100.0}), ("bandwidth", {"max_peak": 1.6})],
+)
+def test_other_objectives_leave_brute_force_nothing(objective, bounds):
+    tuned = tune(LATE, Goal(objective=objective, **bounds), verify=True)
+    assert tuned.certified and tuned.certificate.gap < 1e-3
+    if objective == "disk-margin":
+        found = _margins(LATE, 100.0 * np.ones(400), np.linspace(8.0, 25.0, 400))
+        assert tuned.value == pytest.approx(float(np.nanmax(found.disk_margin)), rel=1e-4)
+
+
+def test_settling_is_faster_than_a_grid_of_gains_allows():
+    from jaxact.tune import joint
+    from jaxact.tune.response import timed
+
+    goal = Goal(objective="settling", max_peak=1.6)
+    tuned = tune(STARLETH, goal)
+    how = timed(goal, [STARLETH])
+    kp, kd = (a.ravel() for a in np.meshgrid(np.geomspace(40, 180, 8), np.geomspace(6, 20, 8)))
+    found = joint.exact([Case(STARLETH, goal)] * kp.size, np.log([kp, kd]).T, how)
+    met = (found.log["sensitivity_peak"] <= np.log(1.6))[:, 0]
+    met &= (found.log["complementary_peak"] <= np.log(1.6))[:, 0]
+    best = np.exp(found.log["settling_time"][met].min())
+    assert tuned.certified and tuned.value < 1.02 * best
+
+
+def test_sampled_margins_count_where_a_control_rate_is_given():
+    members = ensemble(0.7, 110.0, 0.9, 1e-3, sampling=Sampling(5e-3))
+    tuned = tune(members, Goal(max_peak=1.6))
+    with jax.enable_x64(True):
+        scalars = [np.float64(v) for v in (tuned.kp, tuned.kd, 0.7, 110.0, 0.9, 1e-3, 5e-3)]
+        found = sampled_margins(SampledLoop(*scalars), max_delay_steps=1)
+    assert tuned.certified and bool(found.stable)
+    peak = max(float(found.sensitivity_peak), float(found.complementary_peak))
+    assert peak == pytest.approx(1.6, rel=1e-6) and peak <= 1.6 * (1 + 1e-9)
+    # The hold costs about half a period of delay.
+    held = tune(ensemble(0.7, 110.0, 0.9, 3.5e-3), Goal(max_peak=1.6))
+    assert tuned.kp == pytest.approx(held.kp, rel=0.02)
+
+
+def test_the_whole_box_is_certified_corners_and_interior():
+    box = read_box("wn=0.8..1.2,zeta=0.7..1.1,delay=0..5e-3,mass=0.5..1.0", STARLETH)
+    tuned = tune_box(box, Goal(max_peak=1.6), number=16)
+    assert tuned.certified and tuned.certificate.corners == 16
+    assert len(tuned.members) >= 32 and tuned.certificate.interior <= 1e-10
+    fraction = np.random.default_rng(0).uniform(size=(4000, 4))
+    found = _margins(box.place(fraction), tuned.kp, tuned.kd)
+    assert np.all(found.stable)
+    assert max(found.sensitivity_peak.max(), found.complementary_peak.max()) <= 1.6 * (1 + 1e-9)
+
+
+def test_a_milder_risk_gives_stiffer_gains():
+    box = read_box("wn=0.8..1.2,delay=0..5e-3", STARLETH)
+    members = box.sample(24, 0)
+    cases = {risk: tune(members, Goal(max_peak=1.6, risk=risk)) for risk in
+             ("worst", "cvar:0.75", "mean")}  # fmt: skip
+    assert cases["worst"].kp < cases["cvar:0.75"].kp < cases["mean"].kp
+    assert all(t.certified for t in cases.values())
+    found = _margins(members, cases["mean"].kp, cases["mean"].kd)
+    assert np.mean(np.log(found.sensitivity_peak)) <= np.log(1.6) + 1e-9
+    found = _margins(members, cases["cvar:0.75"].kp, cases["cvar:0.75"].kd)
+    worst = np.sort(np.log(found.sensitivity_peak))[-6:]
+    assert worst.mean() <= np.log(1.6) + 1e-9
+
+
+def test_tail_weights_are_the_mean_of_the_worst_share():
+    values = np.array([3.0, 1.0, 2.0, 5.0])
+    assert tail_weights(values, 0.5) @ values == pytest.approx(4.0)
+    assert tail_weights(values, 1.0) @ values == pytest.approx(values.mean())
+    assert tail_weights(values, 0.375) @ values == pytest.approx((5.0 + 0.5 * 3.0) / 1.5)
+
+
+def test_the_front_rises_and_passes_through_the_single_optimum():
+    points = pareto.front(STARLETH, Goal(), 5)
+    kp = [point.kp for point in points]
+    assert np.all(np.diff(kp) > 0) and all(point.certified for point in points)
+    single = tune(STARLETH, Goal(max_peak=points[2].goal.max_peak))
+    assert single.kp == pytest.approx(points[2].kp, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("goal", "said"),
+    [
+        (Goal(objective="speed"), "objective 'speed'"),
+        (Goal(max_peak=1.0), "--max-peak 1"),
+        (Goal(min_kp=5.0, max_kp=4.0), "above"),
+        (Goal(risk="cvar:2"), "risk 'cvar:2'"),
+        (Goal(objective="disk-margin"), "--min-kp"),
+        (Goal(max_peak=math.inf), "nothing limits"),
+        (Goal(min_delay_margin=math.nan), "--min-delay-margin"),
+    ],
+)
+def test_goals_that_make_no_sense(goal, said):
+    with pytest.raises(UserError, match=said):
+        tune(STARLETH, goal)
+
+
+@pytest.mark.parametrize(
+    "text", ["wn", "wn=1", "speed=1..2", "wn=2..1", "wn=a..b", "delay=-1..0", "wn=1..2,wn=1..2"]
+)
+def test_boxes_that_make_no_sense(text):
+    with pytest.raises(UserError, match="--uncertainty|member"):
+        read_box(text, STARLETH)
+
+
+def test_factors_and_values_of_a_box():
+    box = read_box("wn=0.5..2,mass=0.5..1,delay=1x..3x", STARLETH)
+    assert (box.low["natural_frequency"], box.high["natural_frequency"]) == (55.0, 220.0)
+    assert (box.low["mass"], box.high["mass"]) == (0.5, 1.0)
+    assert box.high["delay"] == pytest.approx(3e-3)
