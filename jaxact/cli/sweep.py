@@ -157,6 +157,8 @@ def _run(asked: Specification, folder: Place, how: How, *, quiet: bool) -> None:
     if quiet:
         return
     seconds = time.perf_counter() - started
+    if asked.engine == "auto":
+        print(_chosen(asked))
     results = store.opened(filled.place)
     print(f"{filled.place.name}: {results['verdict'].size:,} loops, {seconds:.1f} s in all")
     print(results.attrs["summary"])
@@ -191,6 +193,14 @@ def _computed_by(
         yield dataclasses.replace(how, planner=plan, workers=attached.work)
 
 
+def _chosen(asked: Specification) -> str:
+    """Which engine `engine = "auto"` came to."""
+    from jaxact.sweep import execute
+
+    engine = execute.resolved(asked).engine
+    return f"engine {engine}, expected to be the faster one here; engine = {engine!r} says it"
+
+
 def _forecast(asked: Specification, how: How) -> str:
     """What a sweep would take, in a few lines."""
     from jaxact.sweep import adaptive, memory
@@ -211,6 +221,7 @@ def _forecast(asked: Specification, how: How) -> str:
     return "\n".join(
         [
             first,
+            *([_chosen(asked)] if asked.engine == "auto" else []),
             f"{len(layout):,} chunks of up to {layout.loops:,} loops,"
             f" in tiles of {planned.tile:,} on {planned.device}",
             f"memory: about {memory.text(planned.peak)} of {memory.text(planned.memory)} allowed;"

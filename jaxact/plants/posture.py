@@ -18,6 +18,8 @@ from jaxact.plants.silence import silenced
 
 _LONGEST = 20.0  # [s] to come to rest
 _AT_REST = 1e-6  # [1/s^2, relative to gravity] of the largest acceleration that counts as rest
+# How far a floating robot may move on its way to rest: of the model's size, and [rad].
+_SUNK, _TURNED = 0.2, 0.5
 # Natural frequency of the joints that hold the keyframe [rad/s], and its product with the physics
 # step at most. The stiffer they are, the sooner the creep of MuJoCo's friction has ended.
 _RATE, _MOST = 200.0, 0.25
@@ -130,6 +132,11 @@ def settled(robot: Robot) -> Posture:
     force = stiffness * (held - data.qpos[qpos])
     data.qvel[:] = 0.0
     found = _posture(robot, data, force, settled=True)
+    if _fallen(robot, found.qpos):
+        raise UserError(
+            f"{robot.path.name}: the robot falls from its keyframe before it comes to rest; give a "
+            'keyframe that stands by itself, or posture = "keyframe" to start from it as it is'
+        )
     if not np.isfinite(found.residual) or found.residual > 1e-2 * gravity:
         raise UserError(
             f"{robot.path.name}: the posture does not come to rest within {_LONGEST:g} s (residual "
@@ -137,6 +144,21 @@ def settled(robot: Robot) -> Posture:
             'posture = "keyframe" to start from it as it is'
         )
     return found
+
+
+def _fallen(robot: Robot, qpos: np.ndarray) -> bool:
+    """Whether a floating robot has turned over, or sunk, on its way from its keyframe."""
+    model = robot.model
+    if not np.isfinite(qpos).all():
+        return False
+    moved = np.zeros(model.nv)
+    mujoco.mj_differentiatePos(model, moved, 1.0, robot.qpos, qpos)
+    free = model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)
+    for dof in model.jnt_dofadr[free]:
+        sunk = np.linalg.norm(moved[dof : dof + 3]) > _SUNK * model.stat.extent
+        if sunk or np.linalg.norm(moved[dof + 3 : dof + 6]) > _TURNED:
+            return True
+    return False
 
 
 def _inertia(

@@ -165,7 +165,7 @@ def plans(
     steps = substeps(specification, rates)
     kinds = np.unique(steps)
     devices = _devices(specification)
-    tile = min(tile_size(specification), max(_fewest(specification), len(samples)))
+    tile = max(min(tile_size(specification), len(samples)), _fewest(specification))
     groups = []
     for count in kinds:
         own = rates[steps == count]
