@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"jaxact: {_one_line(error)}", file=sys.stderr)
         return USAGE_ERROR
     except KeyboardInterrupt as stop:
-        print(f"jaxact: {stop or 'interrupted; nothing unfinished was kept'}", file=sys.stderr)
+        print(f"jaxact: {str(stop) or 'interrupted; nothing unfinished was kept'}", file=sys.stderr)
         return INTERRUPTED
     except Terminated as stop:
         if str(stop):
