@@ -19,7 +19,8 @@ from jax.sharding import Mesh, PartitionSpec
 
 from jaxact import drive, loop
 from jaxact.drive import Coefficients
-from jaxact.plants import mjx
+from jaxact.loop import Loop
+from jaxact.plants import Mass, mjx
 from jaxact.sweep import kernel
 from jaxact.sweep.samples import Samples
 
@@ -79,7 +80,8 @@ def _inputs(samples: Samples, options: drive.DriveOptions) -> np.ndarray:
     """Rows of the C loop's inputs, in its order."""
 
     def coefficients(values: dict[str, jax.Array]) -> tuple[Any, Coefficients]:
-        prepared = loop.prepare(kernel.loop_of(values, None), options)
+        closed = Loop(Mass(values["mass"]), kernel.drive_of(values))
+        prepared = loop.prepare(closed, options)
         return prepared.plant, prepared.drive
 
     values = {name: jnp.asarray(value, jnp.float32) for name, value in samples.values.items()}
