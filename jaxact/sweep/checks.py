@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.sweep.axes import MOST_LOOPS, Axis
+from jaxact.sweep.parameters import ROBOT_ONLY
 from jaxact.sweep.specification import Specification
 
 # Longest history of a signal that a loop keeps, in control periods.
@@ -21,6 +22,7 @@ MJX_STEP = 0.00025
 def check(specification: Specification) -> None:
     """Raise UserError if the parts of a specification do not fit each other."""
     axes = {axis.name: axis for axis in specification.axes}
+    _check_robot_only(specification, axes)
     _check_axes(specification, axes)
     _check_actuator(specification, axes)
     _check_torque_speed_line(specification, axes)
@@ -50,6 +52,18 @@ def _check_axes(specification: Specification, axes: dict[str, Axis]) -> None:
     if total > MOST_LOOPS:
         sizes = " x ".join(f"{axis.name} {len(axis):,}" for axis in axes.values())
         raise UserError(f"axes: {sizes} make {total:.3g} samples; allowed: up to {MOST_LOOPS:,}")
+
+
+def _check_robot_only(specification: Specification, axes: dict[str, Axis]) -> None:
+    """What only a robot has would be ignored silently without one."""
+    if specification.plant is not None:
+        return
+    for name in (*specification.parameters, *axes):
+        if "@" in name or name in ROBOT_ONLY:
+            raise UserError(f"{name}: only a robot has it; give one below [plant], or drop it")
+    for name in ("motion", "push"):
+        if getattr(specification, name) is not None:
+            raise UserError(f"{name}: only for a robot; give one below [plant], or drop it")
 
 
 def _check_actuator(specification: Specification, axes: dict[str, Axis]) -> None:
