@@ -16,7 +16,7 @@ from benchmarks.timing import Row, alternate
 from jaxact.drive import Force
 from jaxact.plants import mjx, posture
 from jaxact.plants import model as models
-from jaxact.sweep import execute, reading
+from jaxact.sweep import engines, execute, reading
 from jaxact.sweep.samples import Samples, expand
 from jaxact.sweep.specification import Specification
 
@@ -100,7 +100,7 @@ def _specification(model: str, engine: str, duration: float, loops: int) -> Spec
 
 def _rollouts(asked: Specification, samples: Samples) -> tuple[Callable[[], float], execute.Plan]:
     """The rollouts with their metrics, growth rates given; units: control periods of one loop."""
-    asked = execute.resolved(asked)
+    asked = engines.resolved(asked)
     (plan,) = execute.plans(asked, samples)
     growth = np.full(plan.batch, -1.0)
     numbers = [batch for batch, _ in execute.batches(plan, samples)]

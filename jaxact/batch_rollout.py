@@ -23,7 +23,8 @@ from jaxact import sensor as _sensor
 from jaxact.controller import Setpoint
 from jaxact.drive import Coefficients, DriveOptions, DriveState
 from jaxact.loop import Output
-from jaxact.metrics import SEGMENTS, Envelope, Metrics, Reference, Running
+from jaxact.metrics import SEGMENTS, Envelope, Metrics, Period, Reference, Running
+from jaxact.packing import pack, unpack
 from jaxact.plants.linear import hermite
 from jaxact.plants.mujoco import Simulations
 from jaxact.sensor import Draws
@@ -92,12 +93,13 @@ def _begin(coefficients, options, state: BatchState, now: Pair, setpoint: Setpoi
     return _actuated(coefficients, options, state, 0, now[1])
 
 
-def _captured(coefficients: Coefficients, state: BatchState, place: int, ends: tuple[Pair, Pair]):
+def _captured(coefficients: Coefficients, state: BatchState, place: int, ends: Pair):
     """The measurement, if it falls into this physics step; `ends` are its two states."""
     capture = coefficients.capture
     if capture is None or state.late is None:
         return state
-    position, velocity = hermite(*ends, capture.offset, coefficients.step)
+    before, after = ((end[0], end[1]) for end in ends)
+    position, velocity = hermite(before, after, capture.offset, coefficients.step)
     here = capture.here[place] > 0.0
     late = jnp.where(here, position, state.late[0]), jnp.where(here, velocity, state.late[1])
     return replace(state, late=late)
@@ -117,17 +119,42 @@ def _end(coefficients, options, state: BatchState, now: Pair, reference: Referen
         peak_force=state.peak_force,
         square_force=state.square_force,
     )
+    periods = [Period(output, reference, count, weight)]
     return replace(
         state,
         drive=drive,
-        running=_metrics.update(state.running, reference, output, count, weight),
-        envelope=_metrics.update_envelope(state.envelope, output, count),
+        running=_metrics.update(state.running, periods),
+        envelope=_metrics.update_envelope(state.envelope, periods),
     )
 
 
 @dataclass(frozen=True)
+class _Fixed:
+    """What stays the same during the rollout of a loop.
+
+    Attributes:
+        coefficients: from `jaxact.drive.prepare`.
+        setpoint: constant setpoint.
+        reference: of the metrics.
+        active_ticks: integrals stop after this many.
+        key: of the random numbers.
+    """
+
+    coefficients: Coefficients
+    setpoint: Setpoint
+    reference: Reference
+    active_ticks: jax.Array
+    key: jax.Array
+
+
+jax.tree_util.register_dataclass(
+    _Fixed, data_fields=[item.name for item in fields(_Fixed)], meta_fields=[]
+)
+
+
+@dataclass(frozen=True)
 class _Stages:
-    """The compiled functions of a batch."""
+    """The compiled functions of a batch; states and `_Fixed` are packed."""
 
     first: Callable
     turn: Callable
@@ -136,7 +163,7 @@ class _Stages:
 
 
 @functools.cache
-def _stages(options: DriveOptions, masked: bool, moving: bool) -> _Stages:
+def _stages(options: DriveOptions, masked: bool) -> _Stages:
     """The functions between which the physics runs; batched over loops.
 
     `first` begins a rollout, `turn` ends a period and begins the next one, `middle` is the force of
@@ -144,46 +171,55 @@ def _stages(options: DriveOptions, masked: bool, moving: bool) -> _Stages:
     """
     final = options.substeps - 1
 
-    def draws_of(key, number, like):
-        if not options.random:
-            return Draws()
-        return _sensor.draw(options.sensor, jax.random.fold_in(key, number), like)
+    def begin(fixed: _Fixed, state, now, given, number):
+        draws = Draws()
+        if options.random:
+            draws = _sensor.draw(options.sensor, fixed.key, number, now[0])
+        setpoint = fixed.setpoint if given is None else Setpoint(*given)
+        return _begin(fixed.coefficients, options, state, (now[0], now[1]), setpoint, draws)
 
-    def first(coefficients, state, now, setpoint, key):
-        draws = draws_of(key, 0, now[0])
-        return _begin(coefficients, options, state, now, setpoint, draws)
+    def end(fixed: _Fixed, state, ends, given, number):
+        state = _captured(fixed.coefficients, state, final, ends)
+        count = number.astype(ends[1].dtype)
+        weight = None if not masked else (number <= fixed.active_ticks).astype(count.dtype)
+        aim = fixed.reference if given is None else replace(fixed.reference, target=given[0])
+        period = fixed.coefficients, options, state, (ends[1][0], ends[1][1])
+        return _end(*period, aim, count, weight)
 
-    def end(coefficients, state, ends, setpoint, reference, active, number):
-        state = _captured(coefficients, state, final, ends)
-        weight = None if not masked else (number <= active).astype(ends[1][0].dtype)
-        aim = replace(reference, target=setpoint.position) if moving else reference
-        count = number.astype(ends[1][0].dtype)
-        return _end(coefficients, options, state, ends[1], aim, count, weight)
+    def first(fixed, state, now, given, number):
+        state, force = begin(unpack(fixed), unpack(state), now, given, number)
+        return pack(state), force
 
-    def turn(coefficients, state, ends, setpoints, reference, active, key, number):
-        ended, begun = setpoints
-        state = end(coefficients, state, ends, ended, reference, active, number)
-        draws = draws_of(key, number, ends[1][0])
-        return _begin(coefficients, options, state, ends[1], begun, draws)
+    def turn(fixed, state, ends, ended, begun, number):
+        fixed = unpack(fixed)
+        state = end(fixed, unpack(state), ends, ended, number)
+        state, force = begin(fixed, state, ends[1], begun, number)
+        return pack(state), force
 
-    def middle(coefficients, state, ends, place):
-        state = _captured(coefficients, state, place - 1, ends)
-        return _actuated(coefficients, options, state, place, ends[1][1])
+    def middle(fixed, state, ends, place):
+        coefficients = unpack(fixed).coefficients
+        state = _captured(coefficients, unpack(state), place - 1, ends)
+        state, force = _actuated(coefficients, options, state, place, ends[1][1])
+        return pack(state), force
 
-    def batched(function: Callable, axes: tuple) -> Callable:
-        return jax.jit(jax.vmap(function, in_axes=axes))
+    def last(fixed, state, ends, ended, number):
+        return pack(end(unpack(fixed), unpack(state), ends, ended, number))
 
     return _Stages(
-        first=batched(first, (0, 0, 0, 0, 0)),
-        turn=batched(turn, (0, 0, 0, 0, 0, 0, 0, None)),
+        first=jax.jit(jax.vmap(first, in_axes=(0, 0, 0, 0, None))),
+        turn=jax.jit(jax.vmap(turn, in_axes=(0, 0, 0, 0, 0, None))),
         middle=jax.jit(
-            lambda coefficients, state, ends, place: jax.vmap(
-                functools.partial(middle, place=place)
-            )(coefficients, state, ends),
+            lambda fixed, state, ends, place: jax.vmap(functools.partial(middle, place=place))(
+                fixed, state, ends
+            ),
             static_argnums=3,
         ),
-        last=batched(end, (0, 0, 0, 0, 0, 0, None)),
+        last=jax.jit(jax.vmap(last, in_axes=(0, 0, 0, 0, None))),
     )
+
+
+_packed = jax.jit(jax.vmap(pack))
+_unpacked = jax.jit(jax.vmap(unpack))
 
 
 def evaluate(
@@ -224,43 +260,55 @@ def evaluate(
     Returns:
         See `jaxact.metrics.Metrics`; shape (loops,) or (loops, joints).
     """
-    stages = _stages(options, masked, setpoints is not None)
+    stages = _stages(options, masked)
     simulations.start(*start)
     now = _pair(start)
-    like = jnp.asarray(now[0])
+    like = jnp.asarray(now[:, 0])
     reference = jax.vmap(_metrics.reference)(like, jnp.broadcast_to(setpoint.position, like.shape))
+    fixed = _packed(_Fixed(coefficients, setpoint, reference, active_ticks, keys))
     zero = jnp.zeros_like(like)
-    held = BatchState(
-        state, _metrics.init(like), _metrics.init_envelope(like), None, now, zero, zero, zero
+    held = _packed(
+        BatchState(
+            drive=state,
+            running=_metrics.init(like),
+            envelope=_metrics.init_envelope(like),
+            late=None,
+            before=(like, jnp.asarray(now[:, 1])),
+            command=zero,
+            peak_force=zero,
+            square_force=zero,
+        )
     )
+    rows = None if setpoints is None else _rows(setpoints)
     envelopes = []
-    wanted = _at(setpoint, setpoints, 0)
-    held, force = stages.first(coefficients, held, now, wanted, keys)
+    wanted = None if rows is None else rows[0]
+    held, force = stages.first(fixed, held, now, wanted, np.int32(0))
     for number in range(1, ticks + 1):
         for place in range(options.substeps):
             if observe is not None:
-                observe(place, wanted, held, force)
+                given = setpoint if wanted is None else Setpoint(*np.moveaxis(wanted, 1, 0))
+                observe(place, given, _unpacked(held), force)
             before = now
             simulations.advance(np.asarray(force, float))
             now = _pair(simulations.measure())
+            ends = before, now
             if place + 1 < options.substeps:
-                held, force = stages.middle(coefficients, held, (before, now), place + 1)
-        ends, count = (before, now), np.int32(number)
+                held, force = stages.middle(fixed, held, ends, place + 1)
+        count = np.int32(number)
         if number == ticks:
-            held = stages.last(coefficients, held, ends, wanted, reference, active_ticks, count)
+            held = stages.last(fixed, held, ends, wanted, count)
         else:
-            following = _at(setpoint, setpoints, number)
-            held, force = stages.turn(
-                coefficients, held, ends, (wanted, following), reference, active_ticks, keys, count
-            )
+            following = None if rows is None else rows[number]
+            held, force = stages.turn(fixed, held, ends, wanted, following, count)
             wanted = following
         if number % (ticks // SEGMENTS) == 0:
-            envelopes.append(held.envelope)
-            held = replace(held, envelope=_metrics.init_envelope(like))
+            whole = _unpacked(held)
+            envelopes.append(whole.envelope)
+            held = _packed(replace(whole, envelope=_metrics.init_envelope(like)))
     period = jnp.asarray(coefficients.drive.control_period)
     counted = active_ticks if masked else jnp.full(period.shape, float(ticks), like.dtype)
     return _finish(ticks)(
-        held.running, envelopes, reference, growth_rate, period, counted, rest_amplitude
+        _unpacked(held).running, envelopes, reference, growth_rate, period, counted, rest_amplitude
     )
 
 
@@ -284,13 +332,18 @@ def _finish(ticks: int) -> Callable[..., Metrics]:
     return jax.jit(jax.vmap(finished))
 
 
-def _pair(state: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Joint positions and velocities in JAX's precision, what is beyond it at its end."""
+def _pair(state: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Joint positions and velocities in JAX's precision, what is beyond it at its end.
+
+    Returns:
+        shape (loops, 2, joints).
+    """
     dtype = jnp.result_type(float)
     most = float(np.finfo(dtype).max)
-    position, velocity = (np.clip(part, -most, most).astype(dtype) for part in state)
-    return position, velocity
+    return np.clip(np.stack(state, axis=1), -most, most).astype(dtype)
 
 
-def _at(setpoint: Setpoint, setpoints: Setpoint | None, tick: int) -> Setpoint:
-    return setpoint if setpoints is None else jax.tree.map(lambda row: row[:, tick], setpoints)
+def _rows(setpoints: Setpoint) -> np.ndarray:
+    """The setpoints of every tick: position, velocity, force; (ticks, loops, 3, joints)."""
+    parts = (setpoints.position, setpoints.velocity, setpoints.force)
+    return np.moveaxis(np.stack([np.asarray(part) for part in parts], axis=2), 1, 0).copy()

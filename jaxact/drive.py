@@ -39,6 +39,7 @@ __all__ = [
     "at_substep",
     "capture",
     "forget",
+    "forgotten",
     "init",
     "options",
     "prepare",
@@ -415,6 +416,12 @@ def forget(coefficients: Coefficients, state: DriveState) -> DriveState:
         )
     older = jnp.zeros_like(state.older)
     return replace(state, commands=commands, measurements=measurements, older=older)
+
+
+def forgotten(state: DriveState) -> int:
+    """How many numbers of the state `forget` makes zero whatever the parameters are."""
+    oldest = 1  # command: no reading after the next push reaches it
+    return (oldest + 1) * int(jnp.size(state.older))
 
 
 def capture(state: DriveState, position: jax.Array, velocity: jax.Array) -> DriveState:

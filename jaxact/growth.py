@@ -3,16 +3,18 @@
 "Did it diverge within two seconds" is wrong near the stability boundary. Instead the step of the
 loop itself is linearised (`jax.linearize` of the same code that simulates), a perturbation is sent
 through it, renormalised, until the fast modes are gone, and a few more blocks of periods span a
-Krylov space of what is left. The largest eigenvalue of the propagation in that space gives
+Krylov space of what is left; a small state is spanned as a whole. The largest eigenvalue of the
+propagation in that space gives
 
     growth rate = log(|largest eigenvalue|) / (periods in a block * T)
 
 Source: Arnoldi's method, Saad, "Numerical Methods for Large Eigenvalue Problems", 2nd ed., chapter
-6; the spectral radius of the small matrix by repeated squaring (Gelfand's formula).
+6; the spectral radius of the small matrix as in `jaxact.characteristic`.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +23,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
+from jaxact import characteristic as _characteristic
 from jaxact import delay as _delay
 from jaxact import drive as _drive
 from jaxact import loop as _loop
@@ -34,9 +37,12 @@ class GrowthOptions:
     """How the growth rate is measured: static.
 
     Attributes:
-        block: control periods in one application of the propagation.
-        settle: blocks before the Krylov space is built.
+        block: control periods in one application of the propagation; some milliseconds, so that
+            the slow modes differ.
+        settle: blocks before the Krylov space is built, until the fast modes are gone.
         dimension: of the Krylov space.
+        whole: a state of no more than this many numbers is its own Krylov space, in which the fast
+            modes need not be gone; a sixteenth of `settle` is enough to find its scale.
         squarings: of the small matrix; the last one looks 2^squarings blocks ahead.
         dense: write the propagation of one period out as a matrix first. Cheaper where one period
             of the plant costs more than the product of a matrix and a vector.
@@ -48,6 +54,7 @@ class GrowthOptions:
     block: int = 4
     settle: int = 64
     dimension: int = 8
+    whole: int = 10
     squarings: int = 18
     dense: bool = False
     stacked: bool = False
@@ -119,10 +126,10 @@ def _dense(vector: list[jax.Array], apply: Callable, block: int) -> Propagation:
     columns = jax.vmap(lambda unit: ravel_pytree(apply(unravel(unit)))[0])(jnp.eye(flat.size))
 
     def repeated(vector: list[jax.Array]) -> list[jax.Array]:
-        image = vector[0]
-        for _ in range(block):
-            image = jnp.sum(columns * image[:, None], axis=0)
-        return [image]
+        def once(image: jax.Array, _: None) -> tuple[jax.Array, None]:
+            return jnp.sum(columns * image[:, None], axis=0), None
+
+        return [jax.lax.scan(once, vector[0], None, length=block, unroll=min(block, 4))[0]]
 
     return [flat], repeated
 
@@ -166,73 +173,66 @@ def _inverse(size: jax.Array) -> jax.Array:
     return jnp.where(size > 0.0, 1.0 / jnp.where(size > 0.0, size, 1.0), 0.0)
 
 
-def _krylov(apply: Callable, start: list[jax.Array], dimension: int) -> list[list[jax.Array]]:
+def _krylov(
+    apply: Callable, start: list[jax.Array], dimension: int, whole: bool, kept: Callable
+) -> list[list[jax.Array]]:
     """Projection of a linear map on the Krylov space of `start`: rows of a Hessenberg matrix.
 
     A space that is exhausted early leaves zero rows and columns, which add no eigenvalue but 0.
+    Of the `whole` space nothing may be missed, even if the start happens to be all but a mode.
+    What passes through `kept` is computed once, rather than wherever it is used.
     """
     # Below this share of an image, what is new in it is rounding, amplified by the delay lines.
-    exhausted = jnp.finfo(start[0].dtype).eps ** 0.375
-    basis = [_scaled(start, _inverse(jnp.sqrt(_dot(start, start))))]
-    matrix = [[jnp.zeros(())] * dimension for _ in range(dimension)]
-    for column in range(dimension):
-        image = apply(basis[column])
+    exhausted = jnp.finfo(start[0].dtype).eps ** (0.6 if whole else 0.375)
+    first = _scaled(start, _inverse(jnp.sqrt(_dot(start, start))))
+    empty = [jnp.zeros_like(leaf) for leaf in start]
+
+    def column(carry, number):
+        newest, basis = carry
+        image = kept(apply(newest))
         size = jnp.sqrt(_dot(image, image))
-        for row, vector in enumerate(basis):
-            entry = _dot(vector, image)
-            image = [x - entry * y for x, y in zip(image, vector, strict=True)]
-            matrix[row][column] = entry
-        if column + 1 < dimension:
-            rest = jnp.sqrt(_dot(image, image))
-            rest = jnp.where(rest > exhausted * size, rest, 0.0)
-            basis.append(_scaled(image, _inverse(rest)))
-            matrix[column + 1][column] = rest
+        entries = []
+        for vector in basis:
+            entry = kept(_dot(vector, image))
+            image = kept([x - entry * y for x, y in zip(image, vector, strict=True)])
+            entries.append(entry)
+        rest = jnp.sqrt(_dot(image, image))
+        rest = jnp.where(rest > exhausted * size, rest, 0.0)
+        newest = kept(_scaled(image, kept(_inverse(rest))))
+        basis = [
+            [
+                jnp.where(number + 1 == place, new, old)
+                for new, old in zip(newest, vector, strict=True)
+            ]
+            for place, vector in enumerate(basis)
+        ]
+        return (newest, basis), (entries, rest)
+
+    carry = first, [first] + [empty] * (dimension - 1)
+    _, (entries, rests) = jax.lax.scan(column, carry, jnp.arange(dimension))
+    matrix = [[row[number] for number in range(dimension)] for row in entries]
+    for number in range(dimension - 1):
+        matrix[number + 1][number] = rests[number]
     return matrix
 
 
-def log_spectral_radius(matrix: list[list[jax.Array]], squarings: int) -> jax.Array:
-    """Logarithm of the spectral radius of a small matrix by repeated squaring.
+def _log_radius(matrix: jax.Array, squarings: int) -> jax.Array:
+    """Logarithm of the spectral radius of a matrix of many rows, by repeated squaring.
 
         log rho = lim log(|A^(2k)| / |A^k|) / k
 
-    Args:
-        matrix: rows of numbers of shape (); kept apart so that a batch of small matrices is a small
-            matrix of batches, which is what vector units want.
-        squarings: static; with k = 2^(squarings - 1) the error falls like 1/k.
-
-    Returns:
-        log rho(A), shape (); -inf for a nilpotent matrix.
+    Source: Gelfand's formula. A polynomial of so high a degree would be too sensitive to rounding.
     """
-
-    def square(matrix: list[list[jax.Array]]) -> list[list[jax.Array]]:
-        columns = list(zip(*matrix, strict=True))
-        return [
-            [sum(x * y for x, y in zip(row, column, strict=True)) for column in columns]
-            for row in matrix
-        ]
-
-    def norm(matrix: list[list[jax.Array]]) -> jax.Array:
-        return jnp.sqrt(sum(entry * entry for row in matrix for entry in row))
-
-    return _log_radius(matrix, square, norm, squarings)
-
-
-def _log_radius(matrix: Any, square: Callable, norm: Callable, squarings: int) -> jax.Array:
-    """Logarithm of the spectral radius of a matrix in any form that can be squared and measured."""
-
-    def scale(matrix: Any, factor: jax.Array) -> Any:
-        return jax.tree.map(lambda entry: factor * entry, matrix)
 
     def advance(carry, _):
         matrix, log_size, power, _ = carry
-        product = square(matrix)
-        size = norm(product)
+        product = matrix @ matrix
+        size = jnp.linalg.norm(product)
         growth = (log_size + jnp.log(size)) / power
-        product = scale(product, _inverse(size))
-        return (product, 2.0 * log_size + jnp.log(size), 2.0 * power, growth), None
+        return (_inverse(size) * product, 2.0 * log_size + jnp.log(size), 2.0 * power, growth), None
 
-    size = norm(matrix)
-    carry = (scale(matrix, _inverse(size)), jnp.log(size), jnp.ones_like(size), size)
+    size = jnp.linalg.norm(matrix)
+    carry = (_inverse(size) * matrix, jnp.log(size), jnp.ones_like(size), size)
     (_, _, _, growth), _ = jax.lax.scan(advance, carry, None, length=squarings)
     return growth
 
@@ -299,21 +299,26 @@ def growth_rate(
         vector = _scaled(image, _inverse(jnp.sqrt(_dot(image, image))))
         return (vector, [x * x + y for x, y in zip(vector, squares, strict=True)]), None
 
+    rank = sum(leaf.size for leaf in start) - _drive.forgotten(state.drive)
+    whole = rank <= measure.whole
+    blocks = measure.settle // 16 if whole else measure.settle
     # Positions, velocities and forces have different units; their size along the way is the scale.
     carry = tangent, [jnp.zeros_like(leaf) for leaf in tangent]
-    (settled, squares), _ = jax.lax.scan(settle, carry, None, length=measure.settle)
-    scale = [jnp.where(x > 0.0, jnp.sqrt(x / measure.settle), 1.0) for x in squares]
+    (settled, squares), _ = jax.lax.scan(settle, carry, None, length=blocks)
+    scale = [jnp.where(x > 0.0, jnp.sqrt(x / blocks), 1.0) for x in squares]
 
     def scaled_apply(vector: list[jax.Array]) -> list[jax.Array]:
         image = apply([x * y for x, y in zip(vector, scale, strict=True)])
         return [x / y for x, y in zip(image, scale, strict=True)]
 
-    dimension = min(measure.dimension, sum(leaf.size for leaf in start))
+    dimension = rank if whole else min(measure.dimension, rank)
     unit = [x / y for x, y in zip(settled, scale, strict=True)]
     period = prepared.drive.drive.control_period
     if measure.stacked:
         stacked = _arnoldi(lambda vector: scaled_apply([vector])[0], unit[0], dimension)
-        log_radius = _log_radius(stacked, lambda x: x @ x, jnp.linalg.norm, measure.squarings)
+        log_radius = _log_radius(stacked, measure.squarings)
     else:
-        log_radius = log_spectral_radius(_krylov(scaled_apply, unit, dimension), measure.squarings)
+        kept = functools.partial(_loop.stage, options)
+        small = _krylov(scaled_apply, unit, dimension, whole, kept)
+        log_radius = _characteristic.log_spectral_radius(small, measure.squarings, kept)
     return log_radius / (measure.block * period)

@@ -6,6 +6,7 @@ trajectory the physics steps of one loop, for plots and files
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -21,7 +22,7 @@ from jaxact.controller import Setpoint
 from jaxact.drive import DriveOptions
 from jaxact.growth import GrowthOptions
 from jaxact.loop import Loop, LoopState, Prepared
-from jaxact.metrics import SEGMENTS, Metrics
+from jaxact.metrics import SEGMENTS, Metrics, Period
 from jaxact.sensor import Draws
 
 
@@ -31,7 +32,7 @@ class RolloutOptions:
 
     Attributes:
         ticks: control periods; a multiple of `jaxact.metrics.SEGMENTS`.
-        unroll: control periods in one iteration of the compiled loop.
+        unroll: largest number of control periods in one iteration of the compiled loop.
         linear_plant: whether the plant is linear, so that a linear drive makes a linear loop.
     """
 
@@ -79,15 +80,17 @@ def whole_ticks(duration: float, control_period: float) -> int:
 def _draws(
     options: DriveOptions, key: jax.Array | None, numbers: jax.Array, like: jax.Array
 ) -> Draws:
-    """Random numbers of many ticks: each tick folds its number into the sample's key."""
+    """Random numbers of many ticks."""
     if not options.random:
         return Draws()
     if key is None:
         raise ValueError("a drive with noise needs a random key")
-    each = jax.vmap(
-        lambda number: _sensor.draw(options.sensor, jax.random.fold_in(key, number), like)
-    )
-    return each(numbers)
+    return jax.vmap(lambda number: _sensor.draw(options.sensor, key, number, like))(numbers)
+
+
+def _together(length: int, most: int) -> int:
+    """Largest number of ticks, not above `most`, that divides a segment."""
+    return next(count for count in range(most, 0, -1) if length % count == 0)
 
 
 def run(
@@ -109,7 +112,7 @@ def run(
         rollout: static, of the rollout.
         state: from `jaxact.loop.init`.
         setpoint: constant; the response is measured as a step from the present position.
-        key: of this sample; each tick folds in its number. Needed only where `options.random`.
+        key: of this sample; needed only where `options.random`.
         active_ticks: integrals stop after this many ticks; None for all.
         setpoints: one for every tick instead of the constant one, leaves of shape (ticks, joints);
             errors are measured against them, the rest against the constant one.
@@ -127,17 +130,25 @@ def run(
     reference = _metrics.reference(start, jnp.broadcast_to(setpoint.position, start.shape))
     length = rollout.ticks // SEGMENTS
 
-    def tick(carry, inputs):
+    together = _together(length, rollout.unroll)
+
+    def tick(state, inputs):
         number, draws, given = inputs
-        state, running, envelope = carry
         wanted = setpoint if given is None else given
         state, (output, _) = _loop.step(prepared, options, state, wanted, draws)
         count = (number + 1).astype(start.dtype)
         weight = None if active_ticks is None else (count <= active_ticks).astype(start.dtype)
         aim = reference if given is None else replace(reference, target=given.position)
-        running = _metrics.update(running, aim, output, count, weight)
-        envelope = _metrics.update_envelope(envelope, output, count)
-        return _loop.stage(options, (state, running, envelope)), None
+        return _loop.stage(options, state), Period(output, aim, count, weight)
+
+    def ticks(carry, inputs):
+        state, running, envelope = carry
+        periods = []
+        for place in range(together):
+            state, period = tick(state, jax.tree.map(operator.itemgetter(place), inputs))
+            periods.append(period)
+        running = _metrics.update(running, periods)
+        return (state, running, _metrics.update_envelope(envelope, periods)), None
 
     def segment(carry, inputs):
         first, given = inputs
@@ -145,9 +156,10 @@ def run(
         inner = state, running, _metrics.init_envelope(start)
         numbers = first + jnp.arange(length, dtype=jnp.int32)
         inputs = numbers, _draws(options, key, numbers, start), given
-        (state, running, envelope), _ = jax.lax.scan(
-            tick, inner, inputs, unroll=min(rollout.unroll, length)
+        inputs = jax.tree.map(
+            lambda row: row.reshape((length // together, together, *row.shape[1:])), inputs
         )
+        (state, running, envelope), _ = jax.lax.scan(ticks, inner, inputs)
         return (state, running), envelope
 
     carry = state, _metrics.init(start)

@@ -158,19 +158,38 @@ class Draws:
 jax.tree_util.register_dataclass(Draws, data_fields=["noise", "walk"], meta_fields=[])
 
 
-def draw(options: SensorOptions, key: jax.Array | None, like: jax.Array) -> Draws:
-    """Random numbers of one tick from its key; noise and walk have streams of their own.
+def _standard_normal(words: jax.Array, dtype: jax.typing.DTypeLike) -> jax.Array:
+    """Normal numbers from random 32-bit words, by the inverse of the distribution; same shape."""
+    # The 24 highest bits and a half fit a float32 exactly, so that neither -1 nor 1 occurs.
+    whole = jax.lax.bitcast_convert_type(words, jnp.int32) >> 8
+    uniform = (whole.astype(dtype) + 0.5) / 2.0**23
+    return jnp.sqrt(jnp.asarray(2.0, dtype)) * jax.lax.erf_inv(uniform)
+
+
+def draw(
+    options: SensorOptions, key: jax.Array | None, number: jax.Array, like: jax.Array
+) -> Draws:
+    """Random numbers of one tick; noise and walk have streams of their own.
 
     Not part of `step`, so that a rollout can draw for many ticks at once, which is far cheaper.
+    Each joint and tick is one count of a counter-based generator, whose two words are the numbers
+    for position and velocity.
 
     Args:
         options: static.
-        key: random key of this sample and tick; needed only with noise or a walking bias.
+        key: random key of this sample; needed only with noise or a walking bias.
+        number: of the tick, whole.
         like: any joint quantity, shape (joints,).
+
+    Source: J. Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011.
     """
+    size = max(1, like.size)
+    counts = jnp.asarray(number, jnp.uint32) * size + jnp.arange(size, dtype=jnp.uint32)
 
     def normal(source: int) -> jax.Array:
-        return jax.random.normal(jax.random.fold_in(key, source), (2, *like.shape), like.dtype)
+        stream = jax.random.fold_in(key, source)
+        each = jax.vmap(lambda count: jax.random.key_data(jax.random.fold_in(stream, count)))
+        return _standard_normal(each(counts)[:, :2], like.dtype).T.reshape((2, *like.shape))
 
     return Draws(normal(0) if options.noise else None, normal(1) if options.walk else None)
 

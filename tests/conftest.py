@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+from pathlib import Path
 
 import hypothesis
 
@@ -14,6 +15,13 @@ os.environ.setdefault("MPLBACKEND", "agg")
 if "PYTEST_XDIST_WORKER" not in os.environ:
     _cache = tempfile.TemporaryDirectory(prefix="jaxact-tests-")
     os.environ["XDG_CACHE_HOME"] = _cache.name
+
+import jax  # noqa: E402
+
+# Two workers that run tests of one module compile its functions once. Not by the environment, which
+# the command line under test would inherit.
+jax.config.update("jax_compilation_cache_dir", str(Path(os.environ["XDG_CACHE_HOME"]) / "tests"))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
 
 hypothesis.settings.register_profile(
     "jaxact",

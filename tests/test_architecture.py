@@ -27,7 +27,7 @@ ANALYSIS = (
 )  # fmt: skip
 LAYERS = (
     ("errors", "status"),
-    ("delay", "held"),
+    ("delay", "held", "characteristic", "packing"),
     ("actuator", "sensor", "controller"),
     ("drive_options",),
     ("drive",),
@@ -49,6 +49,7 @@ SIMULATION = (
     "rollout",
     "metrics",
     "growth",
+    "characteristic",
     "sweep",
     "drive",
     "drive_options",

@@ -244,10 +244,10 @@ def _simulated(specification: Specification, labels: tuple[str, str], start: flo
     """Both motions from their start, and a line on each of what came out."""
     from jaxact.plot.film import Motion
     from jaxact.status import Verdict
-    from jaxact.sweep import execute, single
+    from jaxact.sweep import engines, single
     from jaxact.sweep.bare import pair
 
-    specification = execute.resolved(specification)
+    specification = engines.resolved(specification)
     motions = []
     runs = single.simulate_all(specification, pair(specification))
     for label, run in zip(labels, runs, strict=True):

@@ -151,9 +151,9 @@ def main(
     plant = {name: str(value) for name, value in plant.items() if value is not None}
     specification = _single.specification(spec, set, asked, plant, _loops.given(parameters))
 
-    from jaxact.sweep import execute, single
+    from jaxact.sweep import engines, single
 
-    specification = execute.resolved(specification)
+    specification = engines.resolved(specification)
     run = single.simulate(specification)
     place = _place(run, joint)
     _write(run, specification, place, out, csv, npz)

@@ -133,6 +133,8 @@ def main(
 
         how = dataclasses.replace(how, workers=functools.partial(fill.here, keep=throughput.keep))
     measure = not (dry_run or no_cache)
+    if asked.engine == "auto":
+        asked = _settled(asked, folder, how, measure=measure and workers == "local", quiet=quiet)
     with _computed_by(how, workers, address, budget, measure=measure, quiet=quiet) as how:
         if dry_run:
             print(_forecast(asked, how))
@@ -157,8 +159,6 @@ def _run(asked: Specification, folder: Place, how: How, *, quiet: bool) -> None:
     if quiet:
         return
     seconds = time.perf_counter() - started
-    if asked.engine == "auto":
-        print(_chosen(asked))
     results = store.opened(filled.place)
     print(f"{filled.place.name}: {results['verdict'].size:,} loops, {seconds:.1f} s in all")
     print(results.attrs["summary"])
@@ -193,12 +193,26 @@ def _computed_by(
         yield dataclasses.replace(how, planner=plan, workers=attached.work)
 
 
-def _chosen(asked: Specification) -> str:
-    """Which engine `engine = "auto"` came to."""
-    from jaxact.sweep import execute
+def _settled(
+    asked: Specification, folder: Place, how: How, *, measure: bool, quiet: bool
+) -> Specification:
+    """The specification with an engine in place of "auto": a sweep that goes on keeps its own."""
+    from jaxact.sweep import store, throughput
+    from jaxact.sweep.samples import expand
 
-    engine = execute.resolved(asked).engine
-    return f"engine {engine}, expected to be the faster one here; engine = {engine!r} says it"
+    def say(text: str) -> None:
+        if not quiet:
+            print(f"{text} ...", file=sys.stderr)
+
+    engine = None
+    with contextlib.suppress(OSError):  # said when the sweep begins
+        there = store.identity_of(folder.inside(store.STORE)) if how.resume else None
+        engine = (there or {}).get("engine")
+    if engine not in ("mjx", "mujoco"):
+        engine = throughput.fastest(asked, expand(asked), say=say if measure else None)
+    if not quiet:
+        print(f"engine {engine}, expected to be the fastest one here; engine = {engine!r} says it")
+    return dataclasses.replace(asked, engine=engine)
 
 
 def _forecast(asked: Specification, how: How) -> str:
@@ -221,7 +235,6 @@ def _forecast(asked: Specification, how: How) -> str:
     return "\n".join(
         [
             first,
-            *([_chosen(asked)] if asked.engine == "auto" else []),
             f"{len(layout):,} chunks of up to {layout.loops:,} loops,"
             f" in tiles of {planned.tile:,} on {planned.device}",
             f"memory: about {memory.text(planned.peak)} of {memory.text(planned.memory)} allowed;"

@@ -47,6 +47,7 @@ def _without_warp_notice() -> Iterator[None]:
 
 with _without_warp_notice():
     from mujoco import mjx
+    from mujoco.mjx._src import solver as solver
 
 
 @dataclass(frozen=True)
@@ -163,6 +164,13 @@ class MjxPlant:
 
     def advance(self, state: MjxState, force: Force) -> MjxState:
         """One MJX step under the mean force, with the model's own integrator."""
+        # MJX multiplies matrices by vectors as NumPy allows; a user may have forbidden that.
+        with jax.numpy_rank_promotion("allow"):
+            data = mjx.step(self.model, self.loaded(state, force))
+        return MjxState(data.qpos, data.qvel, data.act, data.qacc_warmstart, data.time)
+
+    def loaded(self, state: MjxState, force: Force) -> Any:
+        """MJX's data with a state and what acts on it filled in."""
         mean = force.mean
         low, high = np.array(self.limits, mean.dtype).T
         if np.isfinite(low).any() or np.isfinite(high).any():
@@ -177,10 +185,7 @@ class MjxPlant:
         )
         if self.push is not None:
             data = data.replace(xfrc_applied=self._pushed(state.time))
-        # MJX multiplies matrices by vectors as NumPy allows; a user may have forbidden that.
-        with jax.numpy_rank_promotion("allow"):
-            data = mjx.step(self.model, data)
-        return MjxState(data.qpos, data.qvel, data.act, data.qacc_warmstart, data.time)
+        return data
 
     def _pushed(self, time: jax.Array) -> jax.Array:
         """External forces of the step that begins at `time`, shape (bodies, 6)."""

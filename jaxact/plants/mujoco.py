@@ -6,6 +6,7 @@ It holds states and steps them under joint forces; the drive is the same as ever
 from __future__ import annotations
 
 import copy
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -44,7 +45,7 @@ class Simulations:
         number: of simulations.
         fields: of the model that differ between simulations, by name, shape (number, ...).
         impulse: on a body, or None.
-        threads: used for stepping; 0 for all cores.
+        threads: used for stepping; 0 for one on each core that this process may use.
 
     Raises:
         UserError: the robot uses what cannot be simulated.
@@ -63,7 +64,7 @@ class Simulations:
     ) -> None:
         demand(robot, "mujoco")
         self.model = stepped(robot.model, step)
-        self._batch = Batch(self.model, number, threads)
+        self._batch = Batch(self.model, number, threads or min(number, _cores()))
         for name, values in (fields or {}).items():
             self._batch.expand(name)[:] = values
         self._posture, self._impulse = posture, impulse
@@ -120,6 +121,12 @@ class Simulations:
         overlap = min(now + self._step, end) - max(now, impulse.start)
         share = max(overlap, 0.0) / self._step
         self._pushed[:, impulse.body, :3] = share * impulse.force
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def stepped(model: mujoco.MjModel, step: float) -> mujoco.MjModel:

@@ -132,7 +132,7 @@ def settled(robot: Robot) -> Posture:
     force = stiffness * (held - data.qpos[qpos])
     data.qvel[:] = 0.0
     found = _posture(robot, data, force, settled=True)
-    if _fallen(robot, found.qpos):
+    if fallen(robot, found.qpos):
         raise UserError(
             f"{robot.path.name}: the robot falls from its keyframe before it comes to rest; give a "
             'keyframe that stands by itself, or posture = "keyframe" to start from it as it is'
@@ -146,8 +146,16 @@ def settled(robot: Robot) -> Posture:
     return found
 
 
-def _fallen(robot: Robot, qpos: np.ndarray) -> bool:
-    """Whether a floating robot has turned over, or sunk, on its way from its keyframe."""
+def fallen(robot: Robot, qpos: np.ndarray) -> bool:
+    """Whether a floating robot has turned over, or sunk, on its way from its keyframe.
+
+    Args:
+        robot: from `jaxact.plants.model.read`.
+        qpos: where it is now, as MuJoCo orders it.
+
+    Returns:
+        Never true of a fixed robot, or where it is not known (NaN).
+    """
     model = robot.model
     if not np.isfinite(qpos).all():
         return False

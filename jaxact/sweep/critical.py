@@ -12,7 +12,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from jaxact.sweep import execute
+from jaxact.sweep import engines, execute
 from jaxact.sweep.samples import Samples, explicit
 from jaxact.sweep.specification import Specification
 
@@ -83,7 +83,7 @@ def die_out(specification: Specification, columns: Columns) -> np.ndarray:
 
 def _batches(specification: Specification, samples: Samples):
     """Plan, numbers and their count of every batch; of one size, so that calls share kernels."""
-    tile = execute.tile_size(specification)
+    tile = engines.tile_size(specification)
     one = replace(specification, tile=tile, devices=1)
     for plan in execute.plans(one, samples, together=tile):
         plan = replace(plan, tile=tile, tiles=1)

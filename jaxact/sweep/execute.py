@@ -28,7 +28,7 @@ from jaxact.errors import UserError
 from jaxact.growth import GrowthOptions
 from jaxact.metrics import Metrics
 from jaxact.rollout import RolloutOptions
-from jaxact.sweep import kernel
+from jaxact.sweep import engines, kernel
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.parameters import ROBOT_ONLY, base
 from jaxact.sweep.samples import Samples
@@ -37,21 +37,14 @@ from jaxact.sweep.specification import Setting, Specification
 # Physics step of the MJX plant where none is given [s].
 MJX_STEP = 0.25e-3
 
-# Loops in a tile, where none is given: measured on CPUs, where the state should stay in the
-# first-level cache, and GPUs, which want many.
-_TILES = {
-    ("mass", "cpu"): 64, ("mjx", "cpu"): 32, ("mujoco", "cpu"): 32,
-    ("mass", "gpu"): 65536, ("mjx", "gpu"): 4096, ("mujoco", "gpu"): 32,
-}  # fmt: skip
-# Physics steps that one call to a device simulates: about a second of work.
-_WORK = {"mass": 2e8, "mjx": 5e6, "mujoco": 2e5}
-
 # Control periods of the mass plant in one iteration of the compiled loop.
-_UNROLL = 4
+_UNROLL = 5
 
 # A robot has many slow modes (contacts that creep), which one small Krylov space cannot tell apart.
 # Blocks of many periods tell them apart sooner; a start that has settled for long holds too few.
 _ROBOT_GROWTH = GrowthOptions(block=16, settle=16, dimension=32, stacked=True)
+# The control rate that the blocks of `GrowthOptions` are meant for [Hz].
+_USUAL_RATE = 1000.0
 
 # A control period may miss a whole number of physics steps by rounding only.
 _ROUNDING = 1e-6
@@ -159,13 +152,13 @@ def plans(
         UserError: a control period is no multiple of the physics step, there are too few devices,
             or this version of JAX could hang.
     """
-    specification = resolved(specification)
+    specification = engines.resolved(specification)
     _refuse_deadlock(specification)
     rates = samples.along["control_rate"].ravel()
     steps = substeps(specification, rates)
     kinds = np.unique(steps)
     devices = _devices(specification)
-    tile = max(min(tile_size(specification), len(samples)), _fewest(specification))
+    tile = max(min(engines.tile_size(specification), len(samples)), engines.fewest(specification))
     groups = []
     for count in kinds:
         own = rates[steps == count]
@@ -174,59 +167,10 @@ def plans(
         size = together
         if size is None:
             # Batches of equal size, so that the last one is not mostly filling.
-            size = -(-len(samples) // -(-len(samples) // batch_size(case, tile, devices)))
+            size = -(-len(samples) // -(-len(samples) // engines.batch_size(case, tile, devices)))
         tiles = max(1, -(-size * own.size // (rates.size * tile * devices)))
         groups.append(Plan(case, None if kinds.size == 1 else own, tile, tiles, devices))
     return groups
-
-
-def resolved(specification: Specification) -> Specification:
-    """The specification with an engine in place of "auto": the one expected to be faster here.
-
-    On a GPU that is MJX where MJX can simulate the robot, on a CPU C MuJoCo: it needs no
-    compilation, and for robots with contacts it is the faster one.
-
-    Raises:
-        UserError: the engine cannot simulate the robot.
-    """
-    if specification.plant is None:
-        if specification.engine == "mujoco":
-            raise UserError("engine = 'mujoco': simulates robots; give one with [plant] model")
-        if specification.engine == "auto":
-            return replace(specification, engine="mjx")
-        return specification
-    if specification.engine == "mass":
-        raise UserError("engine = 'mass': simulates no robot; use 'auto', 'mjx' or 'mujoco'")
-    return replace(
-        specification, engine=kernel.engine_for(specification.setting, specification.engine)
-    )
-
-
-def _fewest(specification: Specification) -> int:
-    """Smallest tile of a sweep that has but one loop.
-
-    XLA's simplifier goes round in circles, and complains, over products of a matrix with a vector
-    in batches of one.
-    """
-    return 1 if specification.plant is None else 2
-
-
-def tile_size(specification: Specification) -> int:
-    """Loops in a tile: the specification's own, else the engine's usual."""
-    specification = resolved(specification)
-    platform = "cpu" if jax.default_backend() == "cpu" else "gpu"
-    return specification.tile or _TILES[specification.engine, platform]
-
-
-def usual_rate(case: Case) -> float:
-    """Physics steps per second on one device, before anything was measured on a machine."""
-    return _WORK[case.engine]
-
-
-def batch_size(case: Case, tile: int, devices: int) -> int:
-    """Loops that make about a second of work, in whole tiles for every device."""
-    per_tile = tile * case.rollout.ticks * case.drive.substeps
-    return max(1, int(_WORK[case.engine] / per_tile)) * tile * devices
 
 
 def _case(specification: Specification, values: dict[str, np.ndarray], count: int) -> Case:
@@ -257,8 +201,16 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
         own_mass=not mass and (not robot or "mass" in varied),
         varied=tuple(name for name in ROBOT_ONLY if robot and name in varied),
         step=1.0 / (fastest * count) if robot else 0.0,
-        growth=_ROBOT_GROWTH if robot else GrowthOptions(dense=not mass),
+        growth=_growth(_ROBOT_GROWTH if robot else GrowthOptions(dense=not mass), fastest),
     )
+
+
+def _growth(usual: GrowthOptions, rate: float) -> GrowthOptions:
+    """The options with blocks that last as long at a higher control rate [Hz].
+
+    In a shorter block the slow modes hardly differ from each other.
+    """
+    return replace(usual, block=usual.block * max(1, round(rate / _USUAL_RATE)))
 
 
 @functools.cache

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -128,24 +128,6 @@ def model_digest(setting: Setting) -> str:
     if setting.motion is not None and setting.motion.file is not None:
         found += hashlib.sha256(setting.motion.file.read_bytes()).hexdigest()
     return found
-
-
-def engine_for(setting: Setting, asked: str) -> Literal["mjx", "mujoco"]:
-    """The engine that simulates a robot: the one asked for, or the faster one for "auto".
-
-    Raises:
-        UserError: the engine asked for cannot simulate the robot.
-    """
-    from jaxact.plants import model  # as above
-    from jaxact.sweep import robots
-
-    robot = robots.scene(setting.plant).robot
-    if asked != "auto":
-        model.demand(robot, asked)
-        return "mjx" if asked == "mjx" else "mujoco"
-    if jax.default_backend() == "cpu":
-        return "mujoco"
-    return "mjx" if model.suits(robot, "mjx") else "mujoco"
 
 
 def timestep(setting: Setting) -> float:

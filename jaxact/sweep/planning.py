@@ -71,7 +71,7 @@ def plan(
     """
     import jax
 
-    from jaxact.sweep import execute, throughput
+    from jaxact.sweep import engines, execute, throughput
 
     coordinates = sum(array.nbytes for array in samples.along.values() if array.size > 1)
     each = memory.per_loop(
@@ -85,11 +85,11 @@ def plan(
     best = throughput.best_tile(specification, samples, say=say)
     specification = dataclasses.replace(specification, tile=best or specification.tile)
     # a tile is not cut by the end of a batch
-    tile = min(execute.tile_size(specification), most, max(1, len(samples)))
+    tile = min(engines.tile_size(specification), most, max(1, len(samples)))
     specification = dataclasses.replace(specification, tile=tile)
     groups = execute.plans(specification, samples)
     devices = groups[0].devices
-    second = execute.batch_size(groups[0].case, tile, devices)
+    second = engines.batch_size(groups[0].case, tile, devices)
     # long sweeps in longer chunks, so that writing files does not count
     longer = min(max(len(samples) // (_CHUNKS * second), 1), _LONGEST)
     loops = min(second * longer, most)

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxact.sweep import cache, execute
+from jaxact.sweep import cache, engines, execute
 from jaxact.sweep.execute import Plan
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Specification
@@ -26,6 +26,8 @@ from jaxact.sweep.specification import Specification
 _FACTORS = (0.5, 1.0, 2.0, 4.0)
 # Shortest sweep for which measuring pays [s]: it takes a few compilations.
 _WORTH = {"mass": 300.0, "mjx": 1800.0, "mujoco": 600.0}
+# Physics steps from which on the compilation of a light robot in MJX is made up for.
+_MANY = 3e6
 # Physics steps of a rollout that is measured.
 _STEPS = 400
 
@@ -59,7 +61,7 @@ def seconds(groups: list[Plan], specification: Specification, loops: int) -> tup
     rate = known.get(plan.tile) or max(known.values(), default=0.0)
     measured = rate > 0.0
     if not measured:
-        rate = execute.usual_rate(plan.case)
+        rate = engines.usual_rate(plan.case)
     return loops * plan.steps / (rate * plan.devices), measured
 
 
@@ -88,10 +90,49 @@ def best_tile(
     return max(known, key=lambda tile: known[tile])
 
 
-def _measured(plan: Plan, specification: Specification, samples: Samples) -> dict[int, float]:
+def fastest(
+    specification: Specification, samples: Samples, *, say: Callable[[str], None] | None
+) -> str:
+    """The engine that `engine = "auto"` comes to on this machine.
+
+    specification, samples: of the sweep
+    say: told when measuring begins; None: nothing is measured
+
+    Where the sweep is long, each engine that can simulate the robot is measured on short rollouts,
+    once on a machine; otherwise `jaxact.sweep.engines.resolved` says which is expected to be it.
+
+    Raises UserError as `jaxact.sweep.engines.resolved`.
+    """
+    usual = engines.resolved(specification)
+    if specification.engine != "auto" or specification.plant is None:
+        return usual.engine
+    able = engines.able(specification.setting)
+    steps = len(samples) * execute.plans(usual, samples)[0].steps
+    if "mjx" in able and engines.light(specification.setting) and steps > _MANY:
+        usual = replace(usual, engine="mjx")
+    rates: dict[str, float] = {}
+    for engine in able:
+        one = replace(specification, engine=engine)
+        plan = execute.plans(one, samples)[0]
+        known = curve(plan, one, ROLLOUTS)
+        if not known:
+            if say is None or seconds([plan], usual, len(samples))[0] < _WORTH[usual.engine]:
+                return usual.engine
+            say(f"measuring engine {engine}")
+            known = _measured(plan, one, samples, factors=(1.0,))
+        rates[engine] = max(known.values())
+    return max(rates, key=lambda engine: rates[engine], default=usual.engine)
+
+
+def _measured(
+    plan: Plan,
+    specification: Specification,
+    samples: Samples,
+    factors: tuple[float, ...] | None = None,
+) -> dict[int, float]:
     """Rates of the tiles around the usual one, measured on short rollouts."""
     found = {}
-    for factor in _FACTORS:
+    for factor in factors or _FACTORS:
         tile = max(1, int(plan.tile * factor))
         ticks = max(4, min(plan.case.rollout.ticks, _STEPS // plan.case.drive.substeps) // 4 * 4)
         case = replace(plan.case, rollout=replace(plan.case.rollout, ticks=ticks))

@@ -15,7 +15,7 @@ from jaxact.drive import DriveOptions
 from jaxact.multiloop import Curves, Matrices, curves, multiloop
 from jaxact.robot_loop import PeriodMap
 from jaxact.robot_margins import Robot, RobotMargins, robot_margins
-from jaxact.sweep import execute, kernel
+from jaxact.sweep import engines, execute, kernel
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.samples import Samples, expand
 from jaxact.sweep.specification import Specification
@@ -55,7 +55,7 @@ def evaluate(specification: Specification) -> list[WholeRobot]:
 
     Raises UserError as `jaxact.sweep.execute.plans`.
     """
-    specification = execute.resolved(specification)
+    specification = engines.resolved(specification)
     samples = expand(specification)
     found: dict[int, WholeRobot] = {}
     for plan in execute.plans(specification, samples):

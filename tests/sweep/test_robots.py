@@ -1,15 +1,29 @@
 """Sweeps of robots: parameters of joints, changes of the model, motions, pushes, both engines."""
 
+import dataclasses
+import functools
+
 import mujoco
 import numpy as np
 import pytest
 from robots import HOPPER, PENDULUM, QUADRUPED
 
+from jaxact.cli import sweep
 from jaxact.errors import UserError
 from jaxact.plants import mjx
 from jaxact.plants import model as models
 from jaxact.status import Verdict
-from jaxact.sweep import execute, reading, robots, single
+from jaxact.sweep import (
+    cache,
+    conduct,
+    engines,
+    execute,
+    place,
+    reading,
+    robots,
+    single,
+    throughput,
+)
 from jaxact.sweep.samples import expand
 
 REFEREE = ("time", "setpoint", "position", "velocity", "command", "delayed_command", "force")
@@ -254,3 +268,40 @@ def test_a_body_without_children_feels_its_changed_inertia(folder):
     # -kd / (2 m) for an undelayed, lightly damped loop, up to sampling
     want = [-20.0 / (2 * 0.7), -20.0 / (2 * 2.8)]
     np.testing.assert_allclose(_rows(asked)["growth_rate"], want, rtol=0.02)
+
+
+def test_auto_is_the_engine_that_was_faster_on_this_machine(folder, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache.usable() == ""
+    asked = _parsed(folder, HOME, DRIVE, engine="auto", duration=0.1)
+    samples, said = expand(asked), []
+    assert engines.able(asked.setting) == ("mjx", "mujoco")
+    assert throughput.fastest(asked, samples, say=said.append) == "mujoco", "short: expected"
+    assert said == []
+    monkeypatch.setattr(throughput, "_MANY", 10)
+    assert throughput.fastest(asked, samples, say=None) == "mjx", "two hinges, many steps"
+    touching = _parsed(folder, 'model = "hopper.xml"', DRIVE + "kp = 60\nkd = 2", engine="auto")
+    assert throughput.fastest(touching, expand(touching), say=None) == "mujoco"
+    for engine, rate in (("mjx", 2e6), ("mujoco", 1e6)):
+        one = dataclasses.replace(asked, engine=engine)
+        plan = execute.plans(one, samples)[0]
+        throughput.keep(plan, one, rate, throughput.ROLLOUTS)
+    assert throughput.fastest(asked, samples, say=None) == "mjx"
+    fixed = dataclasses.replace(asked, engine="mujoco")
+    assert throughput.fastest(fixed, samples, say=None) == "mujoco", "the specification says it"
+
+
+def test_a_sweep_that_goes_on_keeps_its_engine(folder, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    asked = _parsed(folder, HOME, DRIVE, engine="auto", duration=0.1)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(throughput, "fastest", lambda *_, **__: "mjx")
+        how = conduct.How(resume=True)
+        settled = functools.partial(sweep._settled, measure=False, quiet=True)
+        assert settled(asked, place.at(tmp_path / "out"), how).engine == "mjx", "nothing there"
+        conduct.sweep(
+            dataclasses.replace(asked, engine="mujoco"), place.at(tmp_path / "out"), conduct.How()
+        )
+        assert settled(asked, place.at(tmp_path / "out"), how).engine == "mujoco"
+        overwriting = conduct.How(overwrite=True)
+        assert settled(asked, place.at(tmp_path / "out"), overwriting).engine == "mjx"

@@ -1,0 +1,123 @@
+"""Engines, and how many loops each likes to compute side by side.
+
+`mass` is the exact mass plant, `mjx` and `mujoco` simulate models.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import jax
+
+from jaxact.errors import UserError
+from jaxact.sweep.kernel import Case
+from jaxact.sweep.specification import Setting, Specification
+
+# Loops in a tile, where none is given: measured on CPUs, where the state should stay in the
+# first-level cache, and GPUs, which want many.
+_TILES = {
+    ("mass", "cpu"): 64, ("mjx", "cpu"): 128, ("mujoco", "cpu"): 32,
+    ("mass", "gpu"): 65536, ("mjx", "gpu"): 4096, ("mujoco", "gpu"): 32,
+}  # fmt: skip
+# The same for robots in MJX on a CPU: their states are far larger.
+_ROBOT_TILE = 32
+# Most degrees of freedom of a robot that MJX on a CPU simulates faster than C MuJoCo.
+_LIGHT = 2
+# Physics steps that one call to a device simulates: about a second of work.
+_WORK = {"mass": 2e8, "mjx": 5e6, "mujoco": 2e5}
+
+
+def resolved(specification: Specification) -> Specification:
+    """The specification with an engine in place of "auto": the one expected to be faster here.
+
+    On a GPU that is MJX where MJX can simulate the robot, on a CPU C MuJoCo: it needs no
+    compilation, and for robots with contacts it is the faster one. A long sweep from the command
+    line measures instead, see `jaxact.sweep.throughput.fastest`.
+
+    Raises:
+        UserError: the engine cannot simulate the robot.
+    """
+    if specification.plant is None:
+        if specification.engine == "mujoco":
+            raise UserError("engine = 'mujoco': simulates robots; give one with [plant] model")
+        if specification.engine == "auto":
+            return replace(specification, engine="mjx")
+        return specification
+    if specification.engine == "mass":
+        raise UserError("engine = 'mass': simulates no robot; use 'auto', 'mjx' or 'mujoco'")
+    return replace(specification, engine=_for_robot(specification.setting, specification.engine))
+
+
+def _for_robot(setting: Setting, asked: str) -> Literal["mjx", "mujoco"]:
+    """The engine that simulates a robot: the one asked for, or the one expected to be faster.
+
+    Raises:
+        UserError: the engine asked for cannot simulate the robot.
+    """
+    from jaxact.plants import model  # imports MuJoCo, which the mass plant does not need
+    from jaxact.sweep import robots
+
+    assert setting.plant is not None
+    robot = robots.scene(setting.plant).robot
+    if asked != "auto":
+        model.demand(robot, asked)
+        return "mjx" if asked == "mjx" else "mujoco"
+    if jax.default_backend() == "cpu":
+        return "mujoco"
+    return "mjx" if model.suits(robot, "mjx") else "mujoco"
+
+
+def able(setting: Setting) -> tuple[Literal["mjx", "mujoco"], ...]:
+    """The engines that can simulate a robot."""
+    from jaxact.plants import model  # as above
+    from jaxact.sweep import robots
+
+    assert setting.plant is not None
+    robot = robots.scene(setting.plant).robot
+    engines: tuple[Literal["mjx", "mujoco"], ...] = ("mjx", "mujoco")
+    return tuple(engine for engine in engines if model.suits(robot, engine))
+
+
+def light(setting: Setting) -> bool:
+    """Whether a robot has so few degrees of freedom, and no contacts, that MJX is the faster one.
+
+    On one core, with 2 hinges: MJX 0.8 us a step, C MuJoCo 3.2; with 6 hinges: 13 against 4.2.
+    """
+    from jaxact.sweep import robots  # as above
+
+    assert setting.plant is not None
+    model = robots.scene(setting.plant).robot.model
+    touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return model.nv <= _LIGHT and int(touching.sum()) <= 1
+
+
+def fewest(specification: Specification) -> int:
+    """Smallest tile of a sweep that has but one loop.
+
+    XLA's simplifier goes round in circles, and complains, over products of a matrix with a vector
+    in batches of one.
+    """
+    return 1 if specification.plant is None else 2
+
+
+def tile_size(specification: Specification) -> int:
+    """Loops in a tile: the specification's own, else the engine's usual."""
+    specification = resolved(specification)
+    platform = "cpu" if jax.default_backend() == "cpu" else "gpu"
+    if specification.tile is not None:
+        return specification.tile
+    if specification.plant is not None and (specification.engine, platform) == ("mjx", "cpu"):
+        return _ROBOT_TILE
+    return _TILES[specification.engine, platform]
+
+
+def usual_rate(case: Case) -> float:
+    """Physics steps per second on one device, before anything was measured on a machine."""
+    return _WORK[case.engine]
+
+
+def batch_size(case: Case, tile: int, devices: int) -> int:
+    """Loops that make about a second of work, in whole tiles for every device."""
+    per_tile = tile * case.rollout.ticks * case.drive.substeps
+    return max(1, int(_WORK[case.engine] / per_tile)) * tile * devices

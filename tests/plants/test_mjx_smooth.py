@@ -1,0 +1,93 @@
+"""Derivatives of MJX's steps: against central differences of the steps as MJX takes them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from robots import HOPPER
+
+from jaxact.drive import Force
+from jaxact.errors import UserError
+from jaxact.plants import mjx, model, posture
+from jaxact.plants.mjx_smooth import smooth
+
+STEPS = 20
+STEP = 2e-3
+# All kinds of constraints: a cone, dry friction and a limit that is passed, under the other solver.
+SOLVER = 'cone="elliptic" solver="CG" tolerance="0" iterations="400" ls_iterations="50"'
+LIMITED = 'name="lift" axis="0 1 0" frictionloss="0.3" limited="true" range="-60 1"'
+ELLIPTIC = HOPPER.replace('cone="pyramidal"', SOLVER).replace('name="lift" axis="0 1 0"', LIMITED)
+
+
+def _robot(folder, text):
+    path = folder / "robot.xml"
+    path.write_text(text)
+    return model.read(path)
+
+
+def _reached(plant, force, amounts):
+    """Configuration and velocity after some steps under a force that grows by two amounts."""
+
+    def step(state, number):
+        t = (number + 1.0) / STEPS
+        mean = force + amounts[0] * t + amounts[1] * t * t
+        return plant.advance(state, Force(mean=mean, moment=mean, partial=None)), None
+
+    data = plant.data
+    start = mjx.MjxState(data.qpos, data.qvel, data.act, data.qacc_warmstart, jnp.zeros(()))
+    end, _ = jax.lax.scan(step, start, jnp.arange(STEPS))
+    return jnp.concatenate([end.qpos, end.qvel])
+
+
+@dataclass(frozen=True)
+class Motion:
+    """MJX's own motion as a function; where one with derivatives ends, and its slopes."""
+
+    value: Callable
+    found: np.ndarray
+    slope: np.ndarray
+
+
+@pytest.fixture(scope="module", params=["pyramidal", "elliptic"])
+def motion(request, tmp_path_factory):
+    text = {"pyramidal": HOPPER, "elliptic": ELLIPTIC}[request.param]
+    robot = _robot(tmp_path_factory.mktemp(request.param), text)
+    start = posture.settled(robot)
+    with jax.enable_x64(True):
+        plant = mjx.place(robot, start).prepare(jnp.asarray(STEP))
+        force = jnp.asarray(start.force)
+
+        def with_slope(x):
+            return _reached(smooth(plant), force, x)
+
+        value = jax.jit(lambda x: _reached(plant, force, x), compiler_options=QUICKLY)
+        twice = jax.jacfwd(lambda x: (with_slope(x),) * 2, has_aux=True)
+        slope, found = jax.jit(twice, compiler_options=QUICKLY)(jnp.asarray(AMOUNTS))
+        return Motion(value, np.asarray(found), np.asarray(slope))
+
+
+AMOUNTS = np.array([1.5, -0.7])
+# Compiled once and run for a moment.
+QUICKLY = {"xla_backend_optimization_level": 0}
+
+
+def test_values_are_those_of_mjx_and_slopes_those_of_central_differences(motion):
+    size = 1e-3
+    with jax.enable_x64(True):
+        ends = [motion.value(jnp.asarray(AMOUNTS + sign * size * unit))
+                for unit in np.eye(2) for sign in (1.0, -1.0)]  # fmt: skip
+        np.testing.assert_allclose(
+            motion.found, motion.value(jnp.asarray(AMOUNTS)), rtol=1e-9, atol=1e-12
+        )
+    ends = np.array(ends)
+    differences = (ends[::2] - ends[1::2]).T / (2 * size)
+    np.testing.assert_allclose(motion.slope, differences, atol=1e-4 * np.abs(differences).max())
+
+
+def test_an_integrator_that_solves_several_times_a_step_is_refused(tmp_path):
+    robot = _robot(tmp_path, HOPPER.replace("<option", '<option integrator="RK4"'))
+    with pytest.raises(UserError, match="implicitfast"):
+        smooth(mjx.place(robot, posture.given(robot)))

@@ -1,0 +1,50 @@
+"""Characteristic polynomials and spectral radii of small matrices, against NumPy."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.linalg
+
+from jaxact import characteristic
+
+
+def _rows(matrix):
+    return [list(row) for row in matrix]
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 10])
+def test_polynomial(size):
+    rng = np.random.default_rng(size)
+    matrices = np.stack([scipy.linalg.hessenberg(rng.normal(size=(size,) * 2)) for _ in range(20)])
+    with jax.enable_x64(True):
+        got = jax.jit(jax.vmap(lambda m: characteristic.polynomial(_rows(m))))(matrices)
+    want = np.stack([np.poly(matrix)[1:] for matrix in matrices], axis=-1)
+    np.testing.assert_allclose(np.asarray(got), want, rtol=1e-9, atol=1e-9)
+
+
+# A double root is only as sharp as the square root of rounding.
+@pytest.mark.parametrize(("double", "tolerance"), [(True, 6e-6), (False, 5e-4)])
+def test_log_spectral_radius_of_awkward_matrices(double, tolerance):
+    rng = np.random.default_rng(0)
+    matrices = [scipy.linalg.hessenberg(rng.normal(size=(4, 4))) for _ in range(20)]
+    matrices += [1e-9 * matrices[0], 1e9 * matrices[1]]
+    matrices.append(np.array([[1.0, 1.0, 0, 0], [0, 1.0, 0, 0], [0, 0, 0.5, 9.0], [0, 0, 0, 0.1]]))
+    matrices.append(np.diag([0.9, -0.9, 0.9, 1e-9]))
+    want = np.log([np.abs(np.linalg.eigvals(matrix)).max() for matrix in matrices])
+    with jax.enable_x64(double):
+        radius = jax.jit(jax.vmap(lambda m: characteristic.log_spectral_radius(_rows(m), 18)))
+        got = np.asarray(radius(jnp.asarray(np.stack(matrices))))
+        np.testing.assert_allclose(got, want, rtol=tolerance, atol=tolerance)
+        nothing = radius(jnp.zeros((1, 4, 4)).at[0, 0, 1].set(1.0))
+        assert np.isneginf(nothing[0])
+
+
+def test_clustered_and_vanishing_roots():
+    """Many modes close to 1 beside many that are gone: what sampled loops look like."""
+    roots = [np.r_[1.0 - 1e-3 * np.arange(1, 4), 1e-3 * np.arange(7)], np.r_[1.0001, np.zeros(9)]]
+    with jax.enable_x64(True):
+        for each in roots:
+            coefficients = [jnp.asarray(c) for c in np.poly(each)[1:]]
+            got = characteristic.log_largest_root(coefficients, 24)
+            assert abs(got - np.log(np.max(each))) < 1e-7

@@ -1,0 +1,111 @@
+"""Simulated tracking by the gains of groups: against central differences of MJX's own rollouts."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from robots import QUADRUPED
+
+from jaxact.errors import UserError
+from jaxact.sweep import reading, robots
+from jaxact.sweep.specification import Push
+from jaxact.tune import simulated
+from jaxact.tune.simulated_gradient import chosen, value_and_gradient, work
+
+# Compiled once and run for a moment.
+QUICKLY = {"xla_backend_optimization_level": 0}
+SIZE = 1e-4
+
+# A trunk that slides on a rail, held up by one driven leg whose foot stands on the ground.
+MONOPED = """
+<mujoco>
+  <option timestep="0.001"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 0.1"/>
+    <body name="trunk" pos="0 0 0.3">
+      <joint name="rail" type="slide" axis="0 0 1"/>
+      <geom type="sphere" size="0.05" mass="5" contype="0" conaffinity="0"/>
+      <body name="leg">
+        <joint name="hip" axis="0 1 0"/>
+        <geom type="capsule" fromto="0 0 0 0.1 0 -0.28" size="0.01" mass="0.8" contype="0"
+              conaffinity="0"/>
+        <geom type="sphere" size="0.02" pos="0.1 0 -0.28" mass="0.1"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="hip"/></actuator>
+</mujoco>
+"""
+
+
+def _differences(objective, x):
+    """Central differences in float64, shape of x."""
+    with jax.enable_x64(True):
+        value = jax.jit(objective, compiler_options=QUICKLY)
+        ends = [
+            [float(value(jnp.asarray(x + sign * SIZE * unit))) for sign in (1.0, -1.0)]
+            for unit in np.eye(x.size)
+        ]
+    return np.array([(high - low) / (2.0 * SIZE) for high, low in ends])
+
+
+def test_the_gradient_of_a_standing_quadruped_is_that_of_central_differences():
+    """Contacts, delays, noise, limits and a push; hips, thighs and knees."""
+    asked = reading.load(QUADRUPED / "stand.toml")
+    push = replace(asked.push, time=0.002, duration=0.01)
+    asked = replace(asked, push=push, duration=0.04)
+    labels = robots.scene(asked.plant).labels
+    groups = [("HAA", "HFE", "KFE").index(label.partition("_")[2]) for label in labels]
+    x = np.log([709.0, 709.0, 709.0, 39.9, 41.4, 5.57])
+    members = {"output_delay": np.array([0.0005, 0.0012])}
+    term = simulated.term(asked, groups, members)
+    with jax.enable_x64(True):
+        slope = jax.jit(jax.jacfwd(term.objective), compiler_options=QUICKLY)(jnp.asarray(x))
+    expected = _differences(
+        simulated.term(asked, groups, members, differentiable=False).objective, x
+    )
+    np.testing.assert_allclose(slope, expected, rtol=1e-3)
+
+
+@pytest.fixture(scope="module")
+def monoped(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robot") / "monoped.xml"
+    path.write_text(MONOPED)
+    asked = reading.parse('[plant]\nmodel = "monoped.xml"\n[axes]\nkp = [1.0]\n', path.parent)
+    return replace(asked, axes=(), push=Push("trunk", (0.0, 0.0, -1.0), 0.002, 0.01), duration=0.04)
+
+
+def test_forwards_and_backwards_are_central_differences(monoped):
+    x = np.log([300.0, 8.0])
+    members = {
+        "delay": np.array([0.001, 0.0034]),
+        "wn": np.array([300.0, 200.0]),
+        "velocity_noise": np.array([0.0, 0.01]),
+        "position_resolution": np.full(2, 1e-3),
+    }
+    term = simulated.term(monoped, [0], members, effort_weight=1e-6)
+    assert term.ticks >= 40 and term.ticks % term.chunk == 0
+    forwards = value_and_gradient(term, x)
+    assert forwards.mode == "forward" and forwards.objective > forwards.tracking > 0.0
+    with jax.enable_x64(True):
+        backwards = jax.jit(jax.grad(term.objective), compiler_options=QUICKLY)(jnp.asarray(x))
+    np.testing.assert_allclose(backwards, forwards.gradient, rtol=1e-8)
+    plain = simulated.term(monoped, [0], members, effort_weight=1e-6, differentiable=False)
+    np.testing.assert_allclose(forwards.gradient, _differences(plain.objective, x), rtol=1e-5)
+
+
+def test_the_mode_is_chosen_by_counting():
+    assert chosen("auto", 2) == "forward" and chosen("auto", 36) == "reverse"
+    assert chosen("reverse", 2) == "reverse" and chosen("forward", 36) == "forward"
+    costs = work(8)
+    assert chosen("auto", 8) == min(costs, key=costs.get)
+    with pytest.raises(UserError, match="mode 'backward'"):
+        chosen("backward", 2)
+
+
+def test_the_tracking_of_a_single_joint_is_refused():
+    asked = reading.parse("[axes]\nkp = [400.0]\n")
+    with pytest.raises(UserError, match="only of a robot"):
+        simulated.term(asked, [0], {})
