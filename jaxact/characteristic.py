@@ -108,10 +108,12 @@ def log_largest_root(
     exponent = int(jnp.finfo(coefficients[0].dtype).maxexp)
     together = max(1, (exponent // (len(coefficients) + 2)).bit_length() - 1)
 
+    def square(coefficients, _):
+        return kept(_squared(coefficients)), None
+
     def advance(carry, _):
         coefficients, total, weight = carry
-        for _ in range(together):
-            coefficients = kept(_squared(coefficients))
+        coefficients, _ = jax.lax.scan(square, coefficients, None, length=together)
         weight = weight / 2.0**together
         coefficients, bound = _scaled(coefficients)
         return (coefficients, total + weight * bound, weight), None

@@ -148,6 +148,20 @@ REFUSED = {
 }
 
 
+@pytest.mark.parametrize(("end", "fits"), [(0.5, True), (0.6, False)])
+def test_a_push_leaves_time_to_see_what_comes_of_it(end, fits, tmp_path):
+    (tmp_path / "leg.xml").write_text("<mujoco/>")
+    text = (
+        f"duration = 1.0\n[plant]\nmodel = 'leg.xml'\n[push]\nbody = 'a'\nimpulse = [1, 0, 0]\n"
+        f"time = {end - 0.1}\nduration = 0.1\n[axes]\nkp = [1.0]"
+    )
+    if fits:
+        assert parse(text, tmp_path).push is not None
+    else:
+        with pytest.raises(UserError, match=r"ends at 0\.6 s; allowed: .* up to 0\.5 s"):
+            parse(text, tmp_path)
+
+
 @pytest.mark.parametrize("case", REFUSED)
 def test_refused_in_one_line_that_says_key_given_and_allowed(case, tmp_path):
     text, parts = REFUSED[case]

@@ -30,6 +30,7 @@ def check(specification: Specification) -> None:
     _check_steps(specification, rates)
     _check_duration(specification, rates)
     _check_delays(specification, axes, rates)
+    _check_push(specification)
 
 
 def physics_step(specification: Specification, control_rate: float) -> float:
@@ -123,6 +124,19 @@ def _check_duration(specification: Specification, rates: np.ndarray) -> None:
         raise UserError(
             f"duration = {specification.duration:g} is {steps:.3g} physics steps;"
             f" allowed: up to {MOST_STEPS:,}"
+        )
+
+
+def _check_push(specification: Specification) -> None:
+    """Verdicts compare the motion of the last quarters of a rollout, which a push would disturb."""
+    push = specification.push
+    if push is None:
+        return
+    end, latest = push.time + push.duration, 0.5 * specification.duration
+    if end > latest * (1 + 1e-9):
+        raise UserError(
+            f"push: ends at {end:g} s; allowed: within the first half of the duration, up to"
+            f" {latest:g} s, so that what is left shows whether the motion dies out"
         )
 
 

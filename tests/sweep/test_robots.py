@@ -148,7 +148,7 @@ def test_a_push_gives_its_impulse(engine, folder):
     """A free box at rest on the ground, pushed up: its momentum is the impulse, less gravity's."""
     push = '[push]\nbody = "box"\nimpulse = [0, 0, 30.0]\ntime = 0.01\nduration = 0.0125\n'
     text = (
-        f'duration = 0.04\nengine = "{engine}"\nprecision = "float64"\n{push}'
+        f'duration = 0.048\nengine = "{engine}"\nprecision = "float64"\n{push}'
         '[plant]\nmodel = "hopper.xml"\n[parameters]\nkp = 300\nkd = 9\n'
         "[axes]\nfeedforward = [0.0]\n"
     )
