@@ -1,6 +1,7 @@
 # make demo    the study's stability map: sweep through MJX, picture, what it shows
 # make paper   the study's figures and claims, exact and as simulated, to results/paper/
 # make quadruped  the study's robot: tripled gains, bare and with drives, to results/quadruped/
+# make tuning  gains for that robot, certified and simulated, to results/tuning/quadruped/
 # make test    the whole test suite
 # make lint    style and types
 # make bench   benchmarks against rivals, to results/benchmarks/
@@ -16,7 +17,7 @@ STAMP := $(VENV)/.complete
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 STUDY := paper_gain_map
 
-.PHONY: help demo paper quadruped test lint bench lock clean
+.PHONY: help demo paper quadruped tuning test lint bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -31,6 +32,9 @@ paper: $(STAMP)
 
 quadruped: $(STAMP)
 	$(BIN)/python experiments/quadruped/run.py
+
+tuning: $(STAMP)
+	$(BIN)/python experiments/tuning/quadruped.py
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n auto

@@ -14,6 +14,7 @@ takes the velocity when the force acts, not when it was commanded.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import jax
@@ -38,8 +39,8 @@ __all__ = [
     "actuate",
     "at_substep",
     "capture",
+    "essential",
     "forget",
-    "forgotten",
     "init",
     "options",
     "prepare",
@@ -418,10 +419,18 @@ def forget(coefficients: Coefficients, state: DriveState) -> DriveState:
     return replace(state, commands=commands, measurements=measurements, older=older)
 
 
-def forgotten(state: DriveState) -> int:
-    """How many numbers of the state `forget` makes zero whatever the parameters are."""
-    oldest = 1  # command: no reading after the next push reaches it
-    return (oldest + 1) * int(jnp.size(state.older))
+def essential(state: DriveState) -> tuple[DriveState, Callable[[DriveState], DriveState]]:
+    """The state without what `forget` makes zero whatever the parameters are.
+
+    Returns:
+        The smaller state, and a function that puts the zeros back.
+    """
+    zero = jnp.zeros_like(state.older)
+    if isinstance(state.commands, _delay.Ring):
+        return replace(state, older=None), lambda kept: replace(kept, older=zero)
+    # The oldest command: no reading after the next push reaches it.
+    smaller = replace(state, older=None, commands=state.commands[:-1])
+    return smaller, lambda kept: replace(kept, older=zero, commands=(*kept.commands, zero))
 
 
 def capture(state: DriveState, position: jax.Array, velocity: jax.Array) -> DriveState:

@@ -15,6 +15,7 @@ Source: Arnoldi's method, Saad, "Numerical Methods for Large Eigenvalue Problems
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -85,6 +86,18 @@ def split(state: LoopState) -> tuple[list[jax.Array], Callable[[list[jax.Array]]
     return [leaf for leaf, keep in zip(leaves, real, strict=True) if keep], merge
 
 
+def _essential(state: LoopState) -> tuple[list[jax.Array], Callable[[list[jax.Array]], LoopState]]:
+    """As `split`, without the numbers that are always zero between two periods."""
+    smaller, restored = _drive.essential(state.drive)
+    vector, merge = split(LoopState(state.plant, smaller))
+
+    def whole(vector: list[jax.Array]) -> LoopState:
+        merged = merge(vector)
+        return LoopState(merged.plant, restored(merged.drive))
+
+    return vector, whole
+
+
 def propagation(
     prepared: Prepared, options: DriveOptions, state: LoopState, setpoint: Setpoint, periods: int
 ) -> tuple[list[jax.Array], Callable[[list[jax.Array]], list[jax.Array]]]:
@@ -100,10 +113,11 @@ def propagation(
         periods: static.
 
     Returns:
-        The real leaves of the state in order, and the linear map on lists of that form.
+        The real leaves of the state in order, without those that are always zero, and the linear
+        map on lists of that form.
     """
     smooth = options.linearised()
-    vector, merge = split(aligned(state))
+    vector, merge = _essential(aligned(state))
 
     def body(state: LoopState, _: None) -> tuple[LoopState, None]:
         return _loop.step(prepared, smooth, state, setpoint)[0], None
@@ -112,7 +126,7 @@ def propagation(
         after, _ = jax.lax.scan(body, merge(vector), None, length=periods)
         after = aligned(after)
         kept = _drive.forget(prepared.drive, after.drive)
-        return split(LoopState(after.plant, kept))[0]
+        return _essential(LoopState(after.plant, kept))[0]
 
     return vector, jax.linearize(advance, vector)[1]
 
@@ -154,7 +168,7 @@ def _perturbation(state: LoopState, prepared: Prepared) -> list[jax.Array]:
         # Unequal amounts, so that no symmetric mode of a robot is missed.
         weight = 1.0 + 0.37 * jnp.cos(1.7 * joints)
         plant = prepared.plant.init(q + amount * weight, v - amount * velocity_scale * weight)
-        return split(LoopState(plant, state.drive))[0]
+        return _essential(LoopState(plant, state.drive))[0]
 
     dtype = prepared.drive.step.dtype
     return jax.jvp(displaced, (jnp.zeros((), dtype),), (jnp.ones((), dtype),))[1]
@@ -187,32 +201,38 @@ def _krylov(
     first = _scaled(start, _inverse(jnp.sqrt(_dot(start, start))))
     empty = [jnp.zeros_like(leaf) for leaf in start]
 
-    def column(carry, number):
-        newest, basis = carry
+    def column(known, carry, number):
+        newest, fresh = carry
         image = kept(apply(newest))
         size = jnp.sqrt(_dot(image, image))
         entries = []
-        for vector in basis:
+        for vector in (*known, *fresh):
             entry = kept(_dot(vector, image))
             image = kept([x - entry * y for x, y in zip(image, vector, strict=True)])
             entries.append(entry)
         rest = jnp.sqrt(_dot(image, image))
         rest = jnp.where(rest > exhausted * size, rest, 0.0)
         newest = kept(_scaled(image, kept(_inverse(rest))))
-        basis = [
-            [
-                jnp.where(number + 1 == place, new, old)
-                for new, old in zip(newest, vector, strict=True)
-            ]
-            for place, vector in enumerate(basis)
+        fresh = [
+            jax.tree.map(functools.partial(jnp.where, number + 1 == place), newest, vector)
+            for place, vector in enumerate(fresh, len(known))
         ]
-        return (newest, basis), (entries, rest)
+        return (newest, fresh), (entries, rest)
 
-    carry = first, [first] + [empty] * (dimension - 1)
-    _, (entries, rests) = jax.lax.scan(column, carry, jnp.arange(dimension))
-    matrix = [[row[number] for number in range(dimension)] for row in entries]
-    for number in range(dimension - 1):
-        matrix[number + 1][number] = rests[number]
+    matrix = [[jnp.zeros(())] * dimension for _ in range(dimension)]
+    known, newest, middle = [first], first, dimension // 2
+    # In two loops, because vectors that are not there yet take as long as those that are.
+    for begin, end in ((0, middle), (middle, dimension)) if middle else ((0, dimension),):
+        carry = newest, [empty] * (end - len(known))
+        numbers = jnp.arange(begin, end)
+        (newest, fresh), columns = jax.lax.scan(functools.partial(column, known), carry, numbers)
+        known = [*known, *fresh, newest]
+        for place, number in enumerate(range(begin, end)):
+            entries, rest = jax.tree.map(operator.itemgetter(place), columns)
+            for row, entry in enumerate(entries):
+                matrix[row][number] = entry
+            if number + 1 < dimension:
+                matrix[number + 1][number] = rest
     return matrix
 
 
@@ -299,7 +319,7 @@ def growth_rate(
         vector = _scaled(image, _inverse(jnp.sqrt(_dot(image, image))))
         return (vector, [x * x + y for x, y in zip(vector, squares, strict=True)]), None
 
-    rank = sum(leaf.size for leaf in start) - _drive.forgotten(state.drive)
+    rank = sum(leaf.size for leaf in start)
     whole = rank <= measure.whole
     blocks = measure.settle // 16 if whole else measure.settle
     # Positions, velocities and forces have different units; their size along the way is the scale.

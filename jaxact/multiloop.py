@@ -175,7 +175,7 @@ def peaks(angle: np.ndarray, values: np.ndarray, family: Family) -> tuple[np.nda
     """Largest values of several curves over frequency, refined.
 
     angle: the grid [rad], rising, shape (k,)
-    values: of the curves on the grid, shape (k, c)
+    values: of the curves on the grid, shape (k, c); 0 where they are not looked at
     family: (angles (j,), numbers of curves (j,)) -> values (j,)
 
     Returns the peaks and their angles [rad], shape (c,) each.
@@ -202,7 +202,7 @@ def _local_maxima(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     top = (inner >= values[:-2]) & (inner >= values[2:])
     rows, columns = [], []
     for column in range(values.shape[1]):
-        places = 1 + np.flatnonzero(top[:, column])
+        places = 1 + np.flatnonzero(top[:, column] & (inner[:, column] > 0.0))
         order = np.argsort(-values[places, column])[:_CANDIDATES]
         rows.append(places[order])
         columns.append(np.full(len(order), column))

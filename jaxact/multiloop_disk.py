@@ -68,21 +68,29 @@ def bound(H: np.ndarray, accuracy: float = _ACCURACY) -> float:
 
     With P = D^2 the square of the bound is the smallest b for which b P - H* P H is not indefinite.
     """
+    return scaled(H, accuracy)[0]
+
+
+def scaled(H: np.ndarray, accuracy: float = _ACCURACY) -> tuple[float, np.ndarray]:
+    """The same, and the diagonal of the best D found, shape (m,)."""
     first, scale = balanced(H[None])
     if len(H) == 1 or first[0] == 0.0:
-        return float(first[0])
+        return float(first[0]), scale[0]
     unit = H / first[0]
     weights = scale[0] ** 2
     weights *= len(H) / weights.sum()
     best = level = _largest(unit, weights)
+    kept = weights
     level *= 1.0 + _SHY
     for _ in range(_CENTRES):
         weights = _centre(unit, weights, level)
-        best = min(best, now := _largest(unit, weights))
+        now = _largest(unit, weights)
+        if now < best:
+            best, kept = now, weights
         if level - now <= accuracy * now:
             break
         level = now + _SHY * (level - now)
-    return float(first[0] * np.sqrt(best))
+    return float(first[0] * np.sqrt(best)), np.sqrt(kept)
 
 
 def _largest(H: np.ndarray, weights: np.ndarray) -> float:

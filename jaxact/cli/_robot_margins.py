@@ -111,7 +111,7 @@ def show(options: Options, given: dict[str, Any], velocity: str, *, json: bool) 
 
     if options.out is not None:
         look.check_output(options.out)
-    specification = _specification(options, given, velocity)
+    specification = specified(options, given, velocity)
     labels = _loops.expanded(specification).labels
     labels = labels if len(labels) > 1 else ("",)
     if options.out is not None and len(labels) > 1:
@@ -132,8 +132,8 @@ def show(options: Options, given: dict[str, Any], velocity: str, *, json: bool) 
             print(f"wrote {options.out}")
 
 
-def _specification(options: Options, given: dict[str, Any], velocity: str) -> Specification:
-    """The robot and its loops: the file, then the options, then --set."""
+def specified(options: Options, given: dict[str, Any], velocity: str) -> Specification:
+    """The robot and its loops: the file, then the options, then --set; arguments as for `show`."""
     if "mass" in given:
         raise UserError("--mass: a robot's masses are its model's; change them with --set payload=")
     for name, known in (("engine", ENGINES), ("posture", POSTURES)):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import OmitArgPrefixes, arg
 
-from jaxact.cli import _cache, _folders, _loops
+from jaxact.cli import _cache, _folders, _loops, _robot_tuning
 from jaxact.cli._pictures import VELOCITIES, Velocity
 from jaxact.errors import UserError, nearest, shown
 
@@ -27,6 +27,7 @@ def _number(metavar: str, words: str, default: str) -> Any:
 
 def main(
     parameters: Annotated[Parameters, OmitArgPrefixes] = Parameters(),  # type: ignore[valid-type] # noqa: B008
+    robot: Annotated[_robot_tuning.Options, OmitArgPrefixes] = _robot_tuning.Options(),  # noqa: B008
     *,
     objective: Annotated[
         str,
@@ -53,6 +54,14 @@ def main(
         float,
         arg(metavar="SECONDS", help="Smallest delay margin [s], against a later bus; 0: none."),
     ] = 0.0,
+    min_disk_margin: Annotated[
+        float,
+        arg(
+            metavar="VALUE",
+            help="Smallest disk margin, against gain and phase off, in every joint by its own; "
+            "0: none.",
+        ),
+    ] = 0.0,
     min_kp: Annotated[
         float, arg(metavar="VALUE", help="Softest kp [N/m], against a joint too soft; 0: none.")
     ] = 0.0,
@@ -78,8 +87,13 @@ def main(
         ),
     ] = "",
     ensemble: Annotated[
-        int, arg(metavar="NUMBER", help="Samples of the uncertainty, beside its corners.")
-    ] = 32,
+        int,
+        arg(
+            metavar="NUMBER",
+            help="Samples of the uncertainty, beside its corners.",
+            help_behavior_hint="(default: 32, of a robot 8)",
+        ),
+    ] = _loops.UNSET_NUMBER,
     risk: Annotated[
         str,
         arg(metavar="worst|mean|cvar:A", help="Which members count; all are stable in any case."),
@@ -115,23 +129,43 @@ def main(
     those of the sampled loop. Gains are never worse than --kp and --kd, where they are given. What
     cannot be met is said, with the closest value that can. All units are SI, delays in seconds.
 
+    With --model: gains of a robot's joints, or of --groups of them, against the peaks of the
+    largest singular values of S and T (and the multi-loop disk margin) of the robot linearised at
+    every --keyframe, with every actuator of the box, sampled at its control rate; then held against
+    nonlinear rollouts with noise, quantisation, limits, contacts and a push. Stiffness is the
+    geometric mean of the joints'. --tracking-weight trades it for smaller errors in simulation.
+
     examples:
       jaxact tune --mass 0.7 --actuator starleth --delay 1e-3 --max-peak 1.6
       jaxact tune --actuator starleth --delay 1e-3 --uncertainty delay=0..5e-3,mass=0.5..1 --json
       jaxact tune --actuator hyq --delay 1e-3 --kp 400 --kd 20 --pareto 20 --out tuned
+      jaxact tune --model robot.xml --keyframe home --actuator hyq --groups hip,knee --max-peak 3
     """
     _folders.check_folder(out, overwrite=overwrite)
+    whole = _robot_tuning.asked(robot)
+    if ensemble == _loops.UNSET_NUMBER:
+        ensemble = _robot_tuning.SAMPLES if whole else 32
     if velocity not in VELOCITIES:
         raise UserError(f"--velocity {shown(velocity)}; {nearest(velocity, VELOCITIES)}")
     for name, number in (("starts", starts), ("steps", steps), ("ensemble", ensemble)):
         if not 1 <= number <= 10_000:
             raise UserError(f"--{name} {number}: give between 1 and 10000")
     given = _loops.given(parameters)
+    goal = _goal(objective, risk, max_peak=max_peak, min_gain_margin=min_gain_margin,
+                 min_delay_margin=min_delay_margin, min_disk_margin=min_disk_margin,
+                 min_kp=min_kp, max_kp=max_kp, max_noise_gain=max_noise_gain)  # fmt: skip
+    if whole:
+        for name, unfit in (("pareto", pareto), ("joint", joint != "joint")):
+            if unfit:
+                raise UserError(f"--{name}: is for a single joint")
+        _cache.prepare(wanted=not no_cache)
+        _robot_tuning.run(
+            robot, given, goal, velocity=velocity, uncertainty=uncertainty, number=ensemble,
+            seed=seed, starts=starts, steps=steps, verify=verify, out=out, json=json,
+        )  # fmt: skip
+        return
     start = _start(given)
     chosen = _loops.combinations({n: (v,) for n, v in given.items()}, velocity=velocity)
-    goal = _goal(objective, risk, max_peak=max_peak, min_gain_margin=min_gain_margin,
-                 min_delay_margin=min_delay_margin, min_kp=min_kp, max_kp=max_kp,
-                 max_noise_gain=max_noise_gain)  # fmt: skip
     sampled = "control_rate" in given
     _cache.prepare(wanted=not no_cache)
 

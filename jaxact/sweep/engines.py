@@ -17,7 +17,7 @@ from jaxact.sweep.specification import Setting, Specification
 # Loops in a tile, where none is given: measured on CPUs, where the state should stay in the
 # first-level cache, and GPUs, which want many.
 _TILES = {
-    ("mass", "cpu"): 64, ("mjx", "cpu"): 128, ("mujoco", "cpu"): 32,
+    ("mass", "cpu"): 128, ("mjx", "cpu"): 128, ("mujoco", "cpu"): 32,
     ("mass", "gpu"): 65536, ("mjx", "gpu"): 4096, ("mujoco", "gpu"): 32,
 }  # fmt: skip
 # The same for robots in MJX on a CPU: their states are far larger.

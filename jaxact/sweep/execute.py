@@ -46,6 +46,9 @@ _ROBOT_GROWTH = GrowthOptions(block=16, settle=16, dimension=32, stacked=True)
 # The control rate that the blocks of `GrowthOptions` are meant for [Hz].
 _USUAL_RATE = 1000.0
 
+# So that there is always a parameter with an axis for the samples.
+_NEVER_SHARED = "kp"
+
 # A control period may miss a whole number of physics steps by rounding only.
 _ROUNDING = 1e-6
 
@@ -217,6 +220,8 @@ def _growth(usual: GrowthOptions, rate: float) -> GrowthOptions:
 def _compiled(stage: str, case: Case, devices: int, setting: Setting, double: bool) -> Callable:
     """The function that runs one batch: arrays of shape (devices * tiles, tile) in and out.
 
+    Its first argument are the parameters that all samples share, numbers of shape ().
+
     Args:
         stage: name of the function of `jaxact.sweep.kernel` to run on every sample.
         case, devices, setting: static.
@@ -227,12 +232,26 @@ def _compiled(stage: str, case: Case, devices: int, setting: Setting, double: bo
     mesh = Mesh(np.array(jax.local_devices()[:devices]), ("device",))
     spec = PartitionSpec("device")
 
-    def tiles(*inputs):
-        return jax.lax.map(lambda tile: jax.vmap(one)(*tile), inputs)
+    def tiles(shared, *inputs):
+        def sample(values, *others):
+            return one({**shared, **values}, *others)
+
+        return jax.lax.map(lambda tile: jax.vmap(sample)(*tile), inputs)
 
     if devices == 1:
         return jax.jit(tiles)
-    return jax.jit(jax.shard_map(tiles, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))
+
+    def sharded(shared, *inputs):
+        parted = jax.shard_map(
+            tiles,
+            mesh=mesh,
+            in_specs=(PartitionSpec(), *(spec for _ in inputs)),
+            out_specs=spec,
+            check_vma=False,
+        )
+        return parted(shared, *inputs)
+
+    return jax.jit(sharded)
 
 
 def batches(
@@ -254,13 +273,28 @@ def batches(
         yield part[np.minimum(np.arange(plan.batch), part.size - 1)], part.size
 
 
-def _tiled(plan: Plan, samples: Samples, numbers: np.ndarray, dtype: type) -> dict[str, jax.Array]:
-    """The parameters of a batch of samples, each of shape (devices * tiles, tile)."""
+def _tiled(
+    plan: Plan, samples: Samples, numbers: np.ndarray, dtype: type
+) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
+    """The parameters of a batch of samples.
+
+    Returns:
+        Those that all samples of the sweep share, of shape (), so that what follows from them is
+        computed once and need not be read for every loop; and the others, each of shape
+        (devices * tiles, tile).
+    """
     shape = (plan.devices * plan.tiles, plan.tile)
-    return {
+    shared = {
+        name: jnp.asarray(array.reshape(()), dtype)
+        for name, array in samples.along.items()
+        if array.size == 1 and name != _NEVER_SHARED
+    }
+    own = {
         name: jnp.asarray(value.reshape(shape).astype(dtype))
         for name, value in samples.take(numbers).items()
+        if name not in shared
     }
+    return shared, own
 
 
 def growth_batch(
@@ -269,7 +303,7 @@ def growth_batch(
     """Growth rates of one batch of samples [1/s], shape (batch,), in float64."""
     with jax.enable_x64(True):
         grow = _compiled("growth_rate", plan.case, plan.devices, specification.setting, True)
-        inputs = [_tiled(plan, samples, numbers, np.float64)]
+        inputs = [*_tiled(plan, samples, numbers, np.float64)]
         if plan.case.engine == "mujoco" and plan.case.varied:
             from jaxact.sweep import outside  # imports MuJoCo
 
@@ -292,10 +326,11 @@ def simulate_batch(
         if plan.case.engine == "mujoco":
             return _outside(plan, specification, samples, numbers, growth)
         dtype = np.float64 if double else np.float32
-        values = _tiled(plan, samples, numbers, dtype)
-        shape = values["kp"].shape
+        shared, values = _tiled(plan, samples, numbers, dtype)
+        shape = values[_NEVER_SHARED].shape
         simulate = _compiled("metrics", plan.case, plan.devices, specification.setting, double)
         result: Metrics = simulate(
+            shared,
             values,
             jnp.asarray(growth.reshape(shape).astype(dtype)),
             jnp.full(shape, specification.seed, jnp.uint32),

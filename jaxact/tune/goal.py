@@ -28,6 +28,7 @@ CONSTRAINTS = {
     "max_peak": (("sensitivity_peak", 1.0), ("complementary_peak", 1.0)),
     "min_gain_margin": (("gain_margin", -1.0),),
     "min_delay_margin": (("delay_margin", -1.0),),
+    "min_disk_margin": (("disk_margin", -1.0),),
     "max_noise_gain": (("noise_gain", 1.0),),
 }
 
@@ -36,6 +37,7 @@ PROTECTS = {
     "max_peak": "Ms and Mt: disturbances amplified, overshoot, any modelling error at all",
     "min_gain_margin": "a load lighter, or an actuator stronger, than assumed",
     "min_delay_margin": "a bus or a computer later than assumed",
+    "min_disk_margin": "gain and phase off by so much, in every joint by its own",
     "max_noise_gain": "force noise, heat and wear from the counts of the encoder",
     "min_kp": "a joint too soft for its task",
     "max_kp": "a joint too stiff for contact, or for its limits",
@@ -50,6 +52,7 @@ class Goal:
     max_peak: largest Ms and Mt [-], > 1, inf = none
     min_gain_margin: [-], >= 1, 1 = none
     min_delay_margin: [s], >= 0, 0 = none
+    min_disk_margin: balanced [-], >= 0, 0 = none
     max_noise_gain: force rms per encoder count [N/m], > 0, inf = none; see `jaxact.tune.noise`
     min_kp, max_kp: stiffness [N/m], 0 and inf = none
     risk: "worst" member, "mean", or "cvar:A", the mean of the worst share 1 - A of the members;
@@ -62,6 +65,7 @@ class Goal:
     max_peak: float = 1.6
     min_gain_margin: float = 1.0
     min_delay_margin: float = 0.0
+    min_disk_margin: float = 0.0
     max_noise_gain: float = math.inf
     min_kp: float = 0.0
     max_kp: float = math.inf
@@ -83,7 +87,7 @@ class Goal:
     def active(self) -> tuple[str, ...]:
         """Constraints on figures that ask anything, in the order of CONSTRAINTS."""
         idle = {"max_peak": math.inf, "min_gain_margin": 1.0, "min_delay_margin": 0.0,
-                "max_noise_gain": math.inf}  # fmt: skip
+                "min_disk_margin": 0.0, "max_noise_gain": math.inf}  # fmt: skip
         return tuple(name for name in CONSTRAINTS if getattr(self, name) != idle[name])
 
     @property
@@ -121,6 +125,7 @@ def check(goal: Goal) -> Goal:
         if not getattr(goal, name) > least:
             raise UserError(f"{_option(name)} {getattr(goal, name):g}: must be {words}")
     floors = {"min_gain_margin": (1.0, "at least 1"), "min_delay_margin": (0.0, "not negative"),
+              "min_disk_margin": (0.0, "not negative"),
               "min_kp": (0.0, "not negative")}  # fmt: skip
     for name, (least, words) in floors.items():
         value = getattr(goal, name)

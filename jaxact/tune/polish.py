@@ -97,29 +97,50 @@ def better(
     return (met & ~than_met) | higher | closer
 
 
-def polish(problem: Problem, start: np.ndarray, low: np.ndarray, high: np.ndarray) -> Polished:
+def polish(
+    problem: Problem,
+    start: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    *,
+    steps: int = _STEPS,
+    worth: float = _GAIN,
+    radius: float = _RADIUS,
+    kinks: bool = True,
+) -> Polished:
     """The best points near the starts.
 
     problem: rows of every problem at a point of each
     start: shape (p, d)
     low, high: bounds that are never left, shape (p, d)
+    steps: most linear programmes
+    worth: gain at which a feasible point is left as it is [-]
+    radius: of the trust region to begin with [-]
+    kinks: look to all sides where it gets stuck, which takes 2 d evaluations
     """
-    best, x, stuck = _descend(problem, np.clip(start, low, high), low, high)
-    for reach in _REACHES if stuck.any() else ():
+    start = np.clip(start, low, high)
+    best, x, stuck = _descend(problem, start, low, high, steps, worth, radius)
+    for reach in _REACHES if kinks and stuck.any() else ():
         best, x = _across_kinks(problem, best, x, stuck, reach, low, high)
     return best
 
 
 def _descend(
-    problem: Problem, x: np.ndarray, low: np.ndarray, high: np.ndarray
+    problem: Problem,
+    x: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    steps: int,
+    worth: float,
+    trust: float,
 ) -> tuple[Polished, np.ndarray, np.ndarray]:
     """The sequence of linear programmes; where it ended, and whether it got stuck there."""
     number = len(x)
     rows = problem(x)
     best = Polished(x.copy(), rows.worst_value, rows.violation, 1)
-    radius = np.full(number, _RADIUS)
+    radius = np.full(number, trust)
     finished = np.zeros(number, dtype=bool)
-    for _ in range(_STEPS):
+    for _ in range(steps):
         going = (radius > _SMALLEST) & rows.usable & ~finished
         if not going.any():
             break
@@ -135,7 +156,7 @@ def _descend(
         taken = there.usable & (merit > 0.05 * gain)
         length = np.max(np.abs(trial - x), axis=1)
         good = taken & (merit > 0.7 * gain) & (length > 0.9 * radius)
-        finished |= going & (gain <= _GAIN) & (rows.violation <= MET)
+        finished |= going & (gain <= worth) & (rows.violation <= MET)
         radius = np.where(taken, np.where(good, 2.0 * radius, radius), 0.35 * length)
         radius = np.minimum(radius, _NEAR)
         x = np.where(taken[:, None], trial, x)

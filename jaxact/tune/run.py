@@ -166,7 +166,8 @@ def _check(cases: Sequence[Case], given: Sequence[tuple[float, float]] | None, s
 
 def _family(goal: Goal) -> Goal:
     """The goal with bounds that only say which constraints there are: one program for all."""
-    kept = {"max_peak": 2.0, "min_gain_margin": 2.0, "min_delay_margin": 1.0, "max_noise_gain": 1.0}
+    kept = {"max_peak": 2.0, "min_gain_margin": 2.0, "min_delay_margin": 1.0,
+            "min_disk_margin": 0.5, "max_noise_gain": 1.0}  # fmt: skip
     bounds = {name: kept[name] for name in goal.active}
     return replace(goal, **bounds, min_kp=0.0, max_kp=np.inf)
 
@@ -187,7 +188,7 @@ def _rescued(cases: Sequence[Case], x: np.ndarray, bounds: np.ndarray) -> tuple[
     return there, int(steps.max(initial=0))
 
 
-def _candidates(case: int, paths: Descended) -> list[np.ndarray]:
+def candidates(case: int, paths: Descended) -> list[np.ndarray]:
     """Where to polish: the best end, and others that are as good but elsewhere."""
     value, violation = paths.value[case], paths.violation[case]
     met = violation <= _SMOOTH
@@ -208,7 +209,7 @@ def _polished(
     """The best of all candidates of each case, polished side by side."""
     owner, points = [], []
     for i in range(len(cases)):
-        for x in _candidates(i, paths):
+        for x in candidates(i, paths):
             owner.append(i)
             points.append(x)
     problem = joint.problem([cases[i] for i in owner], timed)
@@ -289,7 +290,7 @@ def result_of(
         own = np.log(np.array(start))
         before = certify(case, own)
         value_before = objective_value(case, own, timed) if before.stable else float("nan")
-        if not _wins(goal, value, certificate, value_before, before):
+        if not wins(goal, value, certificate, value_before, before):
             x, value, certificate, improved = own, value_before, before, False
     ends = np.where(paths.violation <= _SMOOTH, paths.value, -np.inf)
     top = ends.max()
@@ -317,7 +318,7 @@ def result_of(
     )  # fmt: skip
 
 
-def _wins(
+def wins(
     goal: Goal, value: float, certificate: Certificate, before: float, start: Certificate
 ) -> bool:
     """Whether the tuned gains beat the start: everything met first, then the objective."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,9 @@ from jaxact.tune.ensemble import PARAMETERS, Ensemble, ensemble
 _SHORT = {"mass": "mass", "wn": "natural_frequency", "zeta": "damping_ratio", "delay": "delay"}
 _FACTORS = ("wn", "zeta")
 _ASCENTS = 24
+
+Rise = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Points of the unit box (n, d) -> values (n,) and slopes (n, d)."""
 
 
 @dataclass(frozen=True)
@@ -122,20 +125,39 @@ def worst_inside(box: Box, rise: object, seed: int = 0, starts: int = 24) -> np.
     Returns the best fraction of every start, shape (starts + 1, varied); all are returned because
     they may belong to different peaks.
     """
-    from scipy.stats import qmc
-
     names = box.names
     columns = [PARAMETERS.index(name) for name in names]
     span = np.array([box.high[n] - box.low[n] for n in names])
+
+    def in_box(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        value, slope = rise(box.place(u))  # type: ignore[operator]
+        return value, slope[:, columns] * span
+
+    return ascend(in_box, spread(len(names), starts, seed))
+
+
+def spread(dimensions: int, starts: int, seed: int) -> np.ndarray:
+    """The centre of a box and points all over it, as fractions, shape (starts + 1, dimensions)."""
+    from scipy.stats import qmc
+
     power = max(starts - 1, 1).bit_length()
-    points = qmc.Sobol(len(names), scramble=True, rng=seed).random_base2(power)[:starts]
-    u = np.concatenate([np.full((1, len(names)), 0.5), points])
-    value, slope = _rise(rise, box, u, columns, span)
+    points = qmc.Sobol(dimensions, scramble=True, rng=seed).random_base2(power)[:starts]
+    return np.concatenate([np.full((1, dimensions), 0.5), points])
+
+
+def ascend(rise: Rise, u: np.ndarray, rounds: int = _ASCENTS) -> np.ndarray:
+    """Where projected ascent leads from each point of the unit box, shape (n, dimensions).
+
+    rise: NaN counts as worst
+    u: where it begins, shape (n, dimensions)
+    rounds: most steps
+    """
+    value, slope = _rise(rise, u)
     radius = np.full(len(u), 0.25)
-    for _ in range(_ASCENTS):
+    for _ in range(rounds):
         # The largest linear step in a box of that radius: every parameter to its better side.
         trial = np.clip(u + radius[:, None] * np.sign(slope), 0.0, 1.0)
-        there, there_slope = _rise(rise, box, trial, columns, span)
+        there, there_slope = _rise(rise, trial)
         taken = there > value
         u = np.where(taken[:, None], trial, u)
         value = np.where(taken, there, value)
@@ -146,9 +168,6 @@ def worst_inside(box: Box, rise: object, seed: int = 0, starts: int = 24) -> np.
     return u
 
 
-def _rise(
-    rise: object, box: Box, u: np.ndarray, columns: list[int], span: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    value, slope = rise(box.place(u))  # type: ignore[operator]
-    value = np.where(np.isnan(value), np.inf, value)
-    return value, np.nan_to_num(slope[:, columns]) * span
+def _rise(rise: Rise, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    value, slope = rise(u)
+    return np.where(np.isnan(value), np.inf, value), np.nan_to_num(slope)

@@ -1,0 +1,142 @@
+"""`jaxact tune --model`, as a user types it."""
+
+import json
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import mujoco
+import pytest
+import robots
+
+from jaxact.cli.main import main
+
+ROOT = Path(__file__).resolve().parent.parent
+ASKED = ("--model", "arm.xml", "--keyframe", "home", "--actuator", "hyq", "--delay", "0.002",
+         "--max-peak", "1.8")  # fmt: skip
+QUICK = ("--starts", "1", "--steps", "20", "--ensemble", "2")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    keys = '<key name="straight" qpos="0 0" ctrl="0 0"/></keyframe>'
+    arm = robots.PENDULUM.replace("</keyframe>", keys)
+    Path("arm.xml").write_text(arm)
+    motors = arm.replace('<position name="shoulder_servo" joint="shoulder" kp="80" kv="4"/>',
+                         '<motor joint="shoulder"/>')  # fmt: skip
+    Path("motors.xml").write_text(motors)
+    bare = arm[: arm.index("<actuator>")] + "</mujoco>"
+    Path("bare.xml").write_text(bare)
+    return tmp_path
+
+
+def _mistake(capsys, *arguments):
+    there = sorted(Path().iterdir())
+    assert main(["tune", *arguments]) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith("jaxact: ") and said.err.count("\n") == 1
+    assert sorted(Path().iterdir()) == there
+    return said.err
+
+
+def test_a_robot_is_tuned_certified_simulated_and_written():
+    ran = subprocess.run(
+        [sys.executable, "-m", "jaxact.cli.main", "tune", *ASKED, *QUICK,
+         "--groups", "shoulder,elbow", "--uncertainty", "delay=0.001..0.003",
+         "--validate", "2", "--out", "tuned", "--json"],
+        capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert ran.returncode == 0, ran.stderr
+    (line,) = ran.stdout.splitlines()
+    found = json.loads(line)
+    assert found["certified"] and found["feasible"] and found["situations"] == ["home"]
+    assert [row["name"] for row in found["groups"]] == ["shoulder", "elbow"]
+    assert found["corners"] == 2 and found["loops"] >= 4
+    for side in found["margins"]["after"].values():
+        assert side["sensitivity_peak"] <= 1.8 * (1 + 1e-9) and side["unstable_members"] == 0
+    for row in found["rollouts"]["after"].values():
+        assert row["rollouts"] >= 4 and row["stable"] == row["rollouts"]
+    files = {"gains.toml", "gains.xml", "sensitivity.png", "convergence.png", "gains.png"}
+    assert {path.name for path in Path("tuned").iterdir()} == files
+    kept = tomllib.loads(Path("tuned/gains.toml").read_text())
+    gains = {row["name"]: row["kp"] for row in found["joints"]}
+    assert kept["kp"] == gains and kept["guaranteed"]["certified"]
+    assert {"jaxact", "jax", "mujoco"} == set(kept["versions"])
+    # The snippet takes the place of the model's own actuators.
+    text = Path("arm.xml").read_text()
+    snippet = Path("tuned/gains.xml").read_text()
+    own = snippet[snippet.index("<actuator>") : snippet.index("</actuator>")]
+    model = mujoco.MjModel.from_xml_string(
+        text[: text.index("<actuator>")] + own + text[text.index("</actuator>") :]
+    )
+    assert model.actuator_gainprm[:, 0].tolist() == list(gains.values())
+
+
+def test_tables_say_what_is_guaranteed_and_what_cannot_be_met(capsys):
+    two = (*ASKED, "--keyframe", "home", "straight")
+    assert main(["tune", *two, *QUICK, "--validate", "0"]) == 0
+    said = capsys.readouterr().out
+    assert "certified: every constraint holds" in said and "N m/rad" in said and "kp before" in said
+    assert "2 members" in said and "straight" in said
+    # With as many loops, so that nothing is compiled anew.
+    two = (*two[: two.index("1.8")], "1.05", *two[two.index("1.8") + 1 :])
+    assert main(["tune", *two, "--min-kp", "200", *QUICK, "--validate", "0"]) == 0
+    said = capsys.readouterr().out
+    assert "NOT certified" in said and "infeasible" in said and "max_peak" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([*ASKED, "--groups", "hip"], "matches no driven joint; they are shoulder, elbow"),
+        ([*ASKED, "--groups", "shoulder"], "'elbow' is in no group"),
+        ([*ASKED, "--groups", "shoulder,o"], "matches both"),
+        ([*ASKED, "--groups", "shoulder,,elbow"], "empty"),
+        ([*ASKED, "--mass", "2"], "--mass"),
+        ([*ASKED, "--pareto", "5"], "--pareto: is for a single joint"),
+        ([*ASKED, "--joint", "elbow"], "--joint: is for a single joint"),
+        ([*ASKED, "--objective", "settling"], "stiffness or disk-margin"),
+        ([*ASKED, "--objective", "disk-margin"], "--min-kp"),
+        ([*ASKED, "--min-delay-margin", "0.01"], "is for a single joint"),
+        ([*ASKED, "--uncertainty", "mass=1..2"], "only its drives"),
+        ([*ASKED, "--uncertainty", "wn=1..x"], "no number"),
+        ([*ASKED, "--validate", "-1"], "--validate"),
+        ([*ASKED, "--keyframe", "home", "home"], "twice"),
+        ([*ASKED, "--keyframe", "jump"], "jump"),
+        ([*ASKED, "--spec", "missing.toml"], "is in the specifications"),
+        ([*ASKED, "--kp", "-5"], "must be positive"),
+        (["--model", "missing.xml"], "missing.xml"),
+        (["--model", "bare.xml"], "actuator"),
+        (["--model", "motors.xml", "--keyframe", "home", "--kp", "50"], "--kp and --kd"),
+        (["--spec", "missing.toml"], "missing.toml"),
+        (["--groups", "hip"], "--groups: is for a robot"),
+        (["--keyframe", "home"], "--keyframe: is for a robot"),
+        (["--mass", "0.7", "--validate", "1"], "--validate: is for a robot"),
+        (["--mass", "0.7", "--tracking-weight", "1"], "--tracking-weight: is for a robot"),
+        ([*ASKED, "--tracking-weight", "-1"], "--tracking-weight -1: give a positive number"),
+        ([*ASKED, "--tracking-weight", "1", "--derivative", "back"], "--derivative: mode 'back'"),
+    ],
+)
+def test_mistakes_are_one_line(capsys, arguments, said):
+    assert said in _mistake(capsys, *arguments)
+
+
+def test_brute_force_needs_few_groups(capsys):
+    path = Path("three.xml")
+    geom = '<geom size="0.02" mass="0.2"/>'
+    third = f'<body pos="0.25 0 0"><joint name="wrist" axis="0 1 0"/>{geom}</body>'
+    text = Path("arm.xml").read_text()
+    text = text.replace('qpos="0.4 -0.7" ctrl="0.4 -0.7"', 'qpos="0.4 -0.7 0"').replace(
+        'qpos="0 0" ctrl="0 0"', 'qpos="0 0 0"'
+    )
+    end = text.index("</body>")
+    text = text[:end] + third + text[end:]
+    text = text.replace("</actuator>", '<motor joint="wrist"/></actuator>')
+    path.write_text(text)
+    said = _mistake(
+        capsys, "--model", "three.xml", "--keyframe", "home", "--actuator", "hyq", "--verify"
+    )
+    assert "--verify" in said
