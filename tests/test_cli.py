@@ -244,7 +244,7 @@ def test_a_dry_run_of_a_hundred_million_loops_answers_at_once_and_writes_nothing
     assert ran.returncode == 0, ran.stderr
     lines = ran.stdout.splitlines()
     assert lines[0].startswith("100,000,000 loops (kp 10,000 x kd 10,000)")
-    assert "chunks of up to" in lines[1] and "tiles of 64" in lines[1]
+    assert "chunks of up to" in lines[1] and "tiles of 128" in lines[1]
     assert "of 2 GiB allowed" in lines[2] and lines[3].startswith("time: about")
     assert [item.name for item in tmp_path.iterdir()] == ["big.toml"]
 

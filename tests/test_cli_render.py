@@ -87,7 +87,7 @@ def test_simulates_both_motions_itself(folder):
         "delay = 0.005\nposition_noise = 1e-4\n[axes]\nkd = [1, 300]\n"
     )
     command = [sys.executable, "-W", "error", "-m", "jaxact.cli.main", "render"]
-    small = ["--kd", "300", "--size", "64", "64", "--duration", "0.2", "--out", "two.gif"]
+    small = ["--kd", "300", "--size", "64", "64", "--duration", "0.3", "--out", "two.gif"]
     ran = subprocess.run(
         [*command, "--spec", "loop.toml", "--push", "1", "0", "0", "0", *small],
         capture_output=True, text=True, cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)},

@@ -127,7 +127,7 @@ def _refuse_deadlock(specification: Specification) -> None:
     Raises:
         UserError: it could happen here, and how to prevent it.
     """
-    old = jax.__version__.startswith("0.10.") and jax.default_backend() == "cpu"
+    old = _old_jax() and jax.default_backend() == "cpu"
     asked = os.environ.get("NPROC", "")
     threads = int(asked) if asked.isdigit() else os.cpu_count() or 1
     if old and specification.model is not None and specification.engine == "mjx" and threads < 8:
@@ -238,9 +238,7 @@ def _compiled(stage: str, case: Case, devices: int, setting: Setting, double: bo
 
         return jax.lax.map(lambda tile: jax.vmap(sample)(*tile), inputs)
 
-    if devices == 1:
-        return jax.jit(tiles)
-
+    # In the same way on a single device, so that the same bits come out.
     def sharded(shared, *inputs):
         parted = jax.shard_map(
             tiles,
@@ -273,6 +271,11 @@ def batches(
         yield part[np.minimum(np.arange(plan.batch), part.size - 1)], part.size
 
 
+def _old_jax() -> bool:
+    """Whether this is JAX 0.10, whose compiler rounds a shared number by the number of devices."""
+    return jax.__version__.startswith("0.10.")
+
+
 def _tiled(
     plan: Plan, samples: Samples, numbers: np.ndarray, dtype: type
 ) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
@@ -287,7 +290,7 @@ def _tiled(
     shared = {
         name: jnp.asarray(array.reshape(()), dtype)
         for name, array in samples.along.items()
-        if array.size == 1 and name != _NEVER_SHARED
+        if array.size == 1 and name != _NEVER_SHARED and not _old_jax()
     }
     own = {
         name: jnp.asarray(value.reshape(shape).astype(dtype))
