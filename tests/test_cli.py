@@ -180,8 +180,8 @@ def test_a_sweep_interrupted_before_its_first_chunk_leaves_nothing(number, code,
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupted_sweep_says_how_to_continue_and_does(number, code, tmp_path):
     (tmp_path / "long.toml").write_text(
-        'engine = "mass"\nduration = 20\n[axes]\nkp = {min = 10, max = 1000, num = 300}\n'
-        "kd = {min = 1, max = 100, num = 300}\n"
+        'engine = "mass"\nduration = 20\n[axes]\nkp = {min = 10, max = 1000, num = 1000}\n'
+        "kd = {min = 1, max = 100, num = 1000}\n"
     )
     command = ["sweep", "long.toml", "--set", "duration=20"]
     running = subprocess.Popen(
@@ -191,9 +191,11 @@ def test_an_interrupted_sweep_says_how_to_continue_and_does(number, code, tmp_pa
     receipts = tmp_path / "results/long/sweep.zarr/progress/receipt"
     while not list(receipts.glob("c.*")) and running.poll() is None:
         time.sleep(0.05)
+    running.send_signal(signal.SIGSTOP)  # or a fast machine ends the sweep before it is looked at
     second = _refused(jaxact(*command, "--resume", cwd=tmp_path))
     assert f"process {running.pid} on " in second
     running.send_signal(number)
+    running.send_signal(signal.SIGCONT)
     _, said = running.communicate(timeout=120)
     assert running.returncode == code, said
     match = re.fullmatch(r"jaxact: interrupted; (\d+) of (\d+) chunks are kept, (.*)\n", said)
