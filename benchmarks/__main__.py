@@ -98,7 +98,7 @@ def _mass(quick: bool) -> Iterator:
 def _mjx(quick: bool) -> Iterator:
     from benchmarks import rivals, sweeps
     from benchmarks.timing import Row, alternate
-    from jaxact.sweep import execute
+    from jaxact.sweep import plans
     from jaxact.sweep.samples import expand
 
     gains, duration = (8, 0.04) if quick else (32, 0.5)
@@ -116,7 +116,7 @@ def _mjx(quick: bool) -> Iterator:
         2.0,
     )
     full = sweeps.with_everything(coarse)
-    (plan,) = execute.plans(full, samples)
+    (plan,) = plans.groups(full, samples)
     bare = rivals.bare_mjx(samples, ticks, 1, plan.tile, plan.devices)
     yield Row(
         "MJX rollout with the full drive and metrics (noise, quantisation, three delays)",

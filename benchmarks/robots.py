@@ -16,7 +16,7 @@ from benchmarks.timing import Row, alternate
 from jaxact.drive import Force
 from jaxact.plants import mjx, posture
 from jaxact.plants import model as models
-from jaxact.sweep import engines, execute, reading
+from jaxact.sweep import engines, execute, plans, reading
 from jaxact.sweep.samples import Samples, expand
 from jaxact.sweep.specification import Specification
 
@@ -98,12 +98,12 @@ def _specification(model: str, engine: str, duration: float, loops: int) -> Spec
     return reading.parse(text, MODELS)
 
 
-def _rollouts(asked: Specification, samples: Samples) -> tuple[Callable[[], float], execute.Plan]:
+def _rollouts(asked: Specification, samples: Samples) -> tuple[Callable[[], float], plans.Plan]:
     """The rollouts with their metrics, growth rates given; units: control periods of one loop."""
     asked = engines.resolved(asked)
-    (plan,) = execute.plans(asked, samples)
+    (plan,) = plans.groups(asked, samples)
     growth = np.full(plan.batch, -1.0)
-    numbers = [batch for batch, _ in execute.batches(plan, samples)]
+    numbers = [batch for batch, _ in plans.batches(plan, samples)]
 
     def run() -> float:
         for batch in numbers:
@@ -113,7 +113,7 @@ def _rollouts(asked: Specification, samples: Samples) -> tuple[Callable[[], floa
     return run, plan
 
 
-def _bare(samples: Samples, plan: execute.Plan) -> Callable[[], float]:
+def _bare(samples: Samples, plan: plans.Plan) -> Callable[[], float]:
     """MJX with a PD command and nothing else, in the same tiles; units as `_rollouts`."""
     robot = models.read(MODELS / "quadruped.xml", keyframe="stand")
     start = posture.settled(robot)

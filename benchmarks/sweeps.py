@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jaxact.sweep import execute, reading
+from jaxact.sweep import execute, plans, reading
 from jaxact.sweep.samples import Samples, expand
 from jaxact.sweep.specification import Specification
 
@@ -27,7 +27,7 @@ def specification(engine: str, gains: int, duration: float, **options: object) -
 
 def steps(asked: Specification, samples: Samples) -> int:
     """Loop steps (control periods of one loop) in a sweep."""
-    return sum(plan.case.rollout.ticks for plan in execute.plans(asked, samples)) * len(samples)
+    return sum(plan.case.rollout.ticks for plan in plans.groups(asked, samples)) * len(samples)
 
 
 def whole(asked: Specification) -> Callable[[], float]:
@@ -45,12 +45,12 @@ def whole(asked: Specification) -> Callable[[], float]:
 def rollouts(asked: Specification) -> Callable[[], float]:
     """Only the rollouts with their metrics, growth rates given; units: loop steps."""
     samples = expand(asked)
-    (plan,) = execute.plans(asked, samples)
+    (plan,) = plans.groups(asked, samples)
     growth = np.zeros(plan.batch)
     units = steps(asked, samples)
 
     def run() -> float:
-        for numbers, _ in execute.batches(plan, samples):
+        for numbers, _ in plans.batches(plan, samples):
             execute.simulate_batch(plan, asked, samples, numbers, growth)
         return units
 

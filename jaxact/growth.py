@@ -43,7 +43,8 @@ class GrowthOptions:
         settle: blocks before the Krylov space is built, until the fast modes are gone.
         dimension: of the Krylov space.
         whole: a state of no more than this many numbers is its own Krylov space, in which the fast
-            modes need not be gone; a sixteenth of `settle` is enough to find its scale.
+            modes need not be gone; a quarter of `block` tells its modes apart, and a sixteenth of
+            `settle` is enough to find its scale.
         squarings: of the small matrix; the last one looks 2^squarings blocks ahead.
         dense: write the propagation of one period out as a matrix first. Cheaper where one period
             of the plant costs more than the product of a matrix and a vector.
@@ -56,9 +57,13 @@ class GrowthOptions:
     settle: int = 64
     dimension: int = 8
     whole: int = 10
-    squarings: int = 18
+    squarings: int = 20
     dense: bool = False
     stacked: bool = False
+
+
+class TooManyStatesError(ValueError):
+    """A loop has too many states for what is asked."""
 
 
 def aligned(state: LoopState) -> LoopState:
@@ -283,6 +288,94 @@ def _arnoldi(apply: Callable, start: jax.Array, dimension: int) -> jax.Array:
     return matrix[:-1]
 
 
+@dataclass(frozen=True)
+class _Space:
+    """What a Krylov space is made of.
+
+    Attributes:
+        apply: the propagation over a block, of states in their own scale.
+        start: first vector.
+        dimension: of the space.
+        whole: it is the whole state.
+        block: control periods.
+    """
+
+    apply: Callable[[list[jax.Array]], list[jax.Array]]
+    start: list[jax.Array]
+    dimension: int
+    whole: bool
+    block: int
+
+
+def _space(
+    prepared: Prepared,
+    options: DriveOptions,
+    state: LoopState,
+    setpoint: Setpoint,
+    measure: GrowthOptions,
+) -> _Space:
+    """Send a perturbation through the loop until it has found its scale."""
+    tangent = _perturbation(aligned(state), prepared)
+    rank = sum(leaf.size for leaf in tangent)
+    whole = rank <= measure.whole
+    block = max(1, measure.block // 4) if whole else measure.block
+    blocks = measure.settle // 16 if whole else measure.settle
+    periods = 1 if measure.dense else block
+    start, apply = propagation(prepared, options, state, setpoint, periods)
+    if measure.dense or measure.stacked:
+        tangent = [ravel_pytree(tangent)[0]]
+    if measure.dense:
+        start, apply = _dense(start, apply, block)
+    elif measure.stacked:
+        start, apply = _flat(start, apply)
+
+    def settle(carry, _: None):
+        vector, squares = carry
+        image = apply(vector)
+        vector = _scaled(image, _inverse(jnp.sqrt(_dot(image, image))))
+        return (vector, [x * x + y for x, y in zip(vector, squares, strict=True)]), None
+
+    # Positions, velocities and forces have different units; their size along the way is the scale.
+    carry = tangent, [jnp.zeros_like(leaf) for leaf in tangent]
+    (settled, squares), _ = jax.lax.scan(settle, carry, None, length=blocks)
+    scale = [jnp.where(x > 0.0, jnp.sqrt(x / blocks), 1.0) for x in squares]
+
+    def scaled_apply(vector: list[jax.Array]) -> list[jax.Array]:
+        image = apply([x * y for x, y in zip(vector, scale, strict=True)])
+        return [x / y for x, y in zip(image, scale, strict=True)]
+
+    # What has settled lacks the fast modes, and the whole space has them.
+    first = tangent if whole else settled
+    unit = [x / y for x, y in zip(first, scale, strict=True)]
+    return _Space(scaled_apply, unit, rank if whole else min(measure.dimension, rank), whole, block)
+
+
+def polynomial(
+    prepared: Prepared,
+    options: DriveOptions,
+    state: LoopState,
+    setpoint: Setpoint,
+    measure: GrowthOptions = GrowthOptions(),
+) -> jax.Array:
+    """The characteristic polynomial of a loop with few states over a block of periods.
+
+    Args:
+        prepared, options, state, setpoint, measure: as for `growth_rate`.
+
+    Returns:
+        c_1 ... c_n of x^n + c_1 x^(n-1) + ... + c_n, shape (n,).
+
+    Raises:
+        TooManyStatesError: the loop has more than `measure.whole`.
+    """
+    space = _space(prepared, options, state, setpoint, measure)
+    if not space.whole:
+        raise TooManyStatesError(f"more than {measure.whole} states: their polynomial is not exact")
+    kept = functools.partial(_loop.stage, options)
+    small = _krylov(space.apply, space.start, space.dimension, space.whole, kept)
+    return jnp.stack(_characteristic.polynomial(small, kept))
+
+
 def growth_rate(
     prepared: Prepared,
     options: DriveOptions,
@@ -302,43 +395,12 @@ def growth_rate(
     Returns:
         [1/s], shape ().
     """
-    tangent = _perturbation(aligned(state), prepared)
-    if measure.dense:
-        start, apply = propagation(prepared, options, state, setpoint, 1)
-        start, apply = _dense(start, apply, measure.block)
-        tangent = [ravel_pytree(tangent)[0]]
-    elif measure.stacked:
-        start, apply = _flat(*propagation(prepared, options, state, setpoint, measure.block))
-        tangent = [ravel_pytree(tangent)[0]]
-    else:
-        start, apply = propagation(prepared, options, state, setpoint, measure.block)
-
-    def settle(carry, _: None):
-        vector, squares = carry
-        image = apply(vector)
-        vector = _scaled(image, _inverse(jnp.sqrt(_dot(image, image))))
-        return (vector, [x * x + y for x, y in zip(vector, squares, strict=True)]), None
-
-    rank = sum(leaf.size for leaf in start)
-    whole = rank <= measure.whole
-    blocks = measure.settle // 16 if whole else measure.settle
-    # Positions, velocities and forces have different units; their size along the way is the scale.
-    carry = tangent, [jnp.zeros_like(leaf) for leaf in tangent]
-    (settled, squares), _ = jax.lax.scan(settle, carry, None, length=blocks)
-    scale = [jnp.where(x > 0.0, jnp.sqrt(x / blocks), 1.0) for x in squares]
-
-    def scaled_apply(vector: list[jax.Array]) -> list[jax.Array]:
-        image = apply([x * y for x, y in zip(vector, scale, strict=True)])
-        return [x / y for x, y in zip(image, scale, strict=True)]
-
-    dimension = rank if whole else min(measure.dimension, rank)
-    unit = [x / y for x, y in zip(settled, scale, strict=True)]
-    period = prepared.drive.drive.control_period
+    space = _space(prepared, options, state, setpoint, measure)
     if measure.stacked:
-        stacked = _arnoldi(lambda vector: scaled_apply([vector])[0], unit[0], dimension)
+        stacked = _arnoldi(lambda vector: space.apply([vector])[0], space.start[0], space.dimension)
         log_radius = _log_radius(stacked, measure.squarings)
     else:
         kept = functools.partial(_loop.stage, options)
-        small = _krylov(scaled_apply, unit, dimension, whole, kept)
+        small = _krylov(space.apply, space.start, space.dimension, space.whole, kept)
         log_radius = _characteristic.log_spectral_radius(small, measure.squarings, kept)
-    return log_radius / (measure.block * period)
+    return log_radius / (space.block * prepared.drive.drive.control_period)

@@ -12,7 +12,7 @@ displaced, are taken out (`without_neutral`).
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -141,7 +141,7 @@ def without_neutral(directions: np.ndarray) -> np.ndarray:
     return whole[:, directions.shape[1] :]
 
 
-def linearise(plant: MjxPlant, force: np.ndarray, step: float) -> Linearisation:
+def linearise(plant: MjxPlant, force: np.ndarray, step: float) -> Linearisation | None:
     """The plant of a robot at its start posture, in float64.
 
     Args:
@@ -150,12 +150,15 @@ def linearise(plant: MjxPlant, force: np.ndarray, step: float) -> Linearisation:
         step: physics step [s].
 
     Returns:
-        The linear plant without its neutral directions, and how far the posture is from rest.
+        The linear plant without its neutral directions, and how far the posture is from rest; None
+        where the derivatives of MJX are no numbers, as at some contacts of meshes.
     """
     with jax.enable_x64(True):
         compute = jax.jit(lambda plant, force, step: _at(plant.prepare(step), force))
         A, B, before, after = compute(plant, jnp.asarray(force, float), jnp.asarray(step, float))
         A, B = np.asarray(A), np.asarray(B)
+        if not (np.isfinite(A).all() and np.isfinite(B).all()):
+            return None
         residual = float(np.max(np.abs(np.asarray(after - before)), initial=0.0)) / step
     size = plant.data.qvel.shape[0]
     return _reduced(A, B, selectors(plant), size, step, residual)
@@ -187,10 +190,35 @@ def linearise_c(
     data.ctrl[actuators] = posture.force
     mujoco.mj_forward(model, data)
     residual = float(np.max(np.abs(data.qacc), initial=0.0))
+    explicit = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+    A, B = _runge_kutta(model, data) if explicit else _differenced(model, data)
+    return A, B[:, actuators], residual
+
+
+def _differenced(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
     size = 2 * model.nv + model.na
     A, B = np.zeros((size, size)), np.zeros((size, model.nu))
     mujoco.mjd_transitionFD(model, data, _DIFFERENCE, True, A, B, None, None)
-    return A, B[:, actuators], residual
+    return A, B
+
+
+def _runge_kutta(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """A and B of a step with RK4, which MuJoCo cannot difference; model is changed.
+
+    Of x' = F x + G u it is the Taylor polynomial of the matrix exponential up to (F h)^4. F and G
+    are what an explicit Euler step adds.
+    """
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    F, G = _differenced(model, data)
+    F -= np.eye(len(F))
+    F[: model.nv], G[: model.nv] = 0.0, 0.0  # positions are already moved by the new velocities
+    F[: model.nv, model.nv : 2 * model.nv] = model.opt.timestep * np.eye(model.nv)
+    term, total = np.eye(len(F)), np.zeros_like(F)
+    for order in range(1, 5):
+        total += term / order
+        term = term @ F / order
+    return np.eye(len(F)) + F @ total, total @ G
 
 
 def linear_c(robot: Robot, posture: Posture, step: float) -> Linearisation:
@@ -229,22 +257,6 @@ def _reduced(A, B, selectors, size: int, step: float, residual: float) -> Linear
             step=jnp.asarray(step, float),
         )
     return Linearisation(linear, residual, basis)
-
-
-def relinearised(
-    plant: MjxPlant, force: jax.Array, basis: np.ndarray, nominal: LinearPlant
-) -> LinearPlant:
-    """The plant with other parameters, in the coordinates of the nominal one; may be traced.
-
-    Args:
-        plant: prepared, with the parameters of a sample.
-        force: of the driven joints at the posture [N or N m], shape (joints,).
-        basis: from `linearise`.
-        nominal: from `linearise`.
-    """
-    A, B = jacobians(plant, force)
-    rows = jnp.asarray(basis, A.dtype)
-    return replace(nominal, A=rows.T @ A @ rows, B=rows.T @ B)
 
 
 def _at(plant: MjxPlant, force: jax.Array):

@@ -28,6 +28,8 @@ _APART = 1e-7
 _AROUND = (-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0)
 # Local maxima of a curve that are refined.
 _CANDIDATES = 4
+# Distance to a root instead of none.
+_ON_ROOT = 1e-16
 
 
 Matrices = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -111,7 +113,9 @@ def _solved(loop: Multiloop, z: np.ndarray, right: np.ndarray) -> np.ndarray:
     for end in range(len(U), 0, -_BLOCK):
         first = max(end - _BLOCK, 0)
         for row in range(end - 1, first - 1, -1):
-            states[row] /= (z - U[row, row])[:, None]
+            apart = z - U[row, row]
+            # On a root, which a joint or an object that nothing holds has at z = 1 exactly.
+            states[row] /= np.where(apart == 0.0, _ON_ROOT, apart)[:, None]
             for above in range(first, row):
                 if U[above, row] != 0.0:
                     states[above] += U[above, row] * states[row]

@@ -20,6 +20,7 @@ import numpy as np
 from jaxact import multiloop as _multiloop
 from jaxact import multiloop_disk as _disk
 from jaxact import multiloop_limits as _limits
+from jaxact.errors import UserError
 from jaxact.multiloop import Matrices, Multiloop
 
 _TURN = 2.0 * math.pi
@@ -163,8 +164,13 @@ class Robot:
 
 
 def robot_margins(robot: Robot) -> RobotMargins:
-    """All margins of a robot's loop."""
+    """All margins of a robot's loop.
+
+    Raises:
+        UserError: commands do not move some joints at all, so that no gain matters.
+    """
     loop = _multiloop.multiloop(*robot.matrices, robot.period)
+    _demand_answers(robot, loop)
     radius = float(np.max(np.abs(loop.roots), initial=0.0))
     unstable = int(np.sum(~(np.abs(loop.roots) <= 1.0 + _limits.MARGINAL)))
     angle = _multiloop.grid(loop)
@@ -340,6 +346,18 @@ def _of_joint(
     )
 
 
+def _demand_answers(robot: Robot, loop: Multiloop) -> None:
+    """Refuse joints whose commands change nothing: S is I in their columns at any frequency."""
+    S = _multiloop.sensitivity(loop, np.array([1.0]))[0]
+    still = [robot.names[i] for i in np.flatnonzero((S == np.eye(len(S))).all(axis=0))]
+    if still:
+        more = f" and {len(still) - 1} more" if len(still) > 1 else ""
+        raise UserError(
+            f"{still[0]}{more}: the joint's command moves nothing at this posture; its gains are "
+            "zero, or contacts or limits hold it"
+        )
+
+
 def _least_damped(loop: Multiloop) -> int:
     """Number of the root with the smallest damping ratio."""
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -375,6 +393,8 @@ def _response(robot: Robot, loop: Multiloop, frequency: float) -> Mode:
 
 def _participation(robot: Robot, loop: Multiloop, states: np.ndarray) -> np.ndarray:
     """Share of each joint in I |v|^2; equal shares of a motion in which no joint moves."""
-    energy = robot.inertias * np.abs(robot.velocities[:, loop.kept] @ states) ** 2
+    # A joint that no force moves feels an infinite inertia.
+    inertias = np.where(np.isfinite(robot.inertias), robot.inertias, 0.0)
+    energy = inertias * np.abs(robot.velocities[:, loop.kept] @ states) ** 2
     total = float(energy.sum())
     return energy / total if total > 0.0 else np.full(len(energy), 1.0 / len(energy))

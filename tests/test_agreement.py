@@ -2,10 +2,22 @@
 
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 from synthetic_store import DRAWN, GRID, dataset, radius
 
 from jaxact.sweep import agreement, reading
 from jaxact.sweep.samples import expand
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return dataset(GRID)
+
+
+@pytest.fixture
+def results(whole):
+    """A dataset of one's own, to be changed at will."""
+    return whole.copy(deep=True)
 
 
 @pytest.mark.parametrize("text", [GRID, DRAWN])
@@ -16,15 +28,14 @@ def test_spectral_radii_equal_scipys(text):
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
-def test_exact_verdicts_agree():
-    found = agreement.sweep_agreement(dataset(GRID))
+def test_exact_verdicts_agree(results):
+    found = agreement.sweep_agreement(results)
     assert found.disagreements == 0
     assert found.furthest == 0.0
     assert found.compared == found.samples == 480
 
 
-def test_planted_mistakes_are_counted_and_placed():
-    results = dataset(GRID)
+def test_planted_mistakes_are_counted_and_placed(results):
     growth, verdict = results["growth_rate"].values, results["verdict"].values
     stable, unstable = np.argwhere(growth < -5)[0], np.argwhere(growth > 5)[0]
     verdict[tuple(stable)], verdict[tuple(unstable)] = 2, 0
@@ -35,8 +46,7 @@ def test_planted_mistakes_are_counted_and_placed():
     assert found.furthest > 0.0
 
 
-def test_invalid_loops_are_not_compared():
-    results = dataset(GRID)
+def test_invalid_loops_are_not_compared(results):
     results["verdict"].values[0, 0, 0, :] = 3
     found = agreement.sweep_agreement(results)
     assert found.samples - found.compared == 10
@@ -67,8 +77,7 @@ def test_gain_distance_brackets_the_border():
     assert not changes(0.79)[reached].any()
 
 
-def test_boundary_only_where_nothing_else_varies():
-    results = dataset(GRID)
+def test_boundary_only_where_nothing_else_varies(results):
     window = ((10.0, 1e5), (0.1, 2000.0))
     part = results.isel(actuator=1, delay=0)
     found = agreement.exact_boundary(part, *window)
@@ -77,8 +86,8 @@ def test_boundary_only_where_nothing_else_varies():
     assert agreement.exact_boundary(results, *window) is None
 
 
-def test_boundary_separates_the_exact_verdicts():
-    part = dataset(GRID).isel(actuator=1, delay=0)
+def test_boundary_separates_the_exact_verdicts(results):
+    part = results.isel(actuator=1, delay=0)
     found = agreement.exact_boundary(part, (10.0, 1e5), (0.1, 2000.0))
     curve = next(curve for curve in found.sampled if curve.separates)
     middle = len(curve.kp) // 2

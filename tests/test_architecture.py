@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from quickly import ENVIRONMENT
 
 import jaxact
 from jaxact.cli.main import VERBS
@@ -212,22 +213,31 @@ def test_readme_commands_exist():
             assert words[1] != "sweep" or (ROOT / words[2]).is_file(), line
 
 
-def test_readme_commands_run(tmp_path):
-    shutil.copytree(ROOT / "experiments", tmp_path / "experiments")
-    smaller = ["--set", "axes.kp.num=6", "--set", "axes.kd.num=6"]
+def _chains():
+    """The commands of the README by the result they make or read, others by their verb."""
+    chains = {}
     for line in (line for kind, block in BLOCKS if kind == "sh" for line in block.splitlines()):
         words = shlex.split(line, comments=True)
-        if words[:1] != ["jaxact"]:
-            continue
-        arguments = words[1:] + (smaller if words[1] == "sweep" else [])
+        if words[:1] == ["jaxact"]:
+            result = re.search(r"results/\w+", line)
+            chains.setdefault(result[0] if result else words[1], []).append(words[1:])
+    return chains
+
+
+@pytest.mark.parametrize("commands", [pytest.param(c, id=name) for name, c in _chains().items()])
+def test_readme_commands_run(commands, tmp_path):
+    shutil.copytree(ROOT / "experiments", tmp_path / "experiments")
+    smaller = ["--set", "axes.kp.num=6", "--set", "axes.kd.num=6"]
+    for words in commands:
         ran = subprocess.run(
-            [sys.executable, "-m", "jaxact.cli.main", *arguments],
+            [sys.executable, "-m", "jaxact.cli.main", *words, *smaller * (words[0] == "sweep")],
             capture_output=True, text=True, cwd=tmp_path,
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            env=os.environ | ENVIRONMENT | {"PYTHONPATH": str(ROOT)},
         )  # fmt: skip
-        assert ran.returncode == 0, f"{line}: {ran.stderr}"
-    for name in ("map.pdf", "overshoot.svg", "map.nc", "results/exact_plant/sweep.zarr"):
-        assert (tmp_path / name).exists(), f"{name} was not written"
+        assert ran.returncode == 0, f"{words}: {ran.stderr}"
+        for option, name in zip(words, words[1:], strict=False):
+            if option == "--out":
+                assert (tmp_path / name).exists(), f"{words}: {name} was not written"
 
 
 @pytest.mark.parametrize("code", [block for kind, block in BLOCKS if kind == "python"])

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import mujoco
 import pytest
+import quickly
 import robots
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.cli.main import main
 
@@ -45,26 +47,38 @@ def _mistake(capsys, *arguments):
 def test_a_robot_is_tuned_certified_simulated_and_written():
     ran = subprocess.run(
         [sys.executable, "-m", "jaxact.cli.main", "tune", *ASKED, *QUICK,
-         "--groups", "shoulder,elbow", "--uncertainty", "delay=0.001..0.003",
+         "--groups", "shoulder,elbow", "--uncertainty", "delay=0.001..0.003,payload=0..0.3",
+         "--set", "plant.payload_body=lower", "--pareto", "3",
          "--validate", "2", "--out", "tuned", "--json"],
-        capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True,
+        env=os.environ | quickly.ENVIRONMENT | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert ran.returncode == 0, ran.stderr
     (line,) = ran.stdout.splitlines()
     found = json.loads(line)
     assert found["certified"] and found["feasible"] and found["situations"] == ["home"]
     assert [row["name"] for row in found["groups"]] == ["shoulder", "elbow"]
-    assert found["corners"] == 2 and found["loops"] >= 4
+    assert found["corners"] == 4 and found["loops"] >= 6
+    assert found["assumed"]["payload"] == [0.0, 0.3] and found["assumed"]["payload_body"] == "lower"
+    front = found["pareto"]
+    assert [row["certified"] for row in front] == [True] * 3
+    assert [row["name"] for row in front[0]["groups"]] == ["shoulder", "elbow"]
+    assert front[0]["objective"] < found["objective"] < front[2]["objective"]
     for side in found["margins"]["after"].values():
         assert side["sensitivity_peak"] <= 1.8 * (1 + 1e-9) and side["unstable_members"] == 0
     for row in found["rollouts"]["after"].values():
         assert row["rollouts"] >= 4 and row["stable"] == row["rollouts"]
-    files = {"gains.toml", "gains.xml", "sensitivity.png", "convergence.png", "gains.png"}
+    files = {"gains.toml", "gains.xml", "sensitivity.png", "convergence.png", "gains.png",
+             "front.csv", "front.png"}  # fmt: skip
     assert {path.name for path in Path("tuned").iterdir()} == files
+    head, *rows = Path("tuned/front.csv").read_text().splitlines()
+    assert head == "max_peak,kp_shoulder,kp_elbow,kd_shoulder,kd_elbow,objective,certified"
+    assert [float(row.split(",")[5]) for row in rows] == [row["objective"] for row in front]
     kept = tomllib.loads(Path("tuned/gains.toml").read_text())
     gains = {row["name"]: row["kp"] for row in found["joints"]}
     assert kept["kp"] == gains and kept["guaranteed"]["certified"]
     assert {"jaxact", "jax", "mujoco"} == set(kept["versions"])
+    assert kept["assumed"]["setpoint_and_feedforward"] == "of the nominal robot"
     # The snippet takes the place of the model's own actuators.
     text = Path("arm.xml").read_text()
     snippet = Path("tuned/gains.xml").read_text()
@@ -77,10 +91,11 @@ def test_a_robot_is_tuned_certified_simulated_and_written():
 
 def test_tables_say_what_is_guaranteed_and_what_cannot_be_met(capsys):
     two = (*ASKED, "--keyframe", "home", "straight")
-    assert main(["tune", *two, *QUICK, "--validate", "0"]) == 0
+    assert main(["tune", *two, *QUICK, "--validate", "0", "--pareto", "2"]) == 0
     said = capsys.readouterr().out
     assert "certified: every constraint holds" in said and "N m/rad" in said and "kp before" in said
     assert "2 members" in said and "straight" in said
+    assert "kp shoulder [N m/rad]" in said and "   3.0000 " in said
     # With as many loops, so that nothing is compiled anew.
     two = (*two[: two.index("1.8")], "1.05", *two[two.index("1.8") + 1 :])
     assert main(["tune", *two, "--min-kp", "200", *QUICK, "--validate", "0"]) == 0
@@ -96,12 +111,14 @@ def test_tables_say_what_is_guaranteed_and_what_cannot_be_met(capsys):
         ([*ASKED, "--groups", "shoulder,o"], "matches both"),
         ([*ASKED, "--groups", "shoulder,,elbow"], "empty"),
         ([*ASKED, "--mass", "2"], "--mass"),
-        ([*ASKED, "--pareto", "5"], "--pareto: is for a single joint"),
+        ([*ASKED, "--pareto", "1"], "--pareto 1: give between 2 and 200 points"),
+        ([*ASKED, "--pareto", "5", "--tracking-weight", "1"], "--pareto: knows of no"),
         ([*ASKED, "--joint", "elbow"], "--joint: is for a single joint"),
         ([*ASKED, "--objective", "settling"], "stiffness or disk-margin"),
         ([*ASKED, "--objective", "disk-margin"], "--min-kp"),
         ([*ASKED, "--min-delay-margin", "0.01"], "is for a single joint"),
-        ([*ASKED, "--uncertainty", "mass=1..2"], "only its drives"),
+        ([*ASKED, "--uncertainty", "mass=1..2"], "vary payload or inertia_scale"),
+        ([*ASKED, "--uncertainty", "joint_friction=0..1"], "sweep it instead"),
         ([*ASKED, "--uncertainty", "wn=1..x"], "no number"),
         ([*ASKED, "--validate", "-1"], "--validate"),
         ([*ASKED, "--keyframe", "home", "home"], "twice"),

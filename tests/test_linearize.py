@@ -1,5 +1,7 @@
 """A robot linearised: against difference quotients of MuJoCo in C, and of the closed loop."""
 
+import copy
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -46,6 +48,27 @@ def _transition(robot, start, step):
     A, B = np.zeros((size, size)), np.zeros((size, c_model.nu))
     mujoco.mjd_transitionFD(c_model, data, 1e-6, True, A, B, None, None)
     return A, B[:, [joint.index for joint in robot.joints]]
+
+
+def test_a_step_with_rk4_is_linearised(pendulum):
+    robot, start = pendulum
+    model = copy.copy(robot.model)
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    A, B, _ = linearize.linearise_c(robot, start, 0.02, model)
+    model.opt.timestep = 0.02
+
+    def after(deviation, force):
+        data = mujoco.MjData(model)
+        data.qpos, data.qvel = np.split(np.append(start.qpos, 0.0 * start.qpos) + deviation, 2)
+        data.ctrl = start.force + force
+        mujoco.mj_step(model, data)
+        return np.append(data.qpos, data.qvel)
+
+    none, small = np.zeros(model.nu), 1e-6
+    columns = [(after(row, none) - after(-row, none)) / (2 * small) for row in small * np.eye(4)]
+    forces = [(after(0.0, row) - after(0.0, -row)) / (2 * small) for row in small * np.eye(2)]
+    np.testing.assert_allclose(A, np.transpose(columns), atol=1e-6)
+    np.testing.assert_allclose(B, np.transpose(forces), atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["pendulum", "hopper"])

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import quickly
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact import linearize
 from jaxact.sweep import critical, robots
@@ -118,7 +120,7 @@ def test_a_small_part_of_it_runs(tmp_path):
     ran = subprocess.run(
         [sys.executable, str(FOLDER / "run.py"), "--quick", "--out", "made"],
         capture_output=True, text=True, cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        env=os.environ | quickly.ENVIRONMENT | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert ran.returncode == 0, ran.stderr
     assert ran.stderr == "" and os.listdir(tmp_path) == ["made"]

@@ -22,7 +22,7 @@ from jaxact.plants import model, posture
 from jaxact.sampled import SampledLoop
 from jaxact.sampled_margins import sampled_margins
 from jaxact.sensor import Sensor
-from jaxact.sweep import engines, execute, reading, whole_robot
+from jaxact.sweep import engines, plans, reading, spectra, whole_robot
 from jaxact.sweep.samples import expand
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -515,9 +515,9 @@ def test_the_growth_rate_of_a_quadruped_changes_sign_at_its_gain_margins(quadrup
     ]
     swept = reading.parse(f"{QUADRUPED}gain_scale = {beside}", folder)
     samples = expand(swept)
-    (plan,) = execute.plans(engines.resolved(swept), samples)
-    ((numbers, count),) = execute.batches(plan, samples)
-    rates = execute.growth_batch(plan, engines.resolved(swept), samples, numbers)[:count]
+    (plan,) = plans.groups(engines.resolved(swept), samples)
+    ((numbers, count),) = plans.batches(plan, samples)
+    rates = spectra.growth_batch(plan, engines.resolved(swept), samples, numbers)[:count]
     assert (np.sign(rates) == [-1, 1, 1, -1]).all()
     # low gain topples it, high gain shakes it
     assert whole.gain_reduction_frequency == 0.0 and whole.gain_margin_frequency > 100.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import UseAppendAction, arg
 
-from jaxact.cli import _loops, _robot_tables
+from jaxact.cli import _loops, _robot_tables, _warnings
 from jaxact.errors import UserError, nearest, shown
 
 if TYPE_CHECKING:
@@ -120,6 +120,7 @@ def show(options: Options, given: dict[str, Any], velocity: str, *, json: bool) 
     from jaxact.sweep import whole_robot
 
     found = whole_robot.evaluate(specification)
+    _warnings.overload(specification)
     printed = _robot_tables.as_json if json else _robot_tables.as_text
     print("\n".join(printed(specification, *row) for row in zip(labels, found, strict=True)))
     if options.out is not None:

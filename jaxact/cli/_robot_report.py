@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxact.tune.robot import RobotTuned
     from jaxact.tune.robot_result import Held
+    from jaxact.tune.robot_tuned import RobotTuned
     from jaxact.tune.validation import Validation
 
 _WIDTH = 110
@@ -27,12 +27,11 @@ def report(tuned: RobotTuned, held: Held | None) -> dict[str, Any]:
 
     certificate, groups = tuned.certificate, tuned.groups
     before = tuned.exact_before is not None
-    first = [int(np.argmax(groups.members == number)) for number in range(len(groups))]
     return {
         "situations": [one.name for one in tuned.situations],
         "groups": [
             {"name": name, "kp": float(tuned.kp[place]), "kd": float(tuned.kd[place])}
-            for name, place in zip(groups.names, first, strict=True)
+            for name, place in zip(groups.names, groups.first, strict=True)
         ],
         "joints": [
             {"name": name, "kp": float(kp), "kd": float(kd)}
@@ -56,6 +55,7 @@ def report(tuned: RobotTuned, held: Held | None) -> dict[str, Any]:
             for c in certificate.checks
         ],
         "binding": list(certificate.binding),
+        "assumed": robot_result.box(tuned),
         "loops": certificate.members,
         "corners": certificate.corners,
         "worst_interior_excess": _plain(certificate.interior),
@@ -116,6 +116,7 @@ def as_text(tuned: RobotTuned, document: Mapping[str, Any]) -> str:
     parts = [_rendered(_gains(tuned, document)), _rendered(_margins(document))]
     sure = "certified: " if document["certified"] else "NOT certified: "
     words = [sure + document["verdict"]]
+    words += _box_lines(document["assumed"])
     if document["binding"]:
         shown = ", ".join(document["binding"][:6])
         words.append(f"binding: {shown}{', ...' if len(document['binding']) > 6 else ''}")
@@ -133,6 +134,21 @@ def as_text(tuned: RobotTuned, document: Mapping[str, Any]) -> str:
         f"{document['evaluations']:,} loops evaluated, {document['seconds']:.1f} s"
     )
     return "\n\n".join([*parts, "\n".join(words)])
+
+
+def _box_lines(box: Mapping[str, Any]) -> list[str]:
+    """What was assumed not to be known."""
+    ends = [
+        f"{key} {value[0]:.4g} to {value[1]:.4g}"
+        + (f" (on '{box['payload_body']}')" if key == "payload" else "")
+        for key, value in box.items()
+        if isinstance(value, list)
+    ]
+    if not ends:
+        return []
+    told = "setpoint_and_feedforward"
+    told = f"; setpoint and feedforward {box[told]}" if told in box else ""
+    return [f"for all of: {', '.join(ends)}{told}"]
 
 
 def _gains(tuned: RobotTuned, document: Mapping[str, Any]) -> Any:

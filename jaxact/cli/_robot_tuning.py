@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import UseAppendAction, arg
 
-from jaxact.cli import _folders, _robot_margins, _robot_report
+from jaxact.cli import _folders, _front, _robot_margins, _robot_report, _warnings
 from jaxact.errors import UserError
 
 if TYPE_CHECKING:
@@ -131,6 +131,7 @@ def run(
     seed: int,
     starts: int,
     steps: int,
+    pareto: int,
     verify: bool,
     out: Path | None,
     json: bool,
@@ -144,6 +145,7 @@ def run(
     uncertainty: ranges, "" for none
     number, seed: of the samples of it
     starts, steps: of the descent
+    pareto: points of the front over the peak allowed, 0 for none
     verify: compare with brute force
     out: folder to write, None for none
     json: print an object instead of tables
@@ -152,16 +154,23 @@ def run(
     """
     if not (options.validate >= 0.0 and math.isfinite(options.validate)):
         raise UserError(f"--validate {options.validate:g}: give seconds, 0 for none")
+    if pareto and options.tracking_weight:
+        raise UserError("--pareto: knows of no --tracking-weight")
 
-    from jaxact.tune import robot
+    from jaxact.tune import pareto as _pareto
+    from jaxact.tune import robot, robot_front
     from jaxact.tune.groups import group
     from jaxact.tune.robot_loops import situation
     from jaxact.tune.robot_tracking import Wish
     from jaxact.tune.robot_uncertainty import read_spans
 
+    if pareto:
+        _pareto.peaks(pareto)
     spans = read_spans(uncertainty) if uncertainty else ()
     named = _specifications(options, given, velocity)
     situations = [situation(one, name, spans) for name, one in named]
+    for one in situations:
+        _warnings.overload(one.specification)
     first = situations[0]
     groups = group(options.groups.split(",") if options.groups else (), first.names)
     tuned = robot.tune(
@@ -169,15 +178,29 @@ def run(
         starts=starts, steps=steps, verify=verify,
         wish=Wish(options.tracking_weight, options.derivative),
     )  # fmt: skip
+    points = robot_front.front(tuned, pareto, seed=seed) if pareto else []
+    front = _front.of_robot(points) if points else None
     held = _robot_report.validated(tuned, options.validate)
     document = _robot_report.report(tuned, held)
+    if pareto:
+        document["pareto"] = [] if front is None else _front.report(front)
     if out is not None:
         with _folders.whole_folder(out) as folder:
             command = shlex.join(["jaxact", *sys.argv[1:]])
             _robot_report.write_folder(folder, tuned, held, command)
+            if front is not None:
+                _front.write(folder, front, goal.max_peak)
     print(_robot_report.as_json(document) if json else _robot_report.as_text(tuned, document))
+    if front is not None and not json:
+        print("\n" + _front.table(front))
     if out is not None and not json:
         print(f"wrote {out}")
+    stable, rollouts = (0, 0) if held is None else held.stable
+    if stable < rollouts:
+        _warnings.warn(
+            f"{rollouts - stable} of {rollouts} rollouts with these gains are not stable, whatever "
+            "is certified at rest: add the postures that the robot comes to, or lower --max-peak"
+        )
 
 
 def _specifications(

@@ -24,22 +24,23 @@ def specification(
     """The loop to simulate.
 
     path: of a specification of a sweep, whose fixed values are taken; None for none
-    overrides: `key=value` each, of that file
+    overrides: `key=value` each, of that file, or of the robot
     static: options of the whole sweep that were given
     plant: keys of the robot that were given
     given: parameters that were given
     push: keys of the push, None where none was given
     duration: where nothing gives one [s]
 
-    Raises UserError for overrides without a file, and as `jaxact.sweep.reading`.
+    Raises UserError for overrides with neither, and as `jaxact.sweep.reading`.
     """
-    if path is None and overrides:
+    if path is None and overrides and not plant:
         raise UserError("--set changes a specification; give one with --spec, or use the options")
     tables: dict[str, Any] = {} if push is None else {"push": dict(push)}
     if path is None:
         defaults = {"precision": "float64", "duration": duration}
         tables |= {"plant": dict(plant)} if plant else {}
-        return _loops.specified({**defaults, **static, **tables, "parameters": dict(given)})
+        document = {**defaults, **static, **tables, "parameters": dict(given)}
+        return _loops.specified(document, overrides)
     base = _loops.nominal_of(path, overrides).document | tables
     if plant:
         base["plant"] = base.get("plant", {}) | dict(plant)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -132,18 +131,6 @@ def table(document: dict[str, Any], unit: str) -> str:
     return "\n".join(words)
 
 
-def front_table(points: Sequence[Tuned], unit: str) -> str:
-    """A line for each point of a front."""
-    names = f"{'max peak':>9} {'kp [N/m]':>12} {'kd [N s/m]':>12}"
-    head = f"{names} {'objective [' + unit + ']':>18}  certified"
-    rows = [
-        f"{p.goal.max_peak:9.4f} {p.kp:12.6g} {p.kd:12.6g} {p.value:18.6g}  "
-        f"{'yes' if p.certified else 'no: ' + p.verdict}"
-        for p in points
-    ]
-    return "\n".join([head, *rows])
-
-
 def write_folder(
     folder: Path, tuned: Tuned, loops: _loops.Loops, sampled: bool, velocity: str, joint: str,
     command: str,
@@ -171,28 +158,6 @@ def write_folder(
     pictures["sensitivity"] = sensitivity(drawn[::-1], footer=footer)
     for name, figure in pictures.items():
         look.write(figure, folder / f"{name}.png", title=f"jaxact tune: {name.replace('_', ' ')}")
-
-
-def write_front(folder: Path, points: Sequence[Tuned], unit: str, marked: float) -> None:
-    """A front as CSV and picture, into a folder that is there."""
-    from jaxact.plot import look, tuning
-
-    rows = ["max_peak,kp,kd,objective,certified"]
-    rows += [
-        f"{p.goal.max_peak!r},{p.kp!r},{p.kd!r},{p.value!r},{str(p.certified).lower()}"
-        for p in points
-    ]
-    (folder / "front.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    peaks = np.array([p.goal.max_peak for p in points])
-    values = np.array([p.value if p.certified else np.nan for p in points])
-    known = np.isfinite(values)
-    inside = known.sum() > 1 and peaks[known][0] <= marked <= peaks[known][-1]
-    at = float(np.interp(marked, peaks[known], values[known])) if inside else None
-    figure = tuning.front(
-        peaks, values, np.array([p.kd for p in points]),
-        label=f"{points[0].goal.objective} [{unit}]", marked=None if at is None else (marked, at),
-    )  # fmt: skip
-    look.write(figure, folder / "front.png", title="jaxact tune: front")
 
 
 def _binding(tuned: Tuned) -> Ensemble:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json as _json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
-from jaxact.cli import _files, _loops, _single
+from jaxact.cli import _files, _loops, _single, _warnings
 from jaxact.errors import UserError
 from jaxact.sweep.parameters import PARAMETERS
 
@@ -154,19 +155,19 @@ def main(
     from jaxact.sweep import engines, single
 
     specification = engines.resolved(specification)
+    place = _place(single.names(specification), joint)
     run = single.simulate(specification)
-    place = _place(run, joint)
+    _warnings.overload(specification)
     _write(run, specification, place, out, csv, npz)
     print(_json_text(run) if json else _table(run))
     if not json:
         print("wrote " + ", ".join(str(path) for path in (out, csv, npz) if path is not None))
 
 
-def _place(run: Single, joint: str) -> int:
+def _place(names: Sequence[str], joint: str) -> int:
     """Number of the joint that is asked for by name or number."""
-    names = [one.name for one in run.joints]
     if joint in names:
-        return names.index(joint)
+        return list(names).index(joint)
     if joint.isdigit() and int(joint) < len(names):
         return int(joint)
     raise UserError(f"--joint {joint}: the driven joints are {', '.join(names)}, or their numbers")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from jaxact.cli import _cache, _progress
+from jaxact.cli import _cache, _progress, _warnings
 from jaxact.cli._signals import Terminated
 from jaxact.errors import UserError
 
@@ -132,6 +132,7 @@ def main(
         from jaxact.sweep import fill, throughput
 
         how = dataclasses.replace(how, workers=functools.partial(fill.here, keep=throughput.keep))
+    _warnings.overload(asked)
     measure = not (dry_run or no_cache)
     if asked.engine == "auto":
         asked = _settled(asked, folder, how, measure=measure and workers == "local", quiet=quiet)

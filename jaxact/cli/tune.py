@@ -82,7 +82,9 @@ def main(
             metavar="RANGES",
             help="What is not known, e.g. wn=0.8..1.2,zeta=0.7..1.1,delay=0..5e-3,mass=0.5..1.0: "
             "wn and zeta as factors on the actuator's, mass [kg] and delay [s] as they are; an x "
-            "makes them factors too: mass=0.8x..1.2x.",
+            "makes them factors too: mass=0.8x..1.2x. Of a robot, for mass: payload [kg], the "
+            "factors inertia_scale and contact_friction, and joint_damping [N m s/rad] and "
+            "joint_armature [kg m^2] added to the model's.",
             help_behavior_hint="(default: none)",
         ),
     ] = "",
@@ -134,12 +136,16 @@ def main(
     every --keyframe, with every actuator of the box, sampled at its control rate; then held against
     nonlinear rollouts with noise, quantisation, limits, contacts and a push. Stiffness is the
     geometric mean of the joints'. --tracking-weight trades it for smaller errors in simulation.
+    What is uncertain of the robot itself, a payload say, is not told to the drives: setpoint and
+    feedforward stay those of the robot without, and each member is linearised where it rests under
+    its own weight. --pareto begins at the smallest peak within reach.
 
     examples:
       jaxact tune --mass 0.7 --actuator starleth --delay 1e-3 --max-peak 1.6
       jaxact tune --actuator starleth --delay 1e-3 --uncertainty delay=0..5e-3,mass=0.5..1 --json
       jaxact tune --actuator hyq --delay 1e-3 --kp 400 --kd 20 --pareto 20 --out tuned
       jaxact tune --model robot.xml --keyframe home --actuator hyq --groups hip,knee --max-peak 3
+      jaxact tune --model robot.xml --uncertainty payload=0..3,delay=0..2e-3 --pareto 10 --out tuned
     """
     _folders.check_folder(out, overwrite=overwrite)
     whole = _robot_tuning.asked(robot)
@@ -155,13 +161,13 @@ def main(
                  min_delay_margin=min_delay_margin, min_disk_margin=min_disk_margin,
                  min_kp=min_kp, max_kp=max_kp, max_noise_gain=max_noise_gain)  # fmt: skip
     if whole:
-        for name, unfit in (("pareto", pareto), ("joint", joint != "joint")):
-            if unfit:
-                raise UserError(f"--{name}: is for a single joint")
+        if joint != "joint":
+            raise UserError("--joint: is for a single joint; a robot's are named by its model")
         _cache.prepare(wanted=not no_cache)
         _robot_tuning.run(
             robot, given, goal, velocity=velocity, uncertainty=uncertainty, number=ensemble,
-            seed=seed, starts=starts, steps=steps, verify=verify, out=out, json=json,
+            seed=seed, starts=starts, steps=steps, pareto=pareto, verify=verify, out=out,
+            json=json,
         )  # fmt: skip
         return
     start = _start(given)
@@ -169,7 +175,7 @@ def main(
     sampled = "control_rate" in given
     _cache.prepare(wanted=not no_cache)
 
-    from jaxact.cli import _tuning
+    from jaxact.cli import _front, _tuning
     from jaxact.tune import pareto as _pareto
     from jaxact.tune.goal import OBJECTIVES
     from jaxact.tune.robust import tune_box
@@ -188,23 +194,20 @@ def main(
                          how=how, verify=verify)  # fmt: skip
     points = _pareto.front(tuned.members, goal, pareto, starts=starts, how=how) if pareto else []
     unit = OBJECTIVES[goal.objective][2]
+    front = _front.of_joint(points, unit) if points else None
     loops = _tuning.loops_of(chosen, tuned)
     document = _tuning.report(tuned, loops, sampled, velocity)
-    if points:
-        document["pareto"] = [
-            {"max_peak": p.goal.max_peak, "kp": p.kp, "kd": p.kd, "objective": p.value,
-             "certified": p.certified}
-            for p in points
-        ]  # fmt: skip
+    if front is not None:
+        document["pareto"] = _front.report(front)
     if out is not None:
         with _folders.whole_folder(out) as folder:
             command = shlex.join(["jaxact", *sys.argv[1:]])
             _tuning.write_folder(folder, tuned, loops, sampled, velocity, joint, command)
-            if points:
-                _tuning.write_front(folder, points, unit, goal.max_peak)
+            if front is not None:
+                _front.write(folder, front, goal.max_peak)
     print(_tuning.as_json(document) if json else _tuning.table(document, unit))
-    if points and not json:
-        print("\n" + _tuning.front_table(points, unit))
+    if front is not None and not json:
+        print("\n" + _front.table(front))
     if out is not None and not json:
         print(f"wrote {out}")
 

@@ -1,7 +1,8 @@
-"""Models whose mesh or texture files are not there: what is only looked at can be left out."""
+"""Files of meshes and textures: found in ROS packages, and left out where only looked at."""
 
 from __future__ import annotations
 
+import os
 import re
 import warnings
 from pathlib import Path
@@ -11,6 +12,28 @@ import mujoco
 from jaxact.plants.findings import HARMLESS, Finding, named
 
 _MISSING = re.compile(r"opening file '([^']+)'")
+_PACKAGE = re.compile(r"package://([^/]+)/(.+)")
+
+
+def find_packages(spec: mujoco.MjSpec) -> None:
+    """Let meshes at package://NAME/REST point at the files, as ROS would find them.
+
+    ROS knows where its packages are; here they are looked for from the model's folder upwards:
+    NAME/REST in one of those folders, or REST where the package's folder has another name. What is
+    not found stays as it is.
+    """
+    folder = Path(spec.modelfiledir).resolve()
+    base = folder / spec.meshdir
+    for mesh in spec.meshes:
+        if (uri := _PACKAGE.fullmatch(mesh.file)) is None:
+            continue
+        near = (
+            up / path
+            for up in (folder, *folder.parents)
+            for path in (uri[1] + "/" + uri[2], uri[2])
+        )
+        if (file := next(filter(Path.is_file, near), None)) is not None:
+            mesh.file = os.path.relpath(file, base)
 
 
 def compile_model(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, list[Finding]]:
@@ -71,8 +94,8 @@ def _leave_out(spec: mujoco.MjSpec, file: str) -> bool:
         if not _only_looked_at(spec, geom):
             body = named("body", geom.parent.name, geom.parent.id)
             raise ValueError(
-                f"the mesh file {file} is missing, and {body} needs it for its contacts or its "
-                "inertia"
+                f"the mesh file {meshes[0].file} is missing, and {body} needs it for its contacts "
+                "or its inertia"
             )
     textures = [
         texture

@@ -10,6 +10,7 @@ import contextlib
 import copy
 import io
 import sys
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -48,6 +49,17 @@ def _without_warp_notice() -> Iterator[None]:
 with _without_warp_notice():
     from mujoco import mjx
     from mujoco.mjx._src import solver as solver
+
+
+def put_model(model: mujoco.MjModel) -> tuple[mjx.Model, list[str]]:
+    """The model on the device, and what MJX warns of, each warning in one line.
+
+    Raises NotImplementedError where MJX refuses the model.
+    """
+    with warnings.catch_warnings(record=True) as caught, jax.numpy_rank_promotion("allow"):
+        warnings.simplefilter("always", UserWarning)
+        on_device = mjx.put_model(model, impl="jax")
+    return on_device, [" ".join(str(warning.message).split()) for warning in caught]
 
 
 @dataclass(frozen=True)
@@ -276,8 +288,8 @@ def place(
     mujoco.mj_forward(model, start)
     start.qacc_warmstart = start.qacc
     try:
+        on_device, _ = put_model(model)  # `jaxact check` tells of its warnings
         with jax.numpy_rank_promotion("allow"):
-            on_device = mjx.put_model(model, impl="jax")
             data = mjx.put_data(model, start, impl="jax")
     except NotImplementedError as error:
         from jaxact.plants import mjx_refusals  # asks this module's MJX

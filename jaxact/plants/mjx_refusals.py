@@ -1,51 +1,57 @@
-"""What MJX itself refuses in a model: asked of MJX, and told in words that name the geoms."""
+"""What MJX itself refuses or warns of in a model: asked of MJX, and told in words."""
 
 from __future__ import annotations
 
 import copy
 
-import jax
 import mujoco
 import numpy as np
 
-from jaxact.plants.findings import MJX, Finding, named, refused
-from jaxact.plants.mjx import mjx
+from jaxact.plants.findings import HARMLESS, MJX, Finding, named, refused
+from jaxact.plants.mjx import put_model
 from jaxact.plants.parity import unknown_to_mjx
 
 _INSTEAD = "choose the engine `mujoco`"
 
 
 def find(model: mujoco.MjModel) -> list[Finding]:
-    """Everything that MJX refuses, apart from what `jaxact.plants.parity` knows already.
+    """Everything that MJX refuses or warns of, apart from what `jaxact.plants.parity` knows.
 
     model: with its driven actuators converted
     """
     probe = _without_known(model)
     types, affinities = probe.geom_contype.copy(), probe.geom_conaffinity.copy()
     probe.geom_contype[:] = probe.geom_conaffinity[:] = 0
-    reason = _reason(probe)
+    reason, _ = _answer(probe)
     if reason is not None:
         advice = f"remove what it names, or {_INSTEAD}"
         return [refused("model", "MJX", reason, "refuses the model", advice, (MJX,))]
-    found = []
+    found: list[Finding] = []
+    warned: set[str] = set()
     for kinds, pairs in _touching(model, types, affinities).items():
         # one pair of each kind: the one with the widest margin, which not all kinds may have
         first, second = max(pairs, key=lambda pair: model.geom_margin[list(pair)].sum())
         probe.geom_contype[first] = probe.geom_conaffinity[second] = 1
-        reason = _reason(probe)
+        reason, remarks = _answer(probe)
+        warned.update(remarks)
         probe.geom_contype[first] = probe.geom_conaffinity[second] = 0
         if reason is not None:
             found.append(_collision(model, kinds, pairs, "margin" in reason))
-    return found
+    return found + [_remark(text) for text in sorted(warned)]
 
 
-def _reason(model: mujoco.MjModel) -> str | None:
+def _answer(model: mujoco.MjModel) -> tuple[str | None, list[str]]:
+    """Why MJX refuses the model, None if it takes it, and what it warns of."""
     try:
-        with jax.numpy_rank_promotion("allow"):
-            mjx.put_model(model, impl="jax")
+        return None, put_model(model)[1]
     except NotImplementedError as error:
-        return " ".join(str(error).split())
-    return None
+        return " ".join(str(error).split()), []
+
+
+def _remark(text: str) -> Finding:
+    return Finding(
+        "model", "warning", text, "simulates it", HARMLESS, "the engine `mujoco` does not mind"
+    )
 
 
 def _without_known(model: mujoco.MjModel) -> mujoco.MjModel:

@@ -191,9 +191,11 @@ def _parse(path: Path) -> mujoco.MjSpec:
     if not path.is_file():
         raise UserError(f"{path}: no such model file")
     try:
-        return mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
         raise UserError(f"{path}: MuJoCo cannot read this model: {_one_line(error)}") from error
+    assets.find_packages(spec)
+    return spec
 
 
 def _compile(spec: mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, list[Finding]]:

@@ -7,19 +7,26 @@ posture is an equilibrium of the closed loop whatever its gains.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from jaxact.errors import UserError
+from jaxact.plants.findings import named
 from jaxact.plants.model import Robot
 from jaxact.plants.silence import silenced
 
 _LONGEST = 20.0  # [s] to come to rest
 _AT_REST = 1e-6  # [1/s^2, relative to gravity] of the largest acceleration that counts as rest
+_NEARLY = 1e-2  # as much of it is let pass where the longest time is over
 # How far a floating robot may move on its way to rest: of the model's size, and [rad].
 _SUNK, _TURNED = 0.2, 0.5
+# Overlap of bodies that is worth a word, of the model's size.
+_DEEP = 0.005
+# How far joints that hold the keyframe may give way under the robot's weight [rad].
+_SAG = 0.1
 # Natural frequency of the joints that hold the keyframe [rad/s], and its product with the physics
 # step at most. The stiffer they are, the sooner the creep of MuJoCo's friction has ended.
 _RATE, _MOST = 200.0, 0.25
@@ -51,8 +58,9 @@ class Posture:
         return self.qpos[[joint.qpos for joint in robot.joints]]
 
 
-def _data(robot: Robot) -> mujoco.MjData:
-    data = mujoco.MjData(robot.model)
+def _data(robot: Robot, model: mujoco.MjModel) -> mujoco.MjData:
+    """At the keyframe; of this model, which has the robot's sizes."""
+    data = mujoco.MjData(model)
     data.qpos, data.qvel, data.ctrl = robot.qpos, robot.qvel, robot.ctrl
     if robot.model.na:
         data.act = robot.act
@@ -90,7 +98,7 @@ def given(robot: Robot) -> Posture:
     Forces on the unactuated degrees of freedom cannot be given; what is missing there is the
     residual.
     """
-    data = _data(robot)
+    data = _data(robot, robot.model)
     _, dofs, _ = _places(robot)
     data.qacc[:] = 0.0
     mujoco.mj_forward(robot.model, data)
@@ -108,42 +116,116 @@ def settled(robot: Robot) -> Posture:
     Raises:
         UserError: the robot does not come to rest: it falls, or slides.
     """
-    data = _data(robot)
-    model = robot.model
-    gravity = max(float(np.linalg.norm(model.opt.gravity)), 1.0)
+    gravity = max(float(np.linalg.norm(robot.model.opt.gravity)), 1.0)
     there = given(robot)
     if not np.any(robot.qvel) and there.residual < _AT_REST * gravity:
         return replace(there, settled=True)
+    complaints = []
+    # Stiff joints bear more weight, soft ones calm loose objects that they touch.
+    for sag in (_SAG, np.inf):
+        found = _rest(robot, gravity, sag)
+        if fallen(robot, found.qpos):
+            complaints.append("the robot falls from its keyframe before it comes to rest")
+        elif not np.isfinite(found.residual) or found.residual > _NEARLY * gravity:
+            complaints.append(
+                f"the posture does not come to rest within {_LONGEST:g} s (residual acceleration "
+                f"{found.residual:.3g}{_overlap(robot)})"
+            )
+        else:
+            return found
+    if there.residual <= _NEARLY * gravity:  # an equilibrium that it leaves, upright for example
+        return replace(there, settled=True)
+    raise UserError(
+        f"{robot.path.name}: {complaints[0]}; give a keyframe that stands by itself, or "
+        'posture = "keyframe" to start from it as it is'
+    )
+
+
+def under(robot: Robot, model: mujoco.MjModel, nominal: Posture) -> Posture:
+    """Where the robot rests with another model: with more weight to carry, for example.
+
+    Args:
+        robot: from `jaxact.plants.model.read`.
+        model: of the same sizes.
+        nominal: of the robot as it is. Where this is no settled one, or the other model falls from
+            it, the configuration stays, under the joint forces that inverse dynamics asks for.
+    """
+    other = replace(
+        robot, model=model, qpos=nominal.qpos, qvel=nominal.qvel, act=nominal.act, ctrl=nominal.ctrl
+    )
+    if not nominal.settled:
+        return given(other)
+    try:
+        return settled(other)
+    except UserError:
+        return given(other)
+
+
+def _overlap(robot: Robot) -> str:
+    """The pair of bodies that overlap most at the keyframe, if that is much; in words."""
+    data = _data(robot, robot.model)
+    mujoco.mj_forward(robot.model, data)
+    depth = -data.contact.dist
+    if not depth.size or np.max(depth) < _DEEP * robot.model.stat.extent:
+        return ""
+    deepest = int(np.argmax(depth))
+    bodies = robot.model.geom_bodyid[data.contact.geom[deepest]]
+    first, second = (named("body", robot.model.body(body).name, body) for body in bodies)
+    return f"; {first} and {second} overlap by {1e3 * depth[deepest]:.3g} mm at the keyframe"
+
+
+def _rest(robot: Robot, gravity: float, sag: float) -> Posture:
+    """Where the robot is when it has come to rest, or the longest time is over.
+
+    gravity: [m/s^2] that rest is relative to
+    sag: how far joints may give way under the robot's weight [rad]
+    """
+    model, spring, damping = _holding(robot, gravity, sag)
     qpos, dofs, actuators = _places(robot)
+    data = _data(robot, model)
     data.qvel[:] = 0.0
-    mujoco.mj_forward(model, data)
-    inertia, coupling = _inertia(model, data, dofs)
-    rate = min(_RATE, _MOST / (model.opt.timestep * coupling))
-    stiffness, damping = inertia * rate**2, 2.0 * inertia * rate
     held = data.qpos[qpos].copy()
     for _ in range(round(_LONGEST / model.opt.timestep)):
-        holding = stiffness * (held - data.qpos[qpos]) - damping * data.qvel[dofs]
-        data.ctrl[actuators] = holding
+        data.ctrl[actuators] = spring * (held - data.qpos[qpos]) - damping * data.qvel[dofs]
         with silenced():
             mujoco.mj_step(model, data)
         motion = np.abs(np.concatenate([data.qvel, data.qacc]))
         if not np.isfinite(motion).all() or np.max(motion, initial=0.0) < _AT_REST * gravity:
             break
-    force = stiffness * (held - data.qpos[qpos])
-    data.qvel[:] = 0.0
-    found = _posture(robot, data, force, settled=True)
-    if fallen(robot, found.qpos):
-        raise UserError(
-            f"{robot.path.name}: the robot falls from its keyframe before it comes to rest; give a "
-            'keyframe that stands by itself, or posture = "keyframe" to start from it as it is'
-        )
-    if not np.isfinite(found.residual) or found.residual > 1e-2 * gravity:
-        raise UserError(
-            f"{robot.path.name}: the posture does not come to rest within {_LONGEST:g} s (residual "
-            f"acceleration {found.residual:.3g}); give a keyframe that stands by itself, or "
-            'posture = "keyframe" to start from it as it is'
-        )
-    return found
+    there = _data(robot, robot.model)
+    there.qpos, there.act, there.time = data.qpos, data.act, data.time
+    there.qvel[:] = 0.0  # and no accelerations: what the solver starts from
+    return _posture(robot, there, spring * (held - data.qpos[qpos]), settled=True)
+
+
+def _holding(
+    robot: Robot, gravity: float, sag: float
+) -> tuple[mujoco.MjModel, np.ndarray, np.ndarray]:
+    """A model whose joints are stiff enough to hold the robot, their stiffness and damping.
+
+    sag: inf for the stiffness that the joints bear as they are
+
+    The joints get additional inertia, so that the physics step bears the stiffness: light joints
+    that move each other would have to be soft otherwise, and the robot would collapse. Where it
+    comes to rest does not depend on inertias.
+    """
+    model = copy.copy(robot.model)
+    # A model may leave its solver unfinished in every step, for speed; it would not come to rest.
+    model.opt.iterations = max(model.opt.iterations, 100)
+    model.opt.ls_iterations = max(model.opt.ls_iterations, 50)
+    data = _data(robot, model)
+    _, dofs, _ = _places(robot)
+    mujoco.mj_forward(model, data)
+    inertia, coupling = _inertia(model, data, dofs)
+    if np.isfinite(sag):
+        weight = float(model.body_mass.sum()) * gravity
+        fastest = min(_RATE, _MOST / (2.0 * model.opt.timestep))
+        least = weight * float(model.stat.extent) / sag / fastest**2
+        model.dof_armature[dofs] += np.maximum(inertia, least)
+        mujoco.mj_forward(model, data)
+        inertia, coupling = _inertia(model, data, dofs)
+    rate = min(_RATE, _MOST / (model.opt.timestep * coupling))
+    return model, inertia * rate**2, 2.0 * inertia * rate
 
 
 def fallen(robot: Robot, qpos: np.ndarray) -> bool:

@@ -14,6 +14,8 @@ from jaxact.plot.sheet import sheet
 
 # A response this many times the step is not drawn any further.
 DIVERGED = 20.0
+# A step that is none, and what serves instead [rad or m].
+_NONE, _STEP = 1e-6, 0.05
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,9 @@ def trajectory(
 def until_divergence(run: Joint) -> tuple[int, str]:
     """How many steps to draw, and what to say of the rest, "" where there is none."""
     start = float(run.position[0])
-    span = max(float(np.max(np.abs(run.setpoint - start))), 0.01 * abs(start), 1e-12)
+    step = float(np.max(np.abs(run.setpoint - start)))
+    # A joint that is to stay where it is has no step; what it does is measured by _STEP instead.
+    span = max(step if step > _NONE else _STEP, 0.01 * abs(start))
     with np.errstate(invalid="ignore"):
         inside = np.abs(run.position - start) <= DIVERGED * span
     gone = np.flatnonzero(~inside)
@@ -101,7 +105,8 @@ def until_divergence(run: Joint) -> tuple[int, str]:
         return len(run.time), ""
     kept = max(int(gone[0]), 2)
     when = look.quantity(float(run.time[min(kept, len(run.time) - 1)]), "s")
-    return kept, f"diverges: beyond {DIVERGED:g} times the step after {when}"
+    far = f"{DIVERGED:g} times the step" if step > _NONE else f"{DIVERGED * span:.3g} rad or m"
+    return kept, f"diverges: beyond {far} after {when}"
 
 
 def seconds_or_milliseconds(seconds: np.ndarray) -> tuple[np.ndarray, str]:

@@ -19,6 +19,8 @@ from jaxact.plot.sheet import sheet
 
 BEFORE, AFTER = look.VERMILION, look.BLUE
 _HIGHEST = 10.0
+# Green comes here in the cycle of line styles, and blue is the objective's.
+_FIRST = look.CYCLE.index(look.GREEN)
 
 
 @dataclass(frozen=True)
@@ -207,6 +209,8 @@ def front(
     kd: np.ndarray,
     *,
     label: str,
+    kd_unit: str = "N s/m",
+    groups: Sequence[str] = ("",),
     marked: tuple[float, float] | None = None,
     title: str = "",
     footer: str = "",
@@ -215,26 +219,39 @@ def front(
 
     peaks: largest Ms and Mt allowed [-], rising, shape (points,)
     values: of the objective in its unit, NaN where infeasible, shape (points,)
-    kd: [N s/m], shape (points,)
+    kd: of the groups of joints, shape (points, groups), or (points,) of a single joint
     label: of the objective, with unit
+    kd_unit: of kd
+    groups: names of the groups; one without a name is not named
     marked: a point (peak, value) to mark
     title, footer: above and below
     """
     with look.look():
-        paper = sheet(6.4, 4.8, title=title, footer=footer, entries=1 if marked else 0)
+        rows = np.reshape(kd, (len(peaks), -1)).T
+        named = [name for name in groups if name]
+        entries = len(named) + (1 if marked else 0)
+        paper = sheet(6.4, 4.8, title=title, footer=footer, entries=entries)
         upper, lower = paper.figure.subplots(
             2, 1, sharex=True, gridspec_kw={"height_ratios": (1.6, 1)}
         )
         upper.plot(peaks, values, marker="o", markersize=4, color=AFTER)
-        lower.plot(peaks, kd, marker="o", markersize=4, color=look.GREEN)
         handles: list[Artist] = []
+        for index, (row, name) in enumerate(zip(rows, groups, strict=True)):
+            color = look.CYCLE[(_FIRST + index) % len(look.CYCLE)]
+            style = {"marker": look.MARKERS[index // len(look.CYCLE)], "markersize": 4,
+                     "color": color}  # fmt: skip
+            lower.plot(peaks, row, **style)
+            if name:
+                handles.append(Line2D([], [], **style, label=f"kd of {name}"))
         if marked is not None:
             upper.plot(*marked, marker="*", markersize=13, color=look.YELLOW,
                        markeredgecolor="black", zorder=5)  # fmt: skip
             handles.append(_star("the bound asked for"))
         upper.set_yscale("log")
         upper.set_ylabel(label)
-        lower.set_ylabel("kd [N s/m]")
+        if len(rows) > 1:
+            lower.set_yscale("log")
+        lower.set_ylabel(f"kd [{kd_unit}]")
         lower.set_xlabel("largest Ms and Mt allowed")
         for axes in (upper, lower):
             axes.grid(visible=True)

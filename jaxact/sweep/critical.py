@@ -12,7 +12,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from jaxact.sweep import engines, execute
+from jaxact.sweep import engines, execute, plans, spectra
 from jaxact.sweep.samples import Samples, explicit
 from jaxact.sweep.specification import Specification
 
@@ -37,7 +37,7 @@ def growth_rates(specification: Specification, columns: Columns) -> np.ndarray:
     samples = explicit(specification, dict(columns))
     found = np.zeros(len(samples))
     for plan, batch, count in _batches(specification, samples):
-        rates = execute.growth_batch(plan, specification, samples, batch)
+        rates = spectra.growth_batch(plan, specification, samples, batch)
         found[batch[:count]] = rates[:count]
     return found
 
@@ -85,9 +85,9 @@ def _batches(specification: Specification, samples: Samples):
     """Plan, numbers and their count of every batch; of one size, so that calls share kernels."""
     tile = engines.tile_size(specification)
     one = replace(specification, tile=tile, devices=1)
-    for plan in execute.plans(one, samples, together=tile):
+    for plan in plans.groups(one, samples, together=tile):
         plan = replace(plan, tile=tile, tiles=1)
-        for batch, count in execute.batches(plan, samples):
+        for batch, count in plans.batches(plan, samples):
             yield plan, batch, count
 
 

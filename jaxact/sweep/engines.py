@@ -121,3 +121,8 @@ def batch_size(case: Case, tile: int, devices: int) -> int:
     """Loops that make about a second of work, in whole tiles for every device."""
     per_tile = tile * case.rollout.ticks * case.drive.substeps
     return max(1, int(_WORK[case.engine] / per_tile)) * tile * devices
+
+
+def old_jax() -> bool:
+    """Whether this is JAX 0.10, whose compiler rounds a shared number by the number of devices."""
+    return jax.__version__.startswith("0.10.")

@@ -23,7 +23,7 @@ from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Specification
 
 if TYPE_CHECKING:
-    from jaxact.sweep.execute import Plan
+    from jaxact.sweep.plans import Plan
 
 # Chunks that are computed and not yet written, at most.
 _WAITING = 1
@@ -197,11 +197,11 @@ class Computer:
         self._plan(work.store.tile)
 
     def _plan(self, tile: int) -> None:
-        from jaxact.sweep import execute
+        from jaxact.sweep import plans
 
         self._tile = tile
         self._specification = dataclasses.replace(self._work.specification, tile=tile)
-        self._groups = execute.plans(
+        self._groups = plans.groups(
             self._specification, self._work.outline, together=self._work.together
         )
 

@@ -5,6 +5,7 @@ The flat names of `jaxact.sweep.parameters` become a closed loop here and nowher
 
 from __future__ import annotations
 
+import functools
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -14,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact import characteristic as _characteristic
 from jaxact import growth as _growth
 from jaxact import loop as _loop
 from jaxact import rollout as _rollout
@@ -219,8 +221,7 @@ def growth_rate(
 ) -> jax.Array:
     """Growth rate of one sample [1/s], shape ().
 
-    `moved` is A and B of a robot's linear plant where its model differs from sample to sample and
-    is not differentiated here.
+    `moved` is A and B of a robot's linear plant where its model differs from sample to sample.
     """
     # A bias that walks is a state, but none of the linear loop.
     case = replace(case, drive=case.drive.linearised())
@@ -231,6 +232,25 @@ def growth_rate(
     rest = jnp.zeros(template.linear.shape)
     state = _loop.init(prepared, case.drive, rest, rest)
     return _growth.growth_rate(prepared, case.drive, state, Setpoint(rest), case.growth)
+
+
+def polynomial(case: Case, template: Template, values: Values) -> jax.Array:
+    """Characteristic polynomial of one sample over `block`, see `jaxact.growth.polynomial`."""
+    case = replace(case, drive=case.drive.linearised())
+    prepared, state, setpoint = start(case, template, values)
+    return _growth.polynomial(prepared, case.drive, state, setpoint, case.growth)
+
+
+def log_radius(case: Case, template: Template, values: Values) -> jax.Array:
+    """Logarithm of the spectral radius of one sample, from polynomials that span those of its set.
+
+    `bases` holds those of all sets, shape (sets, 3, n), `place` the number of the sample's, and
+    `kp` and `kd` the shares of the second and third.
+    """
+    bases = values["bases"][values["place"]]
+    mixed = bases[0] + values["kp"] * bases[1] + values["kd"] * bases[2]
+    kept = functools.partial(_loop.stage, case.drive)
+    return _characteristic.log_largest_root([*mixed], case.growth.squarings, kept)
 
 
 def linear_loop(
@@ -244,22 +264,7 @@ def linear_loop(
     assert linear is not None
     if moved is not None:
         linear = replace(linear, A=moved[0], B=moved[1])
-    elif case.varied:
-        linear = _relinearised(case, template, values)
     return Loop(plant=linear, drive=drive_of(resolved(template, values)))
-
-
-def _relinearised(case: Case, template: Template, values: Values) -> Any:
-    """The linear plant of a sample whose model is not the nominal one."""
-    from jaxact import linearize
-
-    plant = _plant_of(case, template, resolved(template, values))
-    return linearize.relinearised(
-        replace(plant.prepare(jnp.asarray(case.step)), push=None),
-        jnp.asarray(template.force),
-        template.basis,
-        template.linear,
-    )
 
 
 def metrics(

@@ -22,6 +22,7 @@ from jaxact.batch_rollout import BatchState
 from jaxact.controller import Setpoint
 from jaxact.drive import Coefficients
 from jaxact.metrics import Metrics
+from jaxact.plants import posture as _posture
 from jaxact.plants import variation
 from jaxact.plants.mujoco import Impulse, Simulations
 from jaxact.plants.variation import Variation
@@ -44,6 +45,9 @@ def template(case: Case, setting: Setting) -> Template:
 def moved(case: Case, setting: Setting, values: Mapping[str, np.ndarray]) -> tuple[Any, Any] | None:
     """A and B of the linear plant of every sample, where the model varies.
 
+    Each is linearised where its own model rests: under a payload that nothing carries, contacts
+    would be on the way to somewhere else. It is done in C whatever the engine, sample by sample.
+
     Args:
         case, setting: static.
         values: of the samples, shape (n,) each.
@@ -54,18 +58,31 @@ def moved(case: Case, setting: Setting, values: Mapping[str, np.ndarray]) -> tup
     """
     if not case.varied:
         return None
-    scene = template(case, setting).scene
-    assert scene is not None
     rows = np.stack([_at_joints(case, setting, values, name) for name in case.varied], axis=1)
     distinct, places = np.unique(rows.reshape(len(rows), -1), axis=0, return_inverse=True)
-    basis = linearize.linear_c(scene.robot, scene.posture, case.step).basis
-    found = []
-    for row in distinct.reshape(-1, *rows.shape[1:]):
-        model = _changed(case, scene, row)
-        A, B, _ = linearize.linearise_c(scene.robot, scene.posture, case.step, model)
-        found.append((basis.T @ A @ basis, basis.T @ B))
+    found = [_linear(case, setting, tuple(row.tolist())) for row in distinct]
     which = places.reshape(-1)
     return np.stack([a for a, _ in found])[which], np.stack([b for _, b in found])[which]
+
+
+@functools.lru_cache(maxsize=256)
+def _linear(case: Case, setting: Setting, row: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """A and B with the changes of one sample, (varied, joints) in a row."""
+    scene = template(case, setting).scene
+    assert scene is not None
+    model = _changed(case, scene, np.reshape(row, (len(case.varied), -1)))
+    posture = _posture.under(scene.robot, model, scene.posture)
+    A, B, _ = linearize.linearise_c(scene.robot, posture, case.step, model)
+    basis = _basis(case, setting)
+    return basis.T @ A @ basis, basis.T @ B
+
+
+@functools.lru_cache(maxsize=16)
+def _basis(case: Case, setting: Setting) -> np.ndarray:
+    """The nominal plant's coordinates, see `jaxact.linearize.Linearisation`."""
+    scene = template(case, setting).scene
+    assert scene is not None
+    return linearize.linear_c(scene.robot, scene.posture, case.step).basis
 
 
 def _at_joints(case: Case, setting: Setting, values: Mapping[str, np.ndarray], name: str):

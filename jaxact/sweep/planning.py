@@ -67,17 +67,17 @@ def plan(
     budget: memory that the process may take [bytes]; None: a quarter of what is free
     say: told when tiles are measured; None: none are
 
-    Raises UserError as `jaxact.sweep.execute.plans`, and if the memory does not suffice.
+    Raises UserError as `jaxact.sweep.plans.groups`, and if the memory does not suffice.
     """
     import jax
 
-    from jaxact.sweep import engines, execute, throughput
+    from jaxact.sweep import engines, plans, throughput
 
     coordinates = sum(array.nbytes for array in samples.along.values() if array.size > 1)
     each = memory.per_loop(
         len(samples.along), len(VARIABLES), 8 if specification.precision == "float64" else 4
     )
-    case = execute.plans(specification, samples)[0].case
+    case = plans.groups(specification, samples)[0].case
     base = memory.base(case.engine, robot=specification.plant is not None)
     if budget is None:
         budget = max(int(memory.SHARE * memory.free()), memory.least(base, coordinates, each))
@@ -87,7 +87,7 @@ def plan(
     # a tile is not cut by the end of a batch
     tile = min(engines.tile_size(specification), most, max(1, len(samples)))
     specification = dataclasses.replace(specification, tile=tile)
-    groups = execute.plans(specification, samples)
+    groups = plans.groups(specification, samples)
     devices = groups[0].devices
     second = engines.batch_size(groups[0].case, tile, devices)
     # long sweeps in longer chunks, so that writing files does not count

@@ -99,6 +99,20 @@ def body(robot: Robot, name: str | None, key: str) -> int:
     return int(number)
 
 
+def overloaded(scene: Scene) -> tuple[str, ...]:
+    """The driven joints that hold the posture with more than they can exert, and how much."""
+    found = []
+    hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
+    for joint, force in zip(scene.robot.joints, scene.posture.force, strict=True):
+        if not joint.force_low <= force <= joint.force_high:
+            limit = joint.force_high if force > 0.0 else joint.force_low
+            unit = "N m" if scene.robot.model.jnt_type[joint.joint] == hinge else "N"
+            found.append(
+                f"{joint.name} holds the posture with {abs(force):.4g} of {abs(limit):.4g} {unit}"
+            )
+    return tuple(found)
+
+
 def matched(scene: Scene, key: str) -> np.ndarray:
     """Which driven joints a key such as `kp@.*_knee` is meant for, shape (joints,).
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxact import rollout
 from jaxact.errors import UserError
 from jaxact.rollout import Trajectory
-from jaxact.sweep import execute, kernel
+from jaxact.sweep import execute, kernel, plans
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Specification
@@ -78,8 +78,8 @@ def simulate_all(specification: Specification, samples: Samples) -> list[Single]
     Raises UserError as `jaxact.sweep.execute.run`, and for more steps than can be kept.
     """
     one = dataclasses.replace(specification, devices=1, tile=None)
-    plans = execute.plans(one, samples)
-    most = max(plan.case.rollout.ticks * plan.case.drive.substeps for plan in plans)
+    groups = plans.groups(one, samples)
+    most = max(plan.case.rollout.ticks * plan.case.drive.substeps for plan in groups)
     if most * len(samples) > MOST_STEPS:
         raise UserError(
             f"duration = {specification.duration:g} s makes {most * len(samples):,} physics steps;"
@@ -88,8 +88,8 @@ def simulate_all(specification: Specification, samples: Samples) -> list[Single]
     joints = _joints(one)
     results = execute.run(one, samples)
     found: dict[int, Single] = {}
-    for plan in plans:
-        members = np.concatenate([batch[:n] for batch, n in execute.batches(plan, samples)])
+    for plan in groups:
+        members = np.concatenate([batch[:n] for batch, n in plans.batches(plan, samples)])
         values = samples.take(members)
         kept = _trajectories(specification, plan.case, values, members)
         for place, number in enumerate(members):
@@ -148,6 +148,11 @@ def _simulated(
     inputs = {name: jnp.asarray(value, dtype) for name, value in values.items()}
     kept = jax.jit(jax.vmap(simulated))(inputs, jnp.asarray(numbers, jnp.uint32))
     return jax.tree.map(np.asarray, kept)
+
+
+def names(specification: Specification) -> tuple[str, ...]:
+    """Of the driven joints."""
+    return tuple(joint.name for joint in _joints(specification))
 
 
 def _joints(specification: Specification) -> tuple[Joint, ...]:

@@ -90,9 +90,10 @@ def of_robot(
     plant = found = None
     if engine == "mjx":
         plant = _placed(setting, scene, varied)
-    if growth and plant is not None:
+    # Where models differ, each is linearised in C, in the coordinates of the nominal one there.
+    if growth and plant is not None and not varied:
         found = linearize.linearise(replace(plant, push=None), scene.posture.force, step)
-    elif growth:
+    if growth and found is None:
         found = linearize.linear_c(scene.robot, scene.posture, step)
     profile, track = motions.sampled(setting.motion, scene, period, ticks)
     return Template(

@@ -17,8 +17,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxact.sweep import cache, engines, execute
-from jaxact.sweep.execute import Plan
+from jaxact.sweep import cache, engines, execute, plans
+from jaxact.sweep.plans import Plan
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Specification
 
@@ -77,7 +77,7 @@ def best_tile(
     """
     if specification.tile is not None:
         return None
-    plan = execute.plans(specification, samples)[0]
+    plan = plans.groups(specification, samples)[0]
     known = curve(plan, specification, ROLLOUTS)
     if len(known) < len(_FACTORS):
         if say is None:
@@ -107,13 +107,13 @@ def fastest(
     if specification.engine != "auto" or specification.plant is None:
         return usual.engine
     able = engines.able(specification.setting)
-    steps = len(samples) * execute.plans(usual, samples)[0].steps
+    steps = len(samples) * plans.groups(usual, samples)[0].steps
     if "mjx" in able and engines.light(specification.setting) and steps > _MANY:
         usual = replace(usual, engine="mjx")
     rates: dict[str, float] = {}
     for engine in able:
         one = replace(specification, engine=engine)
-        plan = execute.plans(one, samples)[0]
+        plan = plans.groups(one, samples)[0]
         known = curve(plan, one, ROLLOUTS)
         if not known:
             if say is None or seconds([plan], usual, len(samples))[0] < _WORTH[usual.engine]:

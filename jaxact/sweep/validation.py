@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.sweep import execute, progress, reading
+from jaxact.sweep import execute, plans, progress, reading
 from jaxact.sweep import store as _store
 from jaxact.sweep.place import Place
 from jaxact.sweep.progress import State, Store
@@ -80,7 +80,7 @@ def recompute(target: Place, number: int, seed: int) -> Again:
     for tile in np.unique(tiles):
         part = tiles == tile
         asked = dataclasses.replace(specification, tile=int(tile), devices=1)
-        groups = execute.plans(asked, outline, together=int(part.sum()))
+        groups = plans.groups(asked, outline, together=int(part.sum()))
         for name, values in execute.compute(groups, asked, samples, chosen[part]).items():
             rows.setdefault(name, np.zeros(chosen.size, values.dtype))[part] = values
     same = _same_machine(target)

@@ -15,9 +15,9 @@ from jaxact.drive import DriveOptions
 from jaxact.multiloop import Curves, Matrices, curves, multiloop
 from jaxact.robot_loop import PeriodMap
 from jaxact.robot_margins import Robot, RobotMargins, robot_margins
-from jaxact.sweep import engines, execute, kernel
+from jaxact.sweep import engines, kernel, outside, plans
 from jaxact.sweep.kernel import Case
-from jaxact.sweep.samples import Samples, expand
+from jaxact.sweep.samples import expand
 from jaxact.sweep.specification import Specification
 from jaxact.sweep.template import Template
 
@@ -53,17 +53,17 @@ class WholeRobot:
 def evaluate(specification: Specification) -> list[WholeRobot]:
     """The margins of every sample of a specification with a [plant].
 
-    Raises UserError as `jaxact.sweep.execute.plans`.
+    Raises UserError as `jaxact.sweep.plans.groups`.
     """
     specification = engines.resolved(specification)
     samples = expand(specification)
     found: dict[int, WholeRobot] = {}
-    for plan in execute.plans(specification, samples):
-        numbers = np.concatenate([batch[:n] for batch, n in execute.batches(plan, samples)])
+    for plan in plans.groups(specification, samples):
+        numbers = np.concatenate([batch[:n] for batch, n in plans.batches(plan, samples)])
         with jax.enable_x64(True):
             template = kernel.template_of(plan.case, specification.setting, "growth_rate")
             compiled = _compiled(plan.case, template)
-        moved = _moved(plan.case, specification, samples, numbers)
+        moved = outside.moved(plan.case, specification.setting, samples.take(numbers))
         for place, number in enumerate(numbers):
             values = {
                 name: float(row[0]) for name, row in samples.take(numbers[place, None]).items()
@@ -90,17 +90,6 @@ def _compiled(case: Case, template: Template) -> Callable[..., tuple[PeriodMap, 
         return found, robot_loop.felt_inertias(loop.plant), gains.kp + like, gains.kd + like
 
     return jax.jit(matrices)
-
-
-def _moved(
-    case: Case, specification: Specification, samples: Samples, numbers: np.ndarray
-) -> tuple[Any, Any] | None:
-    """A and B of every sample, where C MuJoCo linearises models that differ."""
-    if case.engine != "mujoco":
-        return None
-    from jaxact.sweep import outside  # imports MuJoCo
-
-    return outside.moved(case, specification.setting, samples.take(numbers))
 
 
 def _one(case: Case, template: Template, compiled, values: dict[str, float], moved) -> WholeRobot:

@@ -6,7 +6,7 @@ the grid then closes in on the best of them, and the last word is that of the ex
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 from jaxact.tune import joint
 from jaxact.tune.certificate import over_all
 from jaxact.tune.joint import Case, Table
-from jaxact.tune.spectrum import tabulate
+from jaxact.tune.spectrum import single_precision, tabulate
 
 _POINTS = 600
 _GRID = 64
@@ -44,16 +44,15 @@ class Brute:
 def brute_force(case: Case, timed: Any = None) -> Brute:
     """The best gains of a grid over everything that could be stable, refined four times."""
     spectrum = tabulate(case.members, joint.time_scale(case), _POINTS)
-    data = joint.table([case])
-    data = Table(jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), spectrum),
-                 data.log_bounds[0], data.low[0], data.high[0], data.plant[0])  # fmt: skip
+    own = jax.tree.map(lambda a: a[0], joint.table([case]))
+    data = replace(own, spectrum=single_precision(spectrum))
     lag, mass = joint.time_scale(case).max(), case.members.mass.min()
     low = np.log([2e-4 * mass / lag**2, 2e-2 * mass / lag])
     high = np.log([1.5 * mass / lag**2, 1.6 * mass / lag])
     bounds = joint.log_bounds(case.goal)
     low[0], high[0] = max(low[0], bounds[0, 0]), max(min(high[0], bounds[1, 0]), bounds[0, 0])
     centre, half = 0.5 * (low + high), 0.5 * (high - low)
-    smooth = joint.surrogate(case.goal, timed)
+    smooth = joint.surrogate(joint.family(case.goal), timed)
     tried = 0
     for _ in range(_REFINEMENTS + 1):
         axes = [np.linspace(c - h, c + h, _GRID) for c, h in zip(centre, half, strict=True)]

@@ -22,12 +22,13 @@ from jaxact.sampled_margins import sampled_margins
 from jaxact.tune.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
 from jaxact.tune.noise import bandwidth, noise_gain
 
-# Loops are computed in batches of these sizes, so that few programs are compiled.
-_SIZES = (8, 64, 512)
+# Loops are computed in batches of one size, so that one program is compiled.
+_SIZE = 32
 _ALWAYS = (
     "sensitivity_peak", "complementary_peak", "gain_margin", "delay_margin", "disk_margin",
     "log_gain_to_boundary",
 )  # fmt: skip
+_EXTRA = ("bandwidth", "noise_gain")
 _INPUTS = 2 + len(PARAMETERS)
 
 
@@ -63,7 +64,7 @@ def evaluate(
     log_kp, log_kd: ln of the gains, any shape
     members: parameters that broadcast with them
     sampling: of the controller, None for continuous time
-    extra: figures beyond the margins: "noise_gain", "bandwidth", and what `timed` gives
+    extra: figures beyond the margins, "noise_gain" and "bandwidth"; other names change nothing
     timed: static `jaxact.tune.response.Timed`, of figures from simulated time; None for none
     """
     rows = [members[n] if isinstance(members, Mapping) else getattr(members, n) for n in PARAMETERS]
@@ -73,20 +74,17 @@ def evaluate(
     steps = 0
     if sampling is not None and flat.shape[1]:
         steps = int(np.floor(flat[5].max() / sampling.control_period + 1e-9))
-    wanted = tuple(name for name in extra if name not in _ALWAYS)
+    # Only what makes a difference to the program, so that goals share it.
+    wanted = tuple(name for name in _EXTRA if name in extra)
     parts = []
-    start = 0
     with jax.enable_x64(True):
         function = _compiled(sampling, steps, wanted, timed)
-        while start < flat.shape[1]:
-            left = flat.shape[1] - start
-            size = next((s for s in _SIZES if s >= left), _SIZES[-1])
-            part = flat[:, start : start + size]
+        for start in range(0, flat.shape[1], _SIZE):
+            part = flat[:, start : start + _SIZE]
             number = part.shape[1]
-            padded = np.pad(part, ((0, 0), (0, size - number)), mode="edge")
+            padded = np.pad(part, ((0, 0), (0, _SIZE - number)), mode="edge")
             found = jax.tree.map(np.asarray, function(jnp.asarray(padded)))
             parts.append(jax.tree.map(lambda a, n=number: a[..., :n], found))
-            start += size
     joined = jax.tree.map(lambda *a: np.concatenate(a, axis=-1), *parts)
     stable, log, slope = joined
     return Exact(

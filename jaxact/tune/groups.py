@@ -37,6 +37,11 @@ class Groups:
         return np.eye(len(self))[self.members]
 
     @property
+    def first(self) -> np.ndarray:
+        """Number of the first joint of each group, shape (g,)."""
+        return self.spread.argmax(axis=0)
+
+    @property
     def share(self) -> np.ndarray:
         """Share of each group in the joints, shape (g,)."""
         return self.spread.mean(axis=0)

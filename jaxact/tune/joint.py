@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -88,6 +88,7 @@ class Table:
     log_bounds: ln of the bounds of the constraints, shape (cases, rows)
     low, high: bounds of the log-gains, shape (cases, 2)
     plant: of every member for figures of simulated time, shape (cases, members, 4)
+    tail: share of the members that counts, shape (cases,)
     """
 
     spectrum: Spectrum
@@ -95,10 +96,11 @@ class Table:
     low: jax.Array
     high: jax.Array
     plant: jax.Array
+    tail: jax.Array
 
 
 jax.tree_util.register_dataclass(
-    Table, data_fields=["spectrum", "log_bounds", "low", "high", "plant"], meta_fields=[]
+    Table, data_fields=["spectrum", "log_bounds", "low", "high", "plant", "tail"], meta_fields=[]
 )
 
 
@@ -122,14 +124,24 @@ def table(cases: Sequence[Case]) -> Table:
         jnp.asarray(ends[:, 0], jnp.float32),
         jnp.asarray(ends[:, 1], jnp.float32),
         jnp.asarray(plant, jnp.float32),
+        jnp.asarray([case.goal.tail for case in cases], jnp.float32),
     )
+
+
+def family(goal: Goal) -> Goal:
+    """The goal with numbers that only say what there is: one compiled program for all of them."""
+    kept = {"max_peak": 2.0, "min_gain_margin": 2.0, "min_delay_margin": 1.0,
+            "min_disk_margin": 0.5, "max_noise_gain": 1.0}  # fmt: skip
+    bounds = {name: kept[name] for name in goal.active}
+    risk = "worst" if goal.tail == 0.0 else "mean"
+    return replace(goal, **bounds, min_kp=0.0, max_kp=np.inf, risk=risk)
 
 
 @functools.cache
 def surrogate(goal: Goal, timed: Any = None) -> Surrogate:
-    """The smooth problem of a goal; its bounds come with the data, so that they may vary.
+    """The smooth problem of a goal; its numbers come with the data, so that they may vary.
 
-    goal: objective, risk, and which constraints there are
+    goal: objective, kind of risk, and which constraints there are; see `family`
     timed: `jaxact.tune.response.Timed` for an objective in simulated time
     """
     rows = tuple((figure, sign) for _, figure, sign, _ in goal.rows)
@@ -150,7 +162,8 @@ def surrogate(goal: Goal, timed: Any = None) -> Surrogate:
         if goal.figure == "kp":
             found = found | {"kp": x[:1]}  # the same for all members
         objective = goal.figure, goal.sense
-        return combine(found, stable, rows, data.log_bounds, objective, goal.tail, sharpness)
+        tail = None if goal.tail == 0.0 else data.tail
+        return combine(found, stable, rows, data.log_bounds, objective, tail, sharpness)
 
     return smooth
 

@@ -53,7 +53,7 @@ def combine(
     rows: tuple[tuple[str, float], ...],
     log_bounds: jax.Array,
     objective: tuple[str, float],
-    tail: float,
+    tail: jax.Array | None,
     sharpness: jax.Array,
 ) -> Smooth:
     """Risks over the members of ln figures of all of them.
@@ -63,7 +63,7 @@ def combine(
     rows: (figure, sign) of every constraint, static
     log_bounds: ln of the bounds, shape (rows,)
     objective: (figure, sign), static
-    tail: share of the members that counts, 0 for the worst alone, static
+    tail: share of the members that counts, shape (); None for the worst alone
     """
     figure, sense = objective
     value = -_risk(-sense * figures[figure], tail, sharpness)
@@ -73,9 +73,9 @@ def combine(
     return Smooth(value, violation, jnp.all(stable))
 
 
-def _risk(bad: jax.Array, tail: float, sharpness: jax.Array) -> jax.Array:
+def _risk(bad: jax.Array, tail: jax.Array | None, sharpness: jax.Array) -> jax.Array:
     """One number for all members: smooth maximum, or the mean of the worst share `tail`."""
-    if tail == 0.0:
+    if tail is None:
         return softmax(bad, sharpness)
     number = bad.shape[0]
     share = jnp.clip(tail * number - jnp.arange(number, dtype=bad.dtype), 0.0, 1.0)

@@ -98,18 +98,23 @@ def _from_one(
     x = _slowed(surrogate, data, start, slower)
     ladder = _DULL * (_SHARP / _DULL) ** jnp.linspace(0.0, 1.0, how.steps, dtype=x.dtype)
     x, first = _run(surrogate, data, evaluate, (how.chain or adam)(how.steps), x, ladder)
-    paths = [first]
+    ends, paths = [x], [first]
     if how.polish:
         settle = optax.lbfgs(memory_size=6, linesearch=_line_search())
         level = jnp.full((how.polish,), _SHARP, x.dtype)
         settled, second = _run(surrogate, data, evaluate, settle, x, level)
-        lower = evaluate(settled, level[-1]) < evaluate(x, level[-1])
-        x = jnp.where(lower, settled, x)
+        ends.append(settled)
         paths.append(second)
     path, value, violation = (jnp.concatenate(p) for p in zip(*paths, strict=True))
-    end = surrogate(x, data, ladder[-1])
-    lost = jnp.where(end.stable, end.violation, jnp.inf)
-    return Descended(x, end.value, lost, path, value, violation)
+    # Side by side, so that the surrogate is compiled once for all ends.
+    x = jnp.stack(ends)
+    seen = jax.vmap(lambda end: surrogate(end, data, ladder[-1]))(x)
+    final = loss(seen, ladder[-1])
+    # Not argmin, for which a loss that is no number would be the lowest.
+    last = (final[-1] < final[0]).astype(int) * (len(ends) - 1)
+    x, seen = jax.tree.map(lambda a: a[last], (x, seen))
+    lost = jnp.where(seen.stable, seen.violation, jnp.inf)
+    return Descended(x, seen.value, lost, path, value, violation)
 
 
 def _by_counting(gains: int) -> str:

@@ -17,14 +17,16 @@ LOWEST, HIGHEST = 1.15, 3.0
 MOST = 200
 
 
-def peaks(number: int) -> np.ndarray:
+def peaks(number: int, lowest: float = LOWEST, highest: float = HIGHEST) -> np.ndarray:
     """Peaks Ms and Mt along a front [-], shape (number,): even in the modulus margin, 1/M.
+
+    lowest, highest: its ends
 
     Raises UserError for fewer than two.
     """
     if not 2 <= number <= MOST:
         raise UserError(f"--pareto {number}: give between 2 and {MOST} points")
-    return 1.0 / np.linspace(1.0 / LOWEST, 1.0 / HIGHEST, number)
+    return 1.0 / np.linspace(1.0 / lowest, 1.0 / highest, number)
 
 
 def front(

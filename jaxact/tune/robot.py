@@ -12,22 +12,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.tune import robot_brute, robot_certificate, robot_tracking
-from jaxact.tune.certificate import Certificate, Check, sentence
+from jaxact.tune import robot_brute, robot_tracking
 from jaxact.tune.goal import Goal, check
 from jaxact.tune.groups import Groups
 from jaxact.tune.optimize import Descended, Descent
 from jaxact.tune.polish import MET
-from jaxact.tune.robot_certificate import Exact, exact
-from jaxact.tune.robot_exchange import exchanged
-from jaxact.tune.robot_figures import Table, tabulate
-from jaxact.tune.robot_loops import OpenLoops, Situation, open_loops
-from jaxact.tune.robot_rows import RobotCase, polished
+from jaxact.tune.robot_exchange import Reached, exchanged
+from jaxact.tune.robot_figures import tabulate
+from jaxact.tune.robot_loops import Situation, open_loops
+from jaxact.tune.robot_rows import Found, RobotCase, more, polished
 from jaxact.tune.robot_search import (
     approached,
     best_of,
@@ -39,87 +37,13 @@ from jaxact.tune.robot_search import (
     usual,
 )  # fmt: skip
 from jaxact.tune.robot_tracking import Wish
+from jaxact.tune.robot_tuned import Gains, RobotTuned, Spent, judged, no_path
 from jaxact.tune.robot_uncertainty import NOMINAL, corners, joined, sample
-from jaxact.tune.run import wins
 
 STARTS, STEPS = 8, 80
 OBJECTIVES = ("stiffness", "disk-margin")
 # What of a goal a robot can be asked for.
 BOUNDS = ("max_peak", "min_disk_margin", "min_kp", "max_kp")
-
-
-@dataclass(frozen=True)
-class Tracked:
-    """Simulated tracking errors, rms over ticks, joints, members and situations [rad or m].
-
-    weight: of the term in the objective
-    mode: of its derivatives
-    rms: of the gains
-    aside: of the gains that the margins alone lead to
-    before: of the start; NaN where it is unstable, None where none was given
-    """
-
-    weight: float
-    mode: str
-    rms: float
-    aside: float
-    before: float | None
-
-
-@dataclass(frozen=True)
-class RobotTuned:
-    """Gains of a robot, what they were tuned for, and what is known of them.
-
-    situations, goal, groups: what was asked
-    table: of all loops that were looked at
-    kp, kd: gains of the joints [N/m or N m/rad], per second; shape (joints,)
-    value: of the objective, in its unit
-    value_before: of the start, NaN where it was unstable
-    before: gains (kp, kd) of the start, None where none was given
-    feasible: every constraint can be met
-    improved: the gains are better than the start's
-    certificate: of the gains returned; its members are loops
-    exact, exact_before: figures of all loops, with the gains and with the start's
-    verdict: one sentence
-    closest: where the constraints cannot be met, the checks of the nearest point
-    paths: of all starts
-    evaluations: loops evaluated, smooth and exact
-    iterations: steps of descent and polish
-    seconds: of wall clock, compilation included
-    tracked: errors in simulation, None where they were not asked for
-    """
-
-    situations: tuple[Situation, ...]
-    goal: Goal
-    groups: Groups
-    table: Table
-    kp: np.ndarray
-    kd: np.ndarray
-    value: float
-    value_before: float
-    before: tuple[np.ndarray, np.ndarray] | None
-    feasible: bool
-    improved: bool
-    certificate: Certificate
-    exact: Exact
-    exact_before: Exact | None
-    verdict: str
-    closest: tuple[Check, ...]
-    paths: Descended
-    evaluations: int
-    iterations: int
-    seconds: float
-    tracked: Tracked | None
-
-    @property
-    def loops(self) -> OpenLoops:
-        """All loops that were looked at."""
-        return self.table.loops
-
-    @property
-    def certified(self) -> bool:
-        """Whether everything that was asked for holds, exactly, for every loop."""
-        return self.certificate.met
 
 
 def tune(
@@ -129,7 +53,7 @@ def tune(
     *,
     number: int = 8,
     seed: int = 0,
-    start: tuple[np.ndarray, np.ndarray] | None = None,
+    start: Gains | None = None,
     starts: int = STARTS,
     steps: int = STEPS,
     verify: bool = False,
@@ -152,6 +76,100 @@ def tune(
     """
     begun = time.perf_counter()
     _check(situations, goal, groups, start)
+    wish = _checked(wish, groups, verify=verify)
+    case, x, tried = _begun(situations, goal, groups, start, number, seed)
+    if not case.stable(x):
+        nowhere = Reached(case, Found(x, -np.inf, np.inf, 0, 0), None, None)
+        spent = Spent(tried, 0, begun)
+        return judged(situations, nowhere, no_path(x), spent, start=start)
+    paths, found = _searched(case, x, starts, steps, seed)
+    reached = exchanged(case, situations, found, seed)
+    aside, gap = reached.found.x, None
+    if wish is not None and reached.found.violation <= MET:
+        reached = _traded(reached, situations, wish, seed)
+    if verify and reached.found.violation <= MET:
+        reached, gap = _verified(reached)
+    found = reached.found
+    spent = Spent(tried + found.evaluations, steps + found.steps, begun)
+    return judged(situations, reached, paths, spent, start=start, gap=gap, aside=aside)
+
+
+def _begun(
+    situations: Sequence[Situation],
+    goal: Goal,
+    groups: Groups,
+    start: Gains | None,
+    number: int,
+    seed: int,
+) -> tuple[RobotCase, np.ndarray, int]:
+    """All loops of the box, log-gains at which they are stable (if any), and the loops tried."""
+    spans = situations[0].spans
+    members = joined(sample(spans, number, seed), corners(spans)) if spans else NOMINAL
+    loops = open_loops(situations, members)
+    x = usual(situations, groups) if start is None else groups.log_gains(*start)
+    low, high = bounds(goal, groups, x)
+    case = RobotCase(tabulate(loops), groups, goal, low, high)
+    return case, *stabilised(case, situations, np.clip(x, low, high))
+
+
+def _searched(
+    case: RobotCase, x: np.ndarray, starts: int, steps: int, seed: int
+) -> tuple[Descended, Found]:
+    """The paths of a descent from around x, and the best of their ends, polished."""
+    near = approached(case, x)
+    first = starts_around(case, near.x, starts, seed)
+    small = hardest(case, near.x)
+    paths = descended(small, first, Descent(steps=steps, polish=0))
+    found = best_of(case, near, paths)
+    tried = near.evaluations + first.shape[0] * steps * len(small.table.loops)
+    return paths, more(found, tried, near.steps)
+
+
+def _traded(reached: Reached, situations: Sequence[Situation], wish: Wish, seed: int) -> Reached:
+    """The same with simulated tracking in the objective; as it was where that leads nowhere."""
+    loops = reached.case.table.loops
+    fractions = [loops.fraction[loops.situation == s] for s in range(len(situations))]
+    term = robot_tracking.tracking(situations, fractions, reached.case.groups, wish)
+    case = replace(reached.case, tracking=term)
+    before = reached.found
+    traded = more(polished(case, before.x, fresh=False), before.evaluations, before.steps)
+    after = exchanged(case, situations, traded, seed)
+    if after.found.violation <= MET:
+        return after
+    spent = {"evaluations": after.found.evaluations, "steps": after.found.steps}
+    return Reached(after.case, replace(before, **spent), after.interior, None)
+
+
+def _verified(reached: Reached) -> tuple[Reached, float]:
+    """The best of a grid where that is better, and by how much it is."""
+    found = reached.found
+    brute = robot_brute.brute_force(reached.case, found.x)
+    gap = float(np.expm1(max(brute.value - found.value, 0.0)))
+    if brute.value > found.value + 1e-3:
+        return replace(reached, found=more(brute, found.evaluations), known=None), gap
+    return replace(reached, found=more(found, brute.evaluations)), gap
+
+
+def _instead(name: str, goal: Goal) -> str:
+    """What to ask of a robot instead of a bound of a single joint."""
+    if name == "min_gain_margin":
+        factor = goal.min_gain_margin
+        # (2 + a) / (2 - a) of a balanced disk margin a
+        disk = 2.0 * (factor - 1.0) / (factor + 1.0)
+        return (
+            f"--min-disk-margin {disk:.4g} leaves a factor of {factor:g} on the gains of every "
+            "joint by its own"
+        )
+    if name == "min_delay_margin":
+        return (
+            f"--uncertainty output_delay=0..{goal.min_delay_margin:g} makes all bounds hold with "
+            "so much more delay"
+        )
+    return "--max-kp and --max-peak keep the noise down, and --validate simulates it"
+
+
+def _checked(wish: Wish | None, groups: Groups, *, verify: bool) -> Wish | None:
+    """What is wished, None for nothing."""
     if wish is not None:
         robot_tracking.check(wish, len(groups))
         wish = wish if wish.weight > 0.0 else None
@@ -162,65 +180,27 @@ def tune(
             f"--verify: tries {2 * len(groups)} gains against each other, which takes too long; "
             f"group the joints, {robot_brute.MOST_GROUPS} groups at most"
         )
-    spans = situations[0].spans
-    members = joined(sample(spans, number, seed), corners(spans)) if spans else NOMINAL
-    loops = open_loops(situations, members)
-    own = None if start is None else groups.log_gains(*start)
-    x = usual(situations, groups) if own is None else own
-    low, high = bounds(goal, groups, x)
-    case = RobotCase(tabulate(loops), groups, goal, low, high)
-    x, tried = stabilised(case, situations, np.clip(x, low, high))
-    if not case.stable(x):
-        nothing = _no_path(x)
-        return _result(situations, case, x, start, nothing, None, tried, 0, begun)
-    near = approached(case, x)
-    first = starts_around(case, near.x, starts, seed)
-    how = Descent(steps=steps, polish=0)
-    small = hardest(case, near.x)
-    paths = descended(small, first, how)
-    found = best_of(case, near, paths)
-    tried += near.evaluations + found.evaluations
-    tried += first.shape[0] * steps * len(small.table.loops)
-    case, found, interior, known = exchanged(case, situations, found, seed)
-    aside = found.x
-    if wish is not None and found.violation <= MET:
-        fractions = [loops.fraction[loops.situation == s] for s in range(len(situations))]
-        term = robot_tracking.tracking(situations, fractions, groups, wish)
-        case = replace(case, tracking=term)
-        traded = polished(case, found.x, fresh=False)
-        case, traded, interior, known = exchanged(case, situations, traded, seed)
-        if traded.violation <= MET:
-            tried, found = tried + found.evaluations, traded
-        else:
-            tried, known = tried + traded.evaluations, None
-    gap = None
-    if verify and found.violation <= MET:
-        brute = robot_brute.brute_force(case, found.x)
-        tried += brute.evaluations
-        gap = float(np.expm1(max(brute.value - found.value, 0.0)))
-        if brute.value > found.value + 1e-3:
-            found, known = brute, None
-    return _result(
-        situations, case, found.x, start, paths, interior, tried + found.evaluations,
-        steps + near.steps + found.steps, begun, gap=gap, infeasible=found.violation > MET,
-        known=known, aside=aside,
-    )  # fmt: skip
+    return wish
 
 
 def _check(
     situations: Sequence[Situation],
     goal: Goal,
     groups: Groups,
-    start: tuple[np.ndarray, np.ndarray] | None,
+    start: Gains | None,
 ) -> None:
     check(goal)
     if goal.objective not in OBJECTIVES:
         raise UserError(f"objective '{goal.objective}': of a robot stiffness or disk-margin")
     for name in goal.active:
         if name not in BOUNDS:
-            raise UserError(f"--{name.replace('_', '-')}: is for a single joint")
+            option = name.replace("_", "-")
+            raise UserError(f"--{option}: is for a single joint; of a robot {_instead(name, goal)}")
     if goal.risk != "worst":
-        raise UserError("--risk: of a robot every loop counts, worst")
+        raise UserError(
+            f"--risk {goal.risk}: of a robot every loop counts, worst; leave out what need not "
+            "hold by a narrower --uncertainty"
+        )
     if goal.objective == "stiffness" and not goal.active:
         raise UserError("nothing limits the gains; give --max-peak or --min-disk-margin")
     for one in situations:
@@ -234,109 +214,3 @@ def _check(
             )
     if start is not None and not all(np.all((k > 0) & np.isfinite(k)) for k in start):
         raise UserError("gains to start from must be positive and finite")
-
-
-def _no_path(x: np.ndarray) -> Descended:
-    """The path of a search that had nowhere to begin."""
-    none = np.full((1, 1), np.nan)
-    there = np.full((1, 1, 1), np.inf)
-    return Descended(x[None, None], none, none + np.inf, x[None, None, None], there, there)  # type: ignore[arg-type]
-
-
-def _result(
-    situations: Sequence[Situation],
-    case: RobotCase,
-    x: np.ndarray,
-    start: tuple[np.ndarray, np.ndarray] | None,
-    paths: Descended,
-    interior: float | None,
-    evaluations: int,
-    iterations: int,
-    begun: float,
-    *,
-    gap: float | None = None,
-    infeasible: bool = True,
-    known: Exact | None = None,
-    aside: np.ndarray | None = None,
-) -> RobotTuned:
-    """Judge log-gains against everything asked, and against the start.
-
-    known: exact figures at x, where they are known already
-    aside: log-gains that the margins alone led to
-    """
-    goal, groups, loops = case.goal, case.groups, case.table.loops
-    wanted = tuple(sorted({*goal.wanted, "sensitivity_peak", "complementary_peak"}))
-    ends = sum("corner" in name for name in loops.names)
-
-    def judged(
-        gains: tuple[np.ndarray, np.ndarray], known: Exact | None = None
-    ) -> tuple[Exact, Certificate, float]:
-        if known is None or set(known.log) < set(wanted):
-            known = exact(loops, *gains, wanted)
-        judged = robot_certificate.certificate(loops, known, goal, gains, ends, interior)
-        return known, judged, _value(goal, gains, known)
-
-    gains = _inside(groups.gains(x), goal)
-    found, certificate, value = judged(gains, known)
-    closest = certificate.checks if infeasible else ()
-    improved, before, value_before = True, None, float("nan")
-    if start is not None:
-        before, own, value_before = judged(start)
-        scores = (_score(case, *pair) for pair in ((gains, value), (start, value_before)))
-        after_score, before_score = scores
-        if not wins(goal, after_score, certificate, before_score, own):
-            gains, found, certificate, value, improved = start, before, own, value_before, False
-    ends_value = np.where(paths.violation <= 0.01, paths.value, -np.inf)
-    top = ends_value.max()
-    agreeing = float(np.mean(ends_value >= top - 0.01)) if np.isfinite(top) else 0.0
-    certificate = replace(certificate, agreeing=agreeing, gap=gap)
-    words = sentence(certificate, goal, closest)
-    if not improved:
-        words = f"the start cannot be improved upon; {words}"
-    return RobotTuned(
-        tuple(situations), goal, groups, case.table, gains[0], gains[1], value,
-        value_before, start, not infeasible, improved, certificate, found, before, words,
-        tuple(closest), paths, evaluations, iterations, time.perf_counter() - begun,
-        _tracked(case, gains, aside, start),
-    )  # fmt: skip
-
-
-def _score(case: RobotCase, gains: tuple[np.ndarray, np.ndarray], value: float) -> float:
-    """The objective with its term, in which gains are compared; NaN where a loop is unstable."""
-    if case.tracking is None or np.isnan(value):
-        return value
-    rms, _ = case.tracking.log_rms(case.groups.log_gains(*gains))
-    return float(value * np.exp(-case.tracking.weight * rms))
-
-
-def _tracked(
-    case: RobotCase,
-    gains: tuple[np.ndarray, np.ndarray],
-    aside: np.ndarray | None,
-    start: tuple[np.ndarray, np.ndarray] | None,
-) -> Tracked | None:
-    """The simulated errors, where they were asked for."""
-    term = case.tracking
-    if term is None or aside is None:
-        return None
-
-    def rms(x: np.ndarray) -> float:
-        return float(np.exp(term.log_rms(x)[0])) if case.stable(x) else float("nan")
-
-    before = None if start is None else rms(case.groups.log_gains(*start))
-    after = rms(case.groups.log_gains(*gains))
-    return Tracked(term.weight, term.mode, after, rms(aside), before)
-
-
-def _inside(gains: tuple[np.ndarray, np.ndarray], goal: Goal) -> tuple[np.ndarray, np.ndarray]:
-    """The gains, kp within its bounds to the last digit."""
-    return np.clip(gains[0], goal.min_kp, goal.max_kp), gains[1]
-
-
-def _value(goal: Goal, gains: tuple[np.ndarray, np.ndarray], found: Exact) -> float:
-    """The objective, in its unit; NaN where a loop is unstable."""
-    if not found.stable.all():
-        return float("nan")
-    if goal.figure == "kp":
-        return float(np.exp(np.mean(np.log(gains[0]))))
-    return float(np.exp(found.log[goal.figure].min()))

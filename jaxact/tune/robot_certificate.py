@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxact import multiloop as _multiloop
@@ -30,7 +28,7 @@ _BINDING = 1e-5
 # misses a few per cent of a peak at most.
 _LOW = 0.7
 # Ascent on the uncertainty: starts, steps, frequencies, and step of the difference quotients.
-_STARTS, _ASCENTS, _BAND, _STEP = 4, 10, 24, 1e-5
+_STARTS, _ASCENTS, _BAND, _STEP = 4, 10, 24, 1e-4
 
 
 @dataclass(frozen=True)
@@ -175,8 +173,7 @@ def _riser(
     """The largest excess on a band of frequencies, and its slopes by fractions of the box."""
 
     def opened(u: np.ndarray) -> tuple[np.ndarray, ...]:
-        with jax.enable_x64(True):
-            return tuple(np.asarray(a) for a in one.opened(jnp.asarray(one.values(u[None])[0])))
+        return one.opened(one.values(u[None])[0])[:3]
 
     def over(matrices: tuple[np.ndarray, ...], angle: np.ndarray) -> np.ndarray:
         A, B, seen = matrices
@@ -199,10 +196,10 @@ def _riser(
             here = over(opened(u), band)
             at = band[[int(np.argmax(here))]]
             slope = []
-            for axis in np.eye(len(u)):
-                ends = np.clip(u + _STEP * axis, 0, 1), np.clip(u - _STEP * axis, 0, 1)
-                high, low = (over(opened(end), at)[0] for end in ends)
-                slope.append((high - low) / np.sum(ends[0] - ends[1]))
+            for axis, fraction in enumerate(u):
+                end = u.copy()
+                end[axis] += _STEP if fraction < 0.5 else -_STEP
+                slope.append((over(opened(end), at)[0] - here.max()) / (end[axis] - fraction))
             values.append(here.max())
             slopes.append(slope)
         return np.array(values), np.array(slopes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,16 +12,30 @@ from jaxact.tune.polish import MET
 from jaxact.tune.robot_certificate import Exact, exact
 from jaxact.tune.robot_figures import extended, growth_rates, refined, tabulate
 from jaxact.tune.robot_loops import OpenLoops, Situation, open_loops, together
-from jaxact.tune.robot_rows import Found, RobotCase, excess, polished, rescued
+from jaxact.tune.robot_rows import Found, RobotCase, excess, more, polished, rescued
 
 # How often it does.
 _EXCHANGES = 12
 
 
-def exchanged(
-    case: RobotCase, situations: Sequence[Situation], found: Found, seed: int
-) -> tuple[RobotCase, Found, float | None, Exact | None]:
-    """The same, with what only the ascent on the uncertainty and the exact figures know of."""
+@dataclass(frozen=True)
+class Reached:
+    """Where a search has led.
+
+    case: with all loops and frequencies that turned out to matter
+    found: the best point
+    interior: largest excess that ascent on the uncertainty found there, None if there was none
+    known: exact figures of all loops there, None where they are not known
+    """
+
+    case: RobotCase
+    found: Found
+    interior: float | None
+    known: Exact | None
+
+
+def exchanged(case: RobotCase, situations: Sequence[Situation], found: Found, seed: int) -> Reached:
+    """Go on from a point with what only the exact figures and the ascent on the box know of."""
     interior, known = None, None
     for turn in range(_EXCHANGES):
         known = exact(case.table.loops, *case.groups.gains(found.x), case.goal.wanted)
@@ -41,7 +55,7 @@ def exchanged(
                 break
             case = replace(case, table=extended(case.table, loops))
         found, known = _polished_again(case, situations, found), None
-    return case, found, interior, known
+    return Reached(case, found, interior, known)
 
 
 def _inside_worse(
@@ -79,7 +93,7 @@ def _polished_again(case: RobotCase, situations: Sequence[Situation], found: Fou
         x, _ = rescued(case.table.loops, case.groups, x, lag, case.low, case.high)
         if not case.stable(x):
             return replace(found, x=x, violation=np.inf)
-    return polished(case, x, fresh=False)
+    return more(polished(case, x, fresh=False), found.evaluations, found.steps)
 
 
 def _renamed(loops: OpenLoops, situations: Sequence[Situation], turn: int) -> OpenLoops:

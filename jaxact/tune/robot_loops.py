@@ -1,18 +1,19 @@
-"""A robot's loops, opened at the controllers: every situation with every member of its actuators.
+"""A robot's loops, opened at the controllers: every situation with every member of its box.
 
 A situation is a robot at rest in a posture, linearised there, with its drives; a member is a point
-of what is uncertain of them. Of each loop the matrices over one control period are kept,
+of what is uncertain of both. Of each loop the matrices over one control period are kept,
 
     x' = A x + B u,     seen = Y x,     G(z) = Y (z I - A)^-1 B,
 
-which do not know of any gains.
+which do not know of any gains. A member with a body of its own, a payload say, is linearised
+where that body rests, as in a sweep (`jaxact.sweep.outside.moved`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,36 +21,44 @@ import mujoco
 import numpy as np
 
 from jaxact import robot_loop
+from jaxact.drive import Drive
 from jaxact.errors import UserError
 from jaxact.multiloop import joined
-from jaxact.sweep import execute, kernel, robots
+from jaxact.sweep import kernel, outside, plans, robots
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.parameters import base
+from jaxact.sweep.parameters import check as in_bounds
 from jaxact.sweep.samples import explicit
-from jaxact.sweep.specification import Specification
+from jaxact.sweep.specification import Setting, Specification
 from jaxact.sweep.template import Template
-from jaxact.tune.robot_uncertainty import Members, Span
+from jaxact.tune.robot_uncertainty import OF_BODY, Members, Span
 
 # Parameters that the gains of a joint come from.
 _GAINS = ("kp", "kd", "gain_scale")
 
+Opened = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""A, B and Y of one loop, and the inertias that forces on the joints feel, shape (joints,)."""
+
 
 @dataclass(frozen=True)
 class Situation:
-    """A robot in a posture, ready to be opened with any drives of a box.
+    """A robot in a posture, ready to be opened with any member of a box.
 
     name: of the posture
     names: of each driven joint and of its actuator
     kp, kd: gains that are given, or that the model brings, shape (joints,); None where some joint
         has none
-    inertias: that forces on the joints feel [kg or kg m^2], shape (joints,)
+    inertias: that forces on the joints feel [kg or kg m^2], at the end of the box where they are
+        smaller, shape (joints,)
     rotary: whether a joint is a hinge, shape (joints,)
     lag: of the slowest drive of the box [s], delays + 2 zeta / wn + T / 2
     period: control period T [s]
     residual: largest acceleration left at the posture [rad/s^2 or m/s^2]
     specification: that it was made of
-    spans: what is uncertain of the drives
-    opened: from values of `keys` to the matrices of a loop (`jaxact.robot_loop.OpenMap`), compiled
+    payload_body: name of the body that carries a payload
+    spans: what is uncertain
+    opened: from values of `keys`, shape (keys,), to a loop (`jaxact.robot_loop.OpenMap`) and its
+        inertias, compiled
     keys: parameters that vary
     places: number of the span that each of them follows, shape (keys,)
     low, high: their values at the ends of the box, shape (keys,)
@@ -65,8 +74,9 @@ class Situation:
     period: float
     residual: float
     specification: Specification
+    payload_body: str
     spans: tuple[Span, ...]
-    opened: Callable[[jax.Array], Any]
+    opened: Callable[[np.ndarray], Opened]
     keys: tuple[str, ...]
     places: np.ndarray
     low: np.ndarray
@@ -93,38 +103,37 @@ def situation(specification: Specification, name: str, spans: tuple[Span, ...] =
     specification, owned = _with_gains(specification)
     keys, places, low, high = _ends(specification, spans)
     columns = dict(zip(keys, np.stack([low, high], axis=1), strict=True))
+    # What differs between models must be part of what is compiled.
+    bodies = {key: float(rows[0]) for key, rows in columns.items() if base(key) in OF_BODY}
+    specification = replace(specification, parameters={**specification.parameters, **bodies})
     samples = explicit(specification, columns or {"feedforward": np.zeros(2)})
-    (plan,) = execute.plans(specification, samples)
+    (plan,) = plans.groups(specification, samples)
     values = samples.take(np.arange(2))
     with jax.enable_x64(True):
         template = kernel.template_of(plan.case, specification.setting, "growth_rate")
-        scene = template.scene
-        assert scene is not None and template.linear is not None
-        inertias = np.asarray(robot_loop.felt_inertias(template.linear))
-        drives = [
-            kernel.drive_of(
-                kernel.resolved(template, {k: jnp.asarray(v[i]) for k, v in values.items()})
-            )
-            for i in range(2)
-        ]
+        drives = [_drive(template, {key: row[i] for key, row in values.items()}) for i in (0, 1)]
+    scene, nominal = template.scene, {key: float(row[0]) for key, row in values.items()}
+    assert scene is not None
+    opened = _opener(plan.case, specification.setting, template, nominal, keys)
     shape = (len(scene.labels),)
-    period = 1.0 / float(values["control_rate"][0])
+    period = 1.0 / nominal["control_rate"]
     gains = drives[0].controller
     hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
-    kinds = scene.robot.model.jnt_type
+    model = scene.robot.model
     return Situation(
         name=name,
         names=scene.names,
         kp=np.broadcast_to(np.asarray(gains.kp, float), shape) if owned else None,
         kd=np.broadcast_to(np.asarray(gains.kd, float), shape) if owned else None,
-        inertias=inertias,
-        rotary=np.array([kinds[joint.joint] == hinge for joint in scene.robot.joints]),
+        inertias=np.minimum(opened(low)[3], opened(high)[3]),
+        rotary=np.array([model.jnt_type[joint.joint] == hinge for joint in scene.robot.joints]),
         lag=max(_lag(drive) for drive in drives) + 0.5 * period,
         period=period,
         residual=scene.posture.residual,
         specification=specification,
+        payload_body=model.body(scene.payload_body).name or f"body {scene.payload_body}",
         spans=spans,
-        opened=_compiled(plan.case, template, {k: float(v[0]) for k, v in values.items()}, keys),
+        opened=opened,
         keys=keys,
         places=places,
         low=low,
@@ -151,7 +160,13 @@ def _with_gains(specification: Specification) -> tuple[Specification, bool]:
     return specification, True
 
 
-def _lag(drive: Any) -> float:
+def _drive(template: Template, values: Mapping[str, float]) -> Drive:
+    return kernel.drive_of(
+        kernel.resolved(template, {key: jnp.asarray(value) for key, value in values.items()})
+    )
+
+
+def _lag(drive: Drive) -> float:
     """Largest delay + 2 zeta / wn of any joint [s]."""
     actuator = drive.actuator
     slow = 2.0 * np.asarray(actuator.damping_ratio) / np.asarray(actuator.natural_frequency)
@@ -181,28 +196,69 @@ def _ends(
                 f"--uncertainty {span.name}: the actuator is ideal, its {span.name} cannot vary by "
                 "a factor; give --wn and --zeta or an --actuator"
             )
+        if span.factor and not any(own.values()):
+            raise UserError(
+                f"--uncertainty {span.name}: is 0, which no factor changes; write both ends in its "
+                "unit, without x"
+            )
         if not span.factor and len(own) > 1:
             raise UserError(
                 f"--uncertainty {span.name}: joints differ in it; write the ends as factors, 0.8x"
             )
         scales = {key: value if span.factor else 1.0 for key, value in own.items()}
-        rows += [(key, place, span.low * s, span.high * s) for key, s in scales.items()]
+        for key, scale in scales.items():
+            low, high = (
+                in_bounds(key, end * scale, f"--uncertainty {span.name}: {key}")
+                for end in (span.low, span.high)
+            )
+            rows.append((key, place, low, high))
     keys = tuple(row[0] for row in rows)
     columns = np.array([row[1:] for row in rows], float).reshape(-1, 3).T
     return keys, columns[0].astype(int), columns[1], columns[2]
 
 
-def _compiled(
-    case: Case, template: Template, nominal: dict[str, float], keys: tuple[str, ...]
-) -> Callable[[jax.Array], Any]:
-    def opened(row: jax.Array) -> Any:
+def _opener(
+    case: Case,
+    setting: Setting,
+    template: Template,
+    nominal: Mapping[str, float],
+    keys: tuple[str, ...],
+) -> Callable[[np.ndarray], Opened]:
+    """See `Situation.opened`; compiled once for all members."""
+    linearised = _linearised(case, setting, nominal, keys)
+
+    @jax.jit
+    def compiled(row: jax.Array, moved: tuple[jax.Array, jax.Array] | None):
         values = {name: jnp.asarray(value) for name, value in nominal.items()}
         values |= {key: row[place] for place, key in enumerate(keys)}
-        loop = kernel.linear_loop(case, template, values)
+        loop = kernel.linear_loop(case, template, values, moved)
         found = robot_loop.open_map(loop, case.drive)
-        return found.A, found.B, jnp.stack([found.positions, found.velocities], axis=1)
+        seen = jnp.stack([found.positions, found.velocities], axis=1)
+        return found.A, found.B, seen, robot_loop.felt_inertias(loop.plant)
 
-    return jax.jit(opened)
+    def opened(row: np.ndarray) -> Opened:
+        with jax.enable_x64(True):
+            moved = jax.tree.map(jnp.asarray, linearised(row))
+            return jax.tree.map(np.asarray, compiled(jnp.asarray(row, float), moved))
+
+    return opened
+
+
+def _linearised(
+    case: Case, setting: Setting, nominal: Mapping[str, float], keys: tuple[str, ...]
+) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray] | None]:
+    """From values of the keys to A and B of the plant, where its members differ in the model."""
+    bodies = [place for place, key in enumerate(keys) if base(key) in OF_BODY]
+
+    # Neighbours in the box often differ in their drives only.
+    @functools.lru_cache(maxsize=64)
+    def of(body: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray] | None:
+        own = dict(zip((keys[place] for place in bodies), body, strict=True))
+        values = {key: np.full(1, value) for key, value in {**nominal, **own}.items()}
+        found = outside.moved(case, setting, values)
+        return None if found is None else (found[0][0], found[1][0])
+
+    return lambda row: of(tuple(row[bodies].tolist()))
 
 
 @dataclass(frozen=True)
@@ -264,7 +320,7 @@ def open_loops(situations: Sequence[Situation], members: Members) -> OpenLoops:
     """The loops of every situation with every member."""
     found, names, number = [], [], []
     for place, one in enumerate(situations):
-        rows = [_matrices(one, row) for row in one.values(members.fraction)]
+        rows = [one.opened(row)[:3] for row in one.values(members.fraction)]
         # What gains of one and the same sign leave unmoved in one loop, they do in all alike.
         kept = np.unique(np.concatenate([_kept(*row) for row in rows]))
         found += [(A[np.ix_(kept, kept)], B[kept], Y[..., kept]) for A, B, Y in rows]
@@ -297,12 +353,6 @@ def together(*parts: OpenLoops) -> OpenLoops:
     return OpenLoops(
         tuple(name for part in parts for name in part.names), number, fraction, A, B, seen, period
     )
-
-
-def _matrices(one: Situation, row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    with jax.enable_x64(True):
-        A, B, Y = (np.asarray(part) for part in one.opened(jnp.asarray(row)))
-    return A, B, Y
 
 
 def _kept(A: np.ndarray, B: np.ndarray, Y: np.ndarray) -> np.ndarray:

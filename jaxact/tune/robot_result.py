@@ -12,10 +12,12 @@ import numpy as np
 
 from jaxact import __version__
 from jaxact.sweep import toml
+from jaxact.sweep.parameters import base
 from jaxact.tune.exposure import exposed
 from jaxact.tune.goal import OBJECTIVES
-from jaxact.tune.robot import RobotTuned
 from jaxact.tune.robot_loops import Situation
+from jaxact.tune.robot_tuned import RobotTuned
+from jaxact.tune.robot_uncertainty import OF_BODY
 from jaxact.tune.validation import Validation, validate
 
 
@@ -89,6 +91,23 @@ def worst(tuned: RobotTuned, *, before: bool = False) -> dict[str, dict[str, Any
     return rows
 
 
+def box(tuned: RobotTuned) -> dict[str, Any]:
+    """What was uncertain: the ends of every parameter by key, over all situations.
+
+    And, where the body of the robot was, whose setpoint and feedforward are meant.
+    """
+    found: dict[str, Any] = {}
+    for one in tuned.situations:
+        for key, low, high in zip(one.keys, one.low, one.high, strict=True):
+            known = found.get(key, [low, high])
+            found[key] = [float(min(low, known[0])), float(max(high, known[1]))]
+    if "payload" in found:
+        found["payload_body"] = tuned.situations[0].payload_body
+    if any(base(key) in OF_BODY for key in found):
+        found["setpoint_and_feedforward"] = "of the nominal robot"
+    return found
+
+
 def document(tuned: RobotTuned, held: Held | None, command: str = "") -> dict[str, Any]:
     """The result as tables of plain values.
 
@@ -105,9 +124,7 @@ def document(tuned: RobotTuned, held: Held | None, command: str = "") -> dict[st
         "control_period": tuned.situations[0].period,
         "loops": len(tuned.loops),
     }
-    first = tuned.situations[0]
-    ends = zip(first.keys, first.low, first.high, strict=True)
-    assumed |= {key: [float(low), float(high)] for key, low, high in ends}
+    assumed |= box(tuned)
     asked = {name: getattr(goal, name) for name in goal.active}
     asked |= {"min_kp": goal.min_kp} if goal.min_kp > 0 else {}
     if tuned.tracked is not None:

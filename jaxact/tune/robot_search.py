@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -113,20 +111,12 @@ def hardest(case: RobotCase, x: np.ndarray) -> RobotCase:
 
 def descended(case: RobotCase, first: np.ndarray, how: Descent) -> Descended:
     """Where the descent leads from several log-gains, shape (starts, 2 g), for a few loops."""
-    smooth = robot_smooth.surrogate(_family(case.goal), len(case.table.loops))
+    smooth = robot_smooth.surrogate(robot_smooth.family(case.goal), len(case.table.loops))
     data = robot_smooth.data(case.table, case.groups, case.goal, case.low, case.high)
     one = jax.tree.map(lambda leaf: leaf[None], data)
     still = np.zeros(first.shape[1], np.float32)
     found = descend(smooth, one, jnp.asarray(first[None], jnp.float32), still, how)
     return jax.tree.map(np.asarray, found)
-
-
-def _family(goal: Goal) -> Goal:
-    """The goal with bounds that only say which constraints there are: one program for all."""
-    kept = {"max_peak": 2.0, "min_disk_margin": 0.5}
-    bounds: dict[str, Any] = {name: kept[name] for name in goal.active}
-    return replace(goal, **bounds, min_kp=0.0 if goal.objective == "stiffness" else 1.0,
-                   max_kp=np.inf)  # fmt: skip
 
 
 def best_of(case: RobotCase, near: Found, paths: Descended) -> Found:

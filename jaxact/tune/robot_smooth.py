@@ -11,7 +11,8 @@ comes out steers the descent; nothing is certified with it.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -78,6 +79,14 @@ def data(
     return Data(jnp.asarray(last, jnp.complex64), *(jnp.asarray(a, jnp.float32) for a in floats))
 
 
+def family(goal: Goal) -> Goal:
+    """The goal with bounds that only say which ones there are: one compiled program for all."""
+    kept = {"max_peak": 2.0, "min_disk_margin": 0.5}
+    bounds: dict[str, Any] = {name: kept[name] for name in goal.active}
+    return replace(goal, **bounds, min_kp=0.0 if goal.objective == "stiffness" else 1.0,
+                   max_kp=np.inf)  # fmt: skip
+
+
 @functools.cache
 def surrogate(goal: Goal, loops: int) -> Surrogate:
     """The smooth problem of a goal; its bounds come with the data.
@@ -97,7 +106,7 @@ def surrogate(goal: Goal, loops: int) -> Surrogate:
         if goal.figure == "kp":
             found = found | {"kp": (logs[0] @ case.share)[None]}
         objective = goal.figure, goal.sense
-        return combine(found, stable, rows, case.log_bounds, objective, 0.0, sharpness)
+        return combine(found, stable, rows, case.log_bounds, objective, None, sharpness)
 
     return smooth
 

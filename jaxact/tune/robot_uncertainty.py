@@ -1,7 +1,12 @@
-"""What is not known of a robot's drives: a box of ranges, its samples and corners.
+"""What is not known of a robot and its drives: a box of ranges, its samples and corners.
 
-`wn=0.8..1.2,zeta=0.7..1.1,delay=0..5e-3` as for a joint, of all joints alike: wn and zeta as
-factors on each joint's own, delays [s] as they are; an `x` makes them factors too.
+`wn=0.8..1.2,delay=0..5e-3,payload=0..2,inertia_scale=0.9..1.1`, of all joints alike: wn, zeta,
+inertia_scale and contact_friction as factors on what is given (the scales are 1 where nothing is),
+delays [s], payload [kg], joint_damping [N m s/rad] and joint_armature [kg m^2] as they are; an `x`
+behind both ends makes them factors on what is given, too. Damping and armature are added to the
+model's own, as in a sweep (`jaxact.plants.variation`).
+
+The drives are told nothing of it: setpoint and feedforward are those of the robot without.
 """
 
 from __future__ import annotations
@@ -14,8 +19,16 @@ import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
 
-VARIED = ("wn", "zeta", "delay", "measurement_delay", "output_delay")
-_FACTORS = ("wn", "zeta")
+OF_DRIVES = ("wn", "zeta", "delay", "measurement_delay", "output_delay")
+OF_BODY = ("payload", "inertia_scale", "joint_damping", "joint_armature", "contact_friction")
+VARIED = (*OF_DRIVES, *OF_BODY)
+_FACTORS = ("wn", "zeta", "inertia_scale", "contact_friction")
+# What cannot vary here, and why.
+_REFUSED = {
+    "mass": "a robot's masses are its model's; vary payload or inertia_scale",
+    "joint_friction": "any dry friction at all holds a linearised joint alike, so that bounds say "
+    "nothing of its amount; sweep it instead",
+}
 
 
 @dataclass(frozen=True)
@@ -64,8 +77,8 @@ def read_spans(text: str) -> tuple[Span, ...]:
         first, dots, last = ends.partition("..")
         if not equals or not dots:
             raise UserError(f"--uncertainty {shown(part)}: write it as NAME=LOW..HIGH")
-        if name in ("mass", "payload", "inertia_scale"):
-            raise UserError(f"--uncertainty {name}: of a robot only its drives vary")
+        if name in _REFUSED:
+            raise UserError(f"--uncertainty {name}: {_REFUSED[name]}")
         if name not in VARIED:
             raise UserError(f"--uncertainty {shown(name)}; {nearest(name, VARIED)}")
         if name in (span.name for span in spans):

@@ -126,7 +126,7 @@ def tune_all(
     first = np.stack([joint.starts(case, starts) for case in cases])
     if rescued is not None:
         first = np.concatenate([first, rescued[:, None]], axis=1)
-    smooth = joint.surrogate(_family(cases[0].goal), timed)
+    smooth = joint.surrogate(joint.family(cases[0].goal), timed)
     slower = np.asarray(SLOWER, np.float32)
     paths = descend(smooth, joint.table(cases), np.asarray(first, np.float32), slower, how)
     paths = jax.tree.map(np.asarray, paths)
@@ -162,14 +162,6 @@ def _check(cases: Sequence[Case], given: Sequence[tuple[float, float]] | None, s
     for kp, kd in given or ():
         if not (0 < kp < np.inf and 0 < kd < np.inf):
             raise UserError(f"start kp {kp:g}, kd {kd:g}: both must be positive and finite")
-
-
-def _family(goal: Goal) -> Goal:
-    """The goal with bounds that only say which constraints there are: one program for all."""
-    kept = {"max_peak": 2.0, "min_gain_margin": 2.0, "min_delay_margin": 1.0,
-            "min_disk_margin": 0.5, "max_noise_gain": 1.0}  # fmt: skip
-    bounds = {name: kept[name] for name in goal.active}
-    return replace(goal, **bounds, min_kp=0.0, max_kp=np.inf)
 
 
 def _rescued(cases: Sequence[Case], x: np.ndarray, bounds: np.ndarray) -> tuple[np.ndarray, int]:

@@ -31,7 +31,7 @@ from jaxact.errors import UserError
 from jaxact.metrics import SEGMENTS
 from jaxact.plants.mjx_smooth import smooth
 from jaxact.rollout import RolloutOptions
-from jaxact.sweep import execute, kernel, robots
+from jaxact.sweep import kernel, plans, robots
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.samples import explicit
 from jaxact.sweep.specification import Specification
@@ -99,10 +99,10 @@ def term(
         parameters={**asked.parameters, **dict.fromkeys(_QUANTISED, 0.0)},
     )  # fmt: skip
     samples = explicit(asked, columns)
-    plans = execute.plans(asked, samples)
-    if len(plans) > 1:
+    kinds = plans.groups(asked, samples)
+    if len(kinds) > 1:
         raise UserError("tracking: the members' control rates need different physics steps")
-    case, chunk, chunks = _chunked(plans[0].case)
+    case, chunk, chunks = _chunked(kinds[0].case)
     with jax.enable_x64(True):
         made = kernel.template_of(case, asked.setting, "metrics")
         if differentiable:

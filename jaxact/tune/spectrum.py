@@ -18,7 +18,7 @@ import numpy as np
 from jaxact.frequency import JointLoop, servo_denominator
 from jaxact.pulse import plant_response, pulse_transfer
 from jaxact.sampled import SampledLoop
-from jaxact.tune.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble
+from jaxact.tune.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
 
 POINTS = 144
 # From well below the corner kp/kd of the softest feasible loops to beyond any crossover.
@@ -77,8 +77,18 @@ def _continuous(members: Ensemble, w: np.ndarray) -> np.ndarray:
 
 
 def _sampled(members: Ensemble, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    sampling = members.sampling
-    assert sampling is not None
+    assert members.sampling is not None
+    with jax.enable_x64(True):
+        plants = tuple(jnp.asarray(getattr(members, name)) for name in PARAMETERS)
+        both = _pulse_responses(members.sampling, plants, jnp.asarray(w))
+    return np.asarray(both[0]), np.asarray(both[1])
+
+
+@partial(jax.jit, static_argnums=0)
+def _pulse_responses(
+    sampling: Sampling, plants: tuple[jax.Array, ...], w: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Gp and Gv of the sampled plants, shape (n, points); plants: parameters, shape (n,) each."""
 
     def one(plant: tuple[jax.Array, ...], w: jax.Array) -> tuple[jax.Array, jax.Array]:
         period = jnp.asarray(sampling.control_period, w.dtype)
@@ -94,10 +104,7 @@ def _sampled(members: Ensemble, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         hold = jax.lax.complex(jnp.cos(lag), -jnp.sin(lag))
         return plant_response(transfer, u, s, hold)
 
-    with jax.enable_x64(True):
-        plants = tuple(jnp.asarray(getattr(members, name)) for name in PARAMETERS)
-        both = jax.jit(jax.vmap(one))(plants, jnp.asarray(w))
-    return np.asarray(both[0]), np.asarray(both[1])
+    return jax.vmap(one)(plants, w)
 
 
 def single_precision(spectrum: Spectrum) -> Spectrum:

@@ -23,9 +23,9 @@ from jaxact.metrics import Metrics
 from jaxact.plants import posture as _posture
 from jaxact.status import Verdict
 from jaxact.sweep import engines as _engines
-from jaxact.sweep import execute, kernel, outside, robots
-from jaxact.sweep.execute import Plan
+from jaxact.sweep import kernel, outside, plans, robots, spectra
 from jaxact.sweep.parameters import check, known
+from jaxact.sweep.plans import Plan
 from jaxact.sweep.robots import Scene
 from jaxact.sweep.samples import Samples, explicit
 from jaxact.sweep.specification import Setting, Specification
@@ -105,13 +105,14 @@ def validate(
     scenes = {name: _scene(one, name) for name, one in situations.items()}
     joints = next(iter(scenes.values())).labels
     columns = checked_members(members)
-    rows, engines = [], []
-    for name, one in situations.items():
-        if sorted(scenes[name].labels) != sorted(joints):
+    for name, scene in scenes.items():
+        if sorted(scene.labels) != sorted(joints):
             raise UserError(
                 f"{name}: drives other joints than {next(iter(situations))}; postures of one "
                 f"robot have the same: {', '.join(joints)}"
             )
+    rows, engines = [], []
+    for name, one in situations.items():
         asked = with_gains(one, scenes[name], joints, kp, kd, columns)
         asked = _engines.resolved(replace(asked, engine=engine or one.engine, devices=1))
         order = [scenes[name].labels.index(joint) for joint in joints]
@@ -198,11 +199,11 @@ def _posture_row(
     verdict, growth = np.zeros(number, np.int8), np.zeros(number)
     excursion, fallen = np.zeros((number, len(joints))), np.zeros(number, bool)
     reasons = [""] * number
-    for plan in execute.plans(asked, samples):
-        for batch, count in execute.batches(plan, samples):
+    for plan in plans.groups(asked, samples):
+        for batch, count in plans.batches(plan, samples):
             # Linearised in C for either engine, which takes no compilation of MJX.
             in_c = replace(plan, case=replace(plan.case, engine="mujoco"))
-            rates = execute.growth_batch(in_c, asked, samples, batch)
+            rates = spectra.growth_batch(in_c, asked, samples, batch)
             result, farthest, qpos = _simulated(plan, asked, samples, batch, rates)
             for place, sample in enumerate(batch[:count]):
                 end = qpos[place]

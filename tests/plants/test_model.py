@@ -449,6 +449,26 @@ def test_missing_meshes_matter_only_where_they_touch_or_weigh(read):
             read(MESHES.format(visual=visual, inertial=given))
 
 
+SHELL = """<robot name="r"><link name="base"/><link name="arm">
+  <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+  <collision><geometry><mesh filename="package://arm_description/meshes/shell.obj"/></geometry>
+  </collision></link><joint name="j1" type="continuous"><parent link="base"/><child link="arm"/>
+  </joint></robot>"""
+CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+@pytest.mark.parametrize("package", ["arm_description", "arm_description-1.2"])
+def test_meshes_of_a_ros_package_are_found(tmp_path, package):
+    folders = [tmp_path / package / name for name in ("urdf", "meshes")]
+    for folder in folders:
+        folder.mkdir(parents=True)
+    (path := folders[0] / "robot.urdf").write_text(SHELL)
+    with pytest.raises(UserError, match=r"mesh file package://arm_description/meshes/shell.obj is"):
+        models.read(path)
+    (folders[1] / "shell.obj").write_text(CORNERS)
+    assert models.read(path).model.nmesh == 1
+
+
 def test_inertia_that_no_single_joint_can_carry_stays_with_its_actuator(read):
     text = """<mujoco><worldbody>
       <body><joint name="hip" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/>

@@ -258,3 +258,16 @@ def test_geoms_that_mjx_cannot_bring_into_contact_are_named():
     for geom in range(model.ngeom):
         model.geom_contype[geom] = model.geom_conaffinity[geom] = 0
     assert mjx_refusals.find(model) == []
+
+
+def test_warnings_of_mjx_are_findings_and_not_on_the_screen():
+    turns = np.arange(24) * 2.0 * np.pi / 24
+    rim = [(np.cos(turn), np.sin(turn), height) for height in (-1.0, 1.0) for turn in turns]
+    corners = " ".join(f"{value:.6f}" for point in rim for value in point)
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><asset><mesh name="drum" vertex="{corners}"/></asset><worldbody>
+        <geom type="plane" size="1 1 1"/><body><freejoint/><geom type="mesh" mesh="drum"/></body>
+        </worldbody></mujoco>"""
+    )
+    (finding,) = mjx_refusals.find(model)
+    assert finding.action == HARMLESS and finding.value.startswith('Mesh "drum" has a coplanar')

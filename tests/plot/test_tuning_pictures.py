@@ -49,3 +49,13 @@ def test_the_front_marks_the_bound_asked_for():
     )
     assert _words(figure) == ["the bound asked for"]
     assert figure.axes[1].get_xlabel() == "largest Ms and Mt allowed"
+
+
+def test_the_front_of_a_robot_names_its_groups():
+    peaks = np.linspace(1.2, 3.0, 6)
+    kd = peaks[:, None] * np.array([1.0, 2.0])
+    figure = tuning.front(
+        peaks, peaks * 100, kd, label="stiffness", kd_unit="N m s/rad", groups=("hip", "knee")
+    )
+    assert _words(figure) == ["kd of hip", "kd of knee"]
+    assert len(figure.axes[1].lines) == 2 and figure.axes[1].get_ylabel() == "kd [N m s/rad]"

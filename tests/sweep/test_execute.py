@@ -14,7 +14,7 @@ from exact import growth_rate as exact_growth_rate
 from jaxact.errors import UserError
 from jaxact.plants import mjx
 from jaxact.status import Verdict
-from jaxact.sweep import execute, reading
+from jaxact.sweep import execute, plans, reading, spectra
 from jaxact.sweep.samples import expand
 
 NOISY = """
@@ -66,7 +66,7 @@ def test_a_sample_does_not_depend_on_its_neighbours(noisy):
     samples = expand(asked)
     for first in range(3):
         numbers = np.arange(first, len(samples), 3)
-        groups = execute.plans(asked, samples, together=numbers.size)
+        groups = plans.groups(asked, samples, together=numbers.size)
         for name, row in execute.compute(groups, asked, samples, numbers).items():
             np.testing.assert_array_equal(row, noisy[name][numbers], err_msg=name)
 
@@ -106,7 +106,7 @@ def test_control_rates_may_differ_between_samples():
     for place, (rate, kp) in enumerate(zip(rates, gains, strict=True)):
         want = exact_growth_rate([kp], [20.0], 0.7, 110.0, 0.9, 0.002, period=1 / rate)[0]
         assert got["growth_rate"][place] == pytest.approx(want, rel=0.01, abs=0.02)
-        if kp > 200.0:
+        if (rate, kp) != (250.0, 200.0):
             continue
         alone = _run(text, f"kp=[{kp}]", f"control_rate=[{rate}]")
         # integrals end with the duration, whatever the fastest rate of the sweep
@@ -127,7 +127,7 @@ def test_physics_steps_group_the_samples():
     """
     asked = reading.parse(text)
     samples = expand(asked)
-    groups = execute.plans(asked, samples)
+    groups = plans.groups(asked, samples)
     assert [plan.case.drive.substeps for plan in groups] == [2, 4]
     got = execute.run(asked, samples)
     for place, (rate, kp) in enumerate(((500, 200), (500, 400), (1000, 200), (1000, 400))):
@@ -180,7 +180,10 @@ def test_a_model_edited_between_two_sweeps_is_another_model(tmp_path):
     for mass in (0.7, 2.8):
         model.write_text(mjx.SLIDE.read_text().replace('mass="0.7"', f'mass="{mass}"'))
         asked = reading.load(sweep)
-        rates.append(float(execute.run(asked, expand(asked))["growth_rate"][0]))
+        samples = expand(asked)
+        (plan,) = plans.groups(asked, samples)
+        numbers = np.zeros(plan.batch, int)
+        rates.append(spectra.growth_batch(plan, asked, samples, numbers)[0])
     # -kd / (2 m) for an undelayed, lightly damped loop, up to sampling
     assert rates[1] == pytest.approx(-20.0 / (2 * 2.8), rel=0.1)
     assert rates[0] == pytest.approx(-20.0 / (2 * 0.7), rel=0.1)

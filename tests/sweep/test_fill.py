@@ -21,6 +21,7 @@ from jaxact.sweep import (
     memory,
     place,
     planning,
+    plans,
     progress,
     reading,
     store,
@@ -200,7 +201,7 @@ def test_rates_are_kept_and_the_fastest_tile_is_taken(monkeypatch, tmp_path):
     assert cache.usable() == ""
     asked = dataclasses.replace(reading.parse(HUGE), duration=20.0)
     samples = expand(asked)
-    plan = execute.plans(asked, samples)[0]
+    plan = plans.groups(asked, samples)[0]
     assert throughput.curve(plan, asked) == {}
     assert not throughput.seconds([plan], asked, 10)[1]
     said = []
@@ -234,7 +235,7 @@ def test_tiles_are_really_measured(monkeypatch, tmp_path):
     monkeypatch.setattr(throughput, "_FACTORS", (1.0, 2.0))
     asked = reading.parse(NOISY)
     samples = expand(asked)
-    plan = execute.plans(asked, samples)[0]
+    plan = plans.groups(asked, samples)[0]
     found = throughput._measured(plan, asked, samples)
     assert sorted(found) == [16, 32] and all(rate > 0 for rate in found.values())
     kept = throughput.curve(plan, asked, throughput.ROLLOUTS)

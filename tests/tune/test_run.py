@@ -3,42 +3,26 @@
 import math
 
 import brute_force
-import jax
+import exact
 import numpy as np
 import pytest
+from loops import largest_peaks, margins_of
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.errors import UserError
-from jaxact.frequency import JointLoop
-from jaxact.margins import margins
-from jaxact.sampled import SampledLoop
-from jaxact.sampled_margins import sampled_margins
-from jaxact.tune import pareto
-from jaxact.tune.ensemble import PARAMETERS, Sampling, ensemble
+from jaxact.tune import joint, pareto
+from jaxact.tune.ensemble import Sampling, ensemble
 from jaxact.tune.goal import Goal, tail_weights
 from jaxact.tune.joint import Case
+from jaxact.tune.response import timed
 from jaxact.tune.robust import tune_box
-from jaxact.tune.run import tune, tune_all
+from jaxact.tune.run import STARTS, tune, tune_all
 from jaxact.tune.uncertainty import read_box
 
 STARLETH = ensemble(0.7, 110.0, 0.9, 1e-3)
 LATE = ensemble(0.7, 110.0, 0.9, 5e-3)
-
-
-_MARGINS = jax.jit(margins)
-_SIZE = 512
-
-
-def _margins(members, kp, kd):
-    """Of all members, NumPy; in batches of one size, so that one program is compiled."""
-    plant = (getattr(members, name) for name in PARAMETERS)
-    rows = np.broadcast_arrays(np.float64(kp), np.float64(kd), *plant)
-    number = rows[0].size
-    whole = _SIZE * -(-number // _SIZE)
-    padded = [np.pad(row, (0, whole - number), mode="edge") for row in rows]
-    with jax.enable_x64(True):
-        parts = [_MARGINS(JointLoop(*(row[i : i + _SIZE] for row in padded)))
-                 for i in range(0, whole, _SIZE)]  # fmt: skip
-    return jax.tree.map(lambda *a: np.concatenate(a)[:number], *parts)
+# Besides a start of one's own, so that there are as many in all and nothing is compiled anew.
+OTHERS = STARTS - 1
 
 
 def test_what_cannot_be_met_is_said_with_the_closest_value():
@@ -68,38 +52,40 @@ def test_fifty_unstable_starts_are_rescued():
         for row, peak in zip(members, peaks, strict=True)
     ]
     plants = ensemble(*members.T)
-    assert not _margins(plants, kp, kd).stable.any()
+    assert not margins_of(plants, kp, kd).stable.any()
     # No default start helps: each has to find back from where it is.
     tuned = tune_all(cases, list(zip(kp, kd, strict=True)), starts=0)
     assert all(t.certified and t.improved for t in tuned)
     assert all(math.isnan(t.value_before) for t in tuned)
-    found = _margins(plants, [t.kp for t in tuned], [t.kd for t in tuned])
+    found = margins_of(plants, [t.kp for t in tuned], [t.kd for t in tuned])
     assert np.all(found.sensitivity_peak <= peaks * (1 + 1e-9))
 
 
 def test_gains_are_never_worse_than_the_start():
     best = tune(STARLETH, Goal(max_peak=1.6))
     # One step of descent from a start that is already the optimum cannot do better.
-    again = tune(STARLETH, Goal(max_peak=1.6), start=(best.kp, best.kd))
+    again = tune(STARLETH, Goal(max_peak=1.6), start=(best.kp, best.kd), starts=OTHERS)
     assert again.kp >= best.kp * (1.0 - 1e-12)
-    softer = tune(STARLETH, Goal(max_peak=1.6), start=(20.0, 8.0))
+    softer = tune(STARLETH, Goal(max_peak=1.6), start=(20.0, 8.0), starts=OTHERS)
     assert softer.improved and softer.kp > 20.0 and softer.value_before == pytest.approx(20.0)
     # Where nothing can be met, the closer of the two is kept.
-    kept = tune(LATE, Goal(max_peak=1.6, min_kp=400.0), start=(400.0, 24.506))
+    kept = tune(LATE, Goal(max_peak=1.6, min_kp=400.0), start=(400.0, 24.506), starts=OTHERS)
     assert kept.certificate.checks[0].value <= 2.97616
 
 
 def test_every_constraint_binds_where_it_should():
-    goal = Goal(max_peak=2.5, min_gain_margin=6.0)
+    # Bounds that ask for next to nothing keep the three goals of one kind: compiled once.
+    easy = {"max_peak": 2.5, "min_gain_margin": 1.01, "min_delay_margin": 1e-6}
+    goal = Goal(**easy | {"min_gain_margin": 6.0})
     tuned = tune(LATE, goal)
-    found = _margins(LATE, tuned.kp, tuned.kd)
+    found = margins_of(LATE, tuned.kp, tuned.kd)
     assert found.gain_margin[0] == pytest.approx(6.0, rel=1e-8) and tuned.certified
     assert found.gain_margin[0] >= 6.0 * (1 - 1e-9)
-    goal = Goal(max_peak=2.5, min_delay_margin=0.05)
+    goal = Goal(**easy | {"min_delay_margin": 0.05})
     tuned = tune(LATE, goal)
-    found = _margins(LATE, tuned.kp, tuned.kd)
+    found = margins_of(LATE, tuned.kp, tuned.kd)
     assert found.delay_margin[0] >= 0.05 * (1 - 1e-9) and tuned.certified
-    tuned = tune(STARLETH, Goal(max_peak=2.5, max_kp=90.0))
+    tuned = tune(STARLETH, Goal(**easy, max_kp=90.0))
     assert tuned.kp == pytest.approx(90.0) and tuned.kp <= 90.0
 
 
@@ -111,14 +97,11 @@ def test_other_objectives_leave_brute_force_nothing(objective, bounds):
     tuned = tune(LATE, Goal(objective=objective, **bounds), verify=True)
     assert tuned.certified and tuned.certificate.gap < 1e-3
     if objective == "disk-margin":
-        found = _margins(LATE, 100.0 * np.ones(400), np.linspace(8.0, 25.0, 400))
+        found = margins_of(LATE, 100.0 * np.ones(400), np.linspace(8.0, 25.0, 400))
         assert tuned.value == pytest.approx(float(np.nanmax(found.disk_margin)), rel=1e-4)
 
 
 def test_settling_is_faster_than_a_grid_of_gains_allows():
-    from jaxact.tune import joint
-    from jaxact.tune.response import timed
-
     goal = Goal(objective="settling", max_peak=1.6)
     tuned = tune(STARLETH, goal)
     how = timed(goal, [STARLETH])
@@ -130,14 +113,32 @@ def test_settling_is_faster_than_a_grid_of_gains_allows():
     assert tuned.certified and tuned.value < 1.02 * best
 
 
+def _sampled_peak(kp, kd, *plant, period):
+    """Largest |S| or |T|: S = det(z I - open) / det(z I - closed) of SciPy's matrices."""
+    closed, opened = (
+        np.linalg.eigvals(exact.one_period(p, d, *plant, period=period)[0])
+        for p, d in ((kp, kd), (0.0, 0.0))
+    )
+    assert np.abs(closed).max() < 1.0
+
+    def larger(angle):
+        z = np.exp(1j * angle)[:, None]
+        sensitivity = np.prod(z - opened, axis=1) / np.prod(z - closed, axis=1)
+        return np.maximum(np.abs(sensitivity), np.abs(1.0 - sensitivity))
+
+    angle = np.linspace(1e-3, np.pi, 5000)
+    for _ in range(3):
+        top = angle[np.argmax(larger(angle))]
+        step = angle[1] - angle[0]
+        angle = np.linspace(top - step, top + step, 1001)
+    return larger(angle).max()
+
+
 def test_sampled_margins_count_where_a_control_rate_is_given():
     members = ensemble(0.7, 110.0, 0.9, 1e-3, sampling=Sampling(5e-3))
     tuned = tune(members, Goal(max_peak=1.6))
-    with jax.enable_x64(True):
-        scalars = [np.float64(v) for v in (tuned.kp, tuned.kd, 0.7, 110.0, 0.9, 1e-3, 5e-3)]
-        found = sampled_margins(SampledLoop(*scalars), max_delay_steps=1)
-    assert tuned.certified and bool(found.stable)
-    peak = max(float(found.sensitivity_peak), float(found.complementary_peak))
+    peak = _sampled_peak(tuned.kp, tuned.kd, 0.7, 110.0, 0.9, 1e-3, period=5e-3)
+    assert tuned.certified
     assert peak == pytest.approx(1.6, rel=1e-6) and peak <= 1.6 * (1 + 1e-9)
     # The hold costs about half a period of delay.
     held = tune(ensemble(0.7, 110.0, 0.9, 3.5e-3), Goal(max_peak=1.6))
@@ -150,22 +151,20 @@ def test_the_whole_box_is_certified_corners_and_interior():
     assert tuned.certified and tuned.certificate.corners == 16
     assert len(tuned.members) >= 32 and tuned.certificate.interior <= 1e-10
     fraction = np.random.default_rng(0).uniform(size=(4000, 4))
-    found = _margins(box.place(fraction), tuned.kp, tuned.kd)
-    assert np.all(found.stable)
-    assert max(found.sensitivity_peak.max(), found.complementary_peak.max()) <= 1.6 * (1 + 1e-9)
+    assert largest_peaks(box.place(fraction), tuned.kp, tuned.kd).max() <= 1.6 * (1 + 1e-9)
 
 
 def test_a_milder_risk_gives_stiffer_gains():
     box = read_box("wn=0.8..1.2,delay=0..5e-3", STARLETH)
-    members = box.sample(24, 0)
+    members = box.sample(32, 0)
     cases = {risk: tune(members, Goal(max_peak=1.6, risk=risk)) for risk in
              ("worst", "cvar:0.75", "mean")}  # fmt: skip
     assert cases["worst"].kp < cases["cvar:0.75"].kp < cases["mean"].kp
     assert all(t.certified for t in cases.values())
-    found = _margins(members, cases["mean"].kp, cases["mean"].kd)
+    found = margins_of(members, cases["mean"].kp, cases["mean"].kd)
     assert np.mean(np.log(found.sensitivity_peak)) <= np.log(1.6) + 1e-9
-    found = _margins(members, cases["cvar:0.75"].kp, cases["cvar:0.75"].kd)
-    worst = np.sort(np.log(found.sensitivity_peak))[-6:]
+    found = margins_of(members, cases["cvar:0.75"].kp, cases["cvar:0.75"].kd)
+    worst = np.sort(np.log(found.sensitivity_peak))[-8:]
     assert worst.mean() <= np.log(1.6) + 1e-9
 
 

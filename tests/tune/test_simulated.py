@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 from robots import QUADRUPED
 
 from jaxact.errors import UserError
@@ -14,8 +15,6 @@ from jaxact.sweep.specification import Push
 from jaxact.tune import simulated
 from jaxact.tune.simulated_gradient import chosen, value_and_gradient, work
 
-# Compiled once and run for a moment.
-QUICKLY = {"xla_backend_optimization_level": 0}
 SIZE = 1e-4
 
 # A trunk that slides on a rail, held up by one driven leg whose foot stands on the ground.
@@ -43,7 +42,7 @@ MONOPED = """
 def _differences(objective, x):
     """Central differences in float64, shape of x."""
     with jax.enable_x64(True):
-        value = jax.jit(objective, compiler_options=QUICKLY)
+        value = jax.jit(objective)
         ends = [
             [float(value(jnp.asarray(x + sign * SIZE * unit))) for sign in (1.0, -1.0)]
             for unit in np.eye(x.size)
@@ -52,21 +51,19 @@ def _differences(objective, x):
 
 
 def test_the_gradient_of_a_standing_quadruped_is_that_of_central_differences():
-    """Contacts, delays, noise, limits and a push; hips, thighs and knees."""
+    """Forwards; contacts, delays, noise, limits and a push; hips, thighs and knees."""
     asked = reading.load(QUADRUPED / "stand.toml")
     push = replace(asked.push, time=0.002, duration=0.01)
     asked = replace(asked, push=push, duration=0.04)
     labels = robots.scene(asked.plant).labels
     groups = [("HAA", "HFE", "KFE").index(label.partition("_")[2]) for label in labels]
     x = np.log([709.0, 709.0, 709.0, 39.9, 41.4, 5.57])
-    members = {"output_delay": np.array([0.0005, 0.0012])}
-    term = simulated.term(asked, groups, members)
-    with jax.enable_x64(True):
-        slope = jax.jit(jax.jacfwd(term.objective), compiler_options=QUICKLY)(jnp.asarray(x))
-    expected = _differences(
-        simulated.term(asked, groups, members, differentiable=False).objective, x
-    )
-    np.testing.assert_allclose(slope, expected, rtol=1e-3)
+    members = {"output_delay": np.array([0.0012])}
+    term = simulated.term(asked, groups, members, effort_weight=1e-6)
+    found = value_and_gradient(term, x)
+    assert found.mode == "forward" and found.objective > found.tracking > 0.0
+    plain = simulated.term(asked, groups, members, effort_weight=1e-6, differentiable=False)
+    np.testing.assert_allclose(found.gradient, _differences(plain.objective, x), rtol=1e-3)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +74,7 @@ def monoped(tmp_path_factory):
     return replace(asked, axes=(), push=Push("trunk", (0.0, 0.0, -1.0), 0.002, 0.01), duration=0.04)
 
 
-def test_forwards_and_backwards_are_central_differences(monoped):
+def test_backwards_is_central_differences_too(monoped):
     x = np.log([300.0, 8.0])
     members = {
         "delay": np.array([0.001, 0.0034]),
@@ -87,13 +84,10 @@ def test_forwards_and_backwards_are_central_differences(monoped):
     }
     term = simulated.term(monoped, [0], members, effort_weight=1e-6)
     assert term.ticks >= 40 and term.ticks % term.chunk == 0
-    forwards = value_and_gradient(term, x)
-    assert forwards.mode == "forward" and forwards.objective > forwards.tracking > 0.0
-    with jax.enable_x64(True):
-        backwards = jax.jit(jax.grad(term.objective), compiler_options=QUICKLY)(jnp.asarray(x))
-    np.testing.assert_allclose(backwards, forwards.gradient, rtol=1e-8)
+    found = value_and_gradient(term, x, "reverse")
+    assert found.mode == "reverse" and found.objective > found.tracking > 0.0
     plain = simulated.term(monoped, [0], members, effort_weight=1e-6, differentiable=False)
-    np.testing.assert_allclose(forwards.gradient, _differences(plain.objective, x), rtol=1e-5)
+    np.testing.assert_allclose(found.gradient, _differences(plain.objective, x), rtol=1e-5)
 
 
 def test_the_mode_is_chosen_by_counting():

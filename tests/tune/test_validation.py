@@ -5,6 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 from robots import HOPPER, PENDULUM, QUADRUPED
 
 from jaxact.errors import UserError

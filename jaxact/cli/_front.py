@@ -1,0 +1,141 @@
+"""`jaxact tune --pareto`: the front as JSON, table, CSV and picture, of a joint or of a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxact.tune.robot_tuned import RobotTuned
+    from jaxact.tune.run import Tuned
+
+
+@dataclass(frozen=True)
+class Front:
+    """Points of a front, p of them, of g groups of joints that share their gains.
+
+    groups: their names; one without a name of a single joint
+    units: of kp, of kd and of the objective
+    objective: its name
+    peaks: largest Ms and Mt allowed [-], rising, shape (p,)
+    kp, kd: of the groups, shape (p, g)
+    values: of the objective, shape (p,)
+    certified: whether everything asked for holds, shape (p,)
+    verdicts: a sentence each
+    """
+
+    groups: tuple[str, ...]
+    units: tuple[str, str, str]
+    objective: str
+    peaks: np.ndarray
+    kp: np.ndarray
+    kd: np.ndarray
+    values: np.ndarray
+    certified: np.ndarray
+    verdicts: tuple[str, ...]
+
+    def __len__(self) -> int:
+        """Number of points."""
+        return len(self.peaks)
+
+    @property
+    def columns(self) -> list[tuple[str, np.ndarray]]:
+        """The gains by name, shape (p,) each: kp of all groups, then kd."""
+        return [
+            (f"{kind} {group}".strip(), gains)
+            for kind, rows in (("kp", self.kp), ("kd", self.kd))
+            for group, gains in zip(self.groups, rows.T, strict=True)
+        ]
+
+
+def of_joint(points: Sequence[Tuned], unit: str) -> Front:
+    """The front of a single joint, whose objective has that unit."""
+    kp, kd = (np.array([[getattr(p, name)] for p in points]) for name in ("kp", "kd"))
+    return _front(points, ("",), ("N/m", "N s/m", unit), kp, kd)
+
+
+def of_robot(points: Sequence[RobotTuned]) -> Front:
+    """The front of a robot."""
+    from jaxact.tune import robot_result
+
+    first = points[0]
+    joints = first.groups.first
+    kp, kd = (np.array([getattr(p, name)[joints] for p in points]) for name in ("kp", "kd"))
+    units = *robot_result.units(first), robot_result.objective_unit(first)
+    return _front(points, first.groups.names, units, kp, kd)
+
+
+def _front(
+    points: Sequence[Tuned] | Sequence[RobotTuned],
+    groups: tuple[str, ...],
+    units: tuple[str, str, str],
+    kp: np.ndarray,
+    kd: np.ndarray,
+) -> Front:
+    return Front(
+        groups, units, points[0].goal.objective, np.array([p.goal.max_peak for p in points]),
+        kp, kd, np.array([p.value for p in points]), np.array([p.certified for p in points]),
+        tuple(p.verdict for p in points),
+    )  # fmt: skip
+
+
+def report(front: Front) -> list[dict[str, Any]]:
+    """The points as plain values, for JSON."""
+    rows = []
+    for i in range(len(front)):
+        kp, kd = front.kp[i].tolist(), front.kd[i].tolist()
+        gains: dict[str, Any] = {"kp": kp[0], "kd": kd[0]}
+        if front.groups != ("",):
+            each = zip(front.groups, kp, kd, strict=True)
+            gains = {"groups": [{"name": name, "kp": p, "kd": d} for name, p, d in each]}
+        value = float(front.values[i])
+        rows.append(
+            {"max_peak": float(front.peaks[i]), **gains,
+             "objective": value if np.isfinite(value) else None,
+             "certified": bool(front.certified[i])}
+        )  # fmt: skip
+    return rows
+
+
+def table(front: Front) -> str:
+    """A line for each point."""
+    kp, kd, unit = front.units
+    of_columns = [f"{name} [{kp if name.startswith('kp') else kd}]" for name, _ in front.columns]
+    width = max(12, *map(len, of_columns))
+    head = f"{'max peak':>9} " + " ".join(f"{name:>{width}}" for name in of_columns)
+    rows = [f"{head} {'objective [' + unit + ']':>18}  certified"]
+    for i in range(len(front)):
+        gains = " ".join(f"{column[i]:{width}.6g}" for _, column in front.columns)
+        sure = "yes" if front.certified[i] else "no: " + front.verdicts[i]
+        rows.append(f"{front.peaks[i]:9.4f} {gains} {front.values[i]:18.6g}  {sure}")
+    return "\n".join(rows)
+
+
+def write(folder: Path, front: Front, marked: float) -> None:
+    """front.csv and front.png, into a folder that is there.
+
+    marked: the peak that was asked for
+    """
+    from jaxact.plot import look, tuning
+
+    names = [name.replace(" ", "_") for name, _ in front.columns]
+    rows = [",".join(["max_peak", *names, "objective", "certified"])]
+    for i in range(len(front)):
+        numbers = [front.peaks[i], *(column[i] for _, column in front.columns), front.values[i]]
+        cells = [repr(float(number)) for number in numbers]
+        rows.append(",".join([*cells, str(bool(front.certified[i])).lower()]))
+    (folder / "front.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    values = np.where(front.certified, front.values, np.nan)
+    known = np.isfinite(values)
+    inside = known.sum() > 1 and front.peaks[known][0] <= marked <= front.peaks[known][-1]
+    at = float(np.interp(marked, front.peaks[known], values[known])) if inside else None
+    figure = tuning.front(
+        front.peaks, values, np.where(known[:, None], front.kd, np.nan),
+        label=f"{front.objective} [{front.units[2]}]", kd_unit=front.units[1],
+        groups=front.groups, marked=None if at is None else (marked, at),
+    )  # fmt: skip
+    look.write(figure, folder / "front.png", title="jaxact tune: front")

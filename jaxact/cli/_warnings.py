@@ -1,0 +1,28 @@
+"""What a user should know of a result that is computed nevertheless: one line on standard error."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from jaxact.sweep.specification import Specification
+
+
+def warn(text: str) -> None:
+    """Print one line on standard error."""
+    print(f"jaxact: warning: {text}", file=sys.stderr)
+
+
+def overload(specification: Specification) -> None:
+    """Warn of a robot's posture that its joints are too weak to hold; nothing without a robot."""
+    if specification.plant is None:
+        return
+    from jaxact.sweep import robots
+
+    weak = robots.overloaded(robots.scene(specification.plant))
+    if weak:
+        warn(
+            f"{', '.join(weak)}: more than the model's joints can exert; linear figures are those "
+            "of joints that could, simulations saturate"
+        )

@@ -1,0 +1,167 @@
+"""Growth rates of a batch of samples, in float64 whatever the precision of the rollouts.
+
+Most maps are maps of gains. The command of a joint is one number, -(kp q + kd v), so that the
+propagation over a period is A + b (kp c + kd d)', and by the matrix determinant lemma
+
+    det(z - A - b (kp c + kd d)') = p(z) + kp r(z) + kd s(z):
+
+the characteristic polynomial is linear in the gains. Those at three pairs of gains, from the
+simulated loop itself, give those at all others, and only their roots are left to be found for every
+sample. Robots, long delay lines and sparse samples go through the loop sample by sample.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.growth import TooManyStatesError
+from jaxact.sweep import tiles
+from jaxact.sweep.plans import Plan
+from jaxact.sweep.samples import SAMPLE, Samples
+from jaxact.sweep.specification import Setting, Specification
+
+_GAINS = ("kp", "kd", "gain_scale")
+# Fewest samples for each set of the other parameters, and most of such sets.
+_FEWEST, _MOST = 16, 1024
+# Pairs of gains, as multiples of usual ones: three that span all others, and one more to check.
+_PAIRS = np.array([[1.0, 1.0], [0.5, 1.0], [1.0, 0.5], [0.7, 0.6]])
+_STRIDE = -0.5
+# How well the polynomial at the last pair must follow from the others, relative to its size.
+_AGREE = 1e-9
+
+
+@dataclass(frozen=True)
+class _Sets:
+    """The sets of parameters other than gains in a sweep, and their polynomials of degree n.
+
+    Attributes:
+        shape: of the sets: a size of 1 along the dimensions of the gains.
+        usual: gains (kp, kd) that `_PAIRS` are multiples of.
+        bases: of each set those that span it, shape (sets, 3, n).
+        linear: whether they do, shape (sets,).
+    """
+
+    shape: tuple[int, ...]
+    usual: tuple[float, float]
+    bases: np.ndarray
+    linear: np.ndarray
+
+
+def growth_batch(
+    plan: Plan, specification: Specification, samples: Samples, numbers: np.ndarray
+) -> np.ndarray:
+    """Growth rates of one batch of samples [1/s], shape (batch,), in float64."""
+    with jax.enable_x64(True):
+        sets = _sets(plan, specification, samples)
+        if sets is None:
+            return _each(plan, specification, samples, numbers)
+        rates, sound = _of_gains(plan, specification.setting, sets, samples, numbers)
+        if sound.all():
+            return rates
+        return np.where(sound, rates, _each(plan, specification, samples, numbers))
+
+
+def _each(
+    plan: Plan, specification: Specification, samples: Samples, numbers: np.ndarray
+) -> np.ndarray:
+    """Growth rates, every sample by itself."""
+    grow = tiles.compiled("growth_rate", plan.case, plan.devices, specification.setting, True)
+    inputs: list[Any] = [*tiles.tiled(plan, samples, numbers, np.float64)]
+    if plan.case.varied:
+        from jaxact.sweep import outside  # imports MuJoCo
+
+        moved = outside.moved(plan.case, specification.setting, samples.take(numbers))
+        assert moved is not None
+        rows = plan.devices * plan.tiles, plan.tile
+        inputs.append([jnp.asarray(part.reshape(*rows, *part.shape[1:])) for part in moved])
+    return np.asarray(grow(*inputs)).reshape(-1)
+
+
+def _sets(plan: Plan, specification: Specification, samples: Samples) -> _Sets | None:
+    """The sets of parameters whose gains alone differ; None where that is of no use."""
+    if specification.plant is not None or SAMPLE in samples.dims:
+        return None
+    others = {name: array for name, array in samples.along.items() if name not in _GAINS}
+    shape = np.broadcast_shapes(*(array.shape for array in others.values()))
+    number = int(np.prod(shape))
+    # Over several periods they are not linear in the gains.
+    short = plan.case.growth.block < 8
+    if number > _MOST or number * _FEWEST > len(samples) or not short:
+        return None
+    usual = _usual(samples, "kp"), _usual(samples, "kd")
+    rows = tuple((name, array.shape, array.tobytes()) for name, array in others.items())
+    table = _polynomials(replace(plan, rates=None), specification.setting, usual, shape, rows)
+    if table is None:
+        return None
+    bases = np.stack([table[:, 0], table[:, 1] - table[:, 0], table[:, 2] - table[:, 0]], axis=1)
+    kp, kd = (_PAIRS[-1] - 1.0) / _STRIDE
+    guess = bases[:, 0] + kp * bases[:, 1] + kd * bases[:, 2]
+    wrong = np.abs(guess - table[:, -1]).max(axis=1)
+    return _Sets(shape, usual, bases, wrong <= _AGREE * np.abs(table).max(axis=(1, 2)))
+
+
+def _usual(samples: Samples, name: str) -> float:
+    """A gain [N/m or N s/m] of the size that occurs in a sweep."""
+    sizes = np.abs(samples.along[name])
+    sizes = sizes[sizes > 0.0]
+    return float(np.exp(np.log(sizes).mean())) if sizes.size else 1.0
+
+
+@functools.lru_cache(maxsize=8)
+def _polynomials(
+    plan: Plan,
+    setting: Setting,
+    usual: tuple[float, float],
+    shape: tuple[int, ...],
+    others: tuple[tuple[str, tuple[int, ...], bytes], ...],
+) -> np.ndarray | None:
+    """Characteristic polynomials of every set with every pair of gains, shape (sets, pairs, n).
+
+    others: name, shape and values of the parameters; None is returned for loops of many states.
+    """
+    lead = (1,) * len(shape)
+    along = {name: np.frombuffer(values).reshape(*size, 1) for name, size, values in others}
+    kp, kd = (_PAIRS * usual).T.reshape(2, *lead, -1)
+    along |= {"kp": kp, "kd": kd, "gain_scale": np.ones((*lead, 1))}
+    samples = Samples(along, ("set",) * len(shape) + ("pair",), (*shape, len(_PAIRS)), {})
+    number = len(samples)
+    few = replace(plan, tiles=-(-number // (plan.tile * plan.devices)))
+    numbers = np.minimum(np.arange(few.batch), number - 1)
+    compute = tiles.compiled("polynomial", plan.case, plan.devices, setting, True)
+    try:
+        found = np.asarray(compute(*tiles.tiled(few, samples, numbers, np.float64)))
+    except TooManyStatesError:
+        return None
+    return found.reshape(few.batch, -1)[:number].reshape(-1, len(_PAIRS), found.shape[-1])
+
+
+def _of_gains(
+    plan: Plan, setting: Setting, sets: _Sets, samples: Samples, numbers: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Growth rates of samples, and whether their sets' polynomials are linear in the gains."""
+    places = np.unravel_index(numbers, samples.shape)
+
+    def at(name: str) -> np.ndarray:
+        array = samples.along[name]
+        return array[tuple(p * (n > 1) for p, n in zip(places, array.shape, strict=True))]
+
+    index, count = np.zeros(len(numbers), np.int32), 1
+    for place, size in zip(reversed(places), reversed(sets.shape), strict=True):
+        if size > 1:
+            index, count = index + count * place.astype(np.int32), count * size
+    rows = plan.devices * plan.tiles, plan.tile
+    scale = at("gain_scale")
+    own = {
+        name: jnp.asarray(((scale * at(name) / usual - 1.0) / _STRIDE).reshape(rows))
+        for name, usual in zip(("kp", "kd"), sets.usual, strict=True)
+    }
+    own["place"] = jnp.asarray(index.reshape(rows))
+    find = tiles.compiled("log_radius", plan.case, plan.devices, setting, True)
+    found = np.asarray(find({"bases": jnp.asarray(sets.bases)}, own)).reshape(-1)
+    return found * at("control_rate"), sets.linear[index]

@@ -1,0 +1,80 @@
+"""One stage of a kernel, compiled to run on tiles of samples on several devices."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+
+from jaxact.sweep import engines, kernel
+from jaxact.sweep.kernel import Case
+from jaxact.sweep.plans import Plan
+from jaxact.sweep.samples import Samples
+from jaxact.sweep.specification import Setting
+
+# So that there is always a parameter with an axis for the samples.
+NEVER_SHARED = "kp"
+
+
+@functools.cache
+def compiled(stage: str, case: Case, devices: int, setting: Setting, double: bool) -> Callable:
+    """The function that runs one batch: arrays of shape (devices * tiles, tile) in and out.
+
+    Its first argument are the parameters that all samples share, numbers of shape ().
+
+    Args:
+        stage: name of the function of `jaxact.sweep.kernel` to run on every sample.
+        case, devices, setting: static.
+        double: whether JAX computes in float64 at this moment; the model is loaded in it.
+    """
+    template = kernel.template_of(case, setting, stage)
+    one = functools.partial(getattr(kernel, stage), case, template)
+    mesh = Mesh(np.array(jax.local_devices()[:devices]), ("device",))
+    spec = PartitionSpec("device")
+
+    def tiles(shared, *inputs):
+        def sample(values, *others):
+            return one({**shared, **values}, *others)
+
+        return jax.lax.map(lambda tile: jax.vmap(sample)(*tile), inputs)
+
+    # In the same way on a single device, so that the same bits come out.
+    def sharded(shared, *inputs):
+        parted = jax.shard_map(
+            tiles,
+            mesh=mesh,
+            in_specs=(PartitionSpec(), *(spec for _ in inputs)),
+            out_specs=spec,
+            check_vma=False,
+        )
+        return parted(shared, *inputs)
+
+    return jax.jit(sharded)
+
+
+def tiled(
+    plan: Plan, samples: Samples, numbers: np.ndarray, dtype: type
+) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
+    """The parameters of a batch of samples.
+
+    Returns:
+        Those that all samples of the sweep share, of shape (), so that what follows from them is
+        computed once and need not be read for every loop; and the others, each of shape
+        (devices * tiles, tile).
+    """
+    shape = (plan.devices * plan.tiles, plan.tile)
+    shared = {
+        name: jnp.asarray(array.reshape(()), dtype)
+        for name, array in samples.along.items()
+        if array.size == 1 and name != NEVER_SHARED and not engines.old_jax()
+    }
+    own = {
+        name: jnp.asarray(value.reshape(shape).astype(dtype))
+        for name, value in samples.take(numbers).items()
+        if name not in shared
+    }
+    return shared, own
