@@ -14,7 +14,6 @@ takes the velocity when the force acts, not when it was commanded.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import jax
@@ -39,8 +38,6 @@ __all__ = [
     "actuate",
     "at_substep",
     "capture",
-    "essential",
-    "forget",
     "init",
     "options",
     "prepare",
@@ -398,39 +395,6 @@ def _limits(coefficients, options, applied, velocity):
         reach = actuator.force_rate_limit * coefficients.step
         low, high = (jnp.clip(bound, applied - reach, applied + reach) for bound in (low, high))
     return low, high
-
-
-def forget(coefficients: Coefficients, state: DriveState) -> DriveState:
-    """The state between two periods with zeros for what can have no effect any more.
-
-    A delay line may be far longer than this drive's delay. What lies beyond it is history, not
-    state; a measure of how a perturbation grows must not look at it.
-    """
-    commands = _delay.forget(state.commands, coefficients.command_at, pushed=True)
-    measurements = state.measurements
-    if measurements is not None:
-        where = coefficients.measurement_at
-        positions, velocities = measurements
-        measurements = (
-            _delay.forget(positions, where, pushed=False),
-            _delay.forget(velocities, where, pushed=False),
-        )
-    older = jnp.zeros_like(state.older)
-    return replace(state, commands=commands, measurements=measurements, older=older)
-
-
-def essential(state: DriveState) -> tuple[DriveState, Callable[[DriveState], DriveState]]:
-    """The state without what `forget` makes zero whatever the parameters are.
-
-    Returns:
-        The smaller state, and a function that puts the zeros back.
-    """
-    zero = jnp.zeros_like(state.older)
-    if isinstance(state.commands, _delay.Ring):
-        return replace(state, older=None), lambda kept: replace(kept, older=zero)
-    # The oldest command: no reading after the next push reaches it.
-    smaller = replace(state, older=None, commands=state.commands[:-1])
-    return smaller, lambda kept: replace(kept, older=zero, commands=(*kept.commands, zero))
 
 
 def capture(state: DriveState, position: jax.Array, velocity: jax.Array) -> DriveState:

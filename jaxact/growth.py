@@ -26,7 +26,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxact import characteristic as _characteristic
 from jaxact import delay as _delay
-from jaxact import drive as _drive
+from jaxact import drive_history as _history
 from jaxact import loop as _loop
 from jaxact.controller import Setpoint
 from jaxact.drive import DriveOptions
@@ -93,7 +93,7 @@ def split(state: LoopState) -> tuple[list[jax.Array], Callable[[list[jax.Array]]
 
 def _essential(state: LoopState) -> tuple[list[jax.Array], Callable[[list[jax.Array]], LoopState]]:
     """As `split`, without the numbers that are always zero between two periods."""
-    smaller, restored = _drive.essential(state.drive)
+    smaller, restored = _history.essential(state.drive)
     vector, merge = split(LoopState(state.plant, smaller))
 
     def whole(vector: list[jax.Array]) -> LoopState:
@@ -130,7 +130,7 @@ def propagation(
     def advance(vector: list[jax.Array]) -> list[jax.Array]:
         after, _ = jax.lax.scan(body, merge(vector), None, length=periods)
         after = aligned(after)
-        kept = _drive.forget(prepared.drive, after.drive)
+        kept = _history.forget(prepared.drive, after.drive)
         return _essential(LoopState(after.plant, kept))[0]
 
     return vector, jax.linearize(advance, vector)[1]

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from jaxact import drive as _drive
+from jaxact import drive_history as _history
 from jaxact import growth as _growth
 from jaxact import loop as _loop
 from jaxact.controller import Setpoint
@@ -97,7 +97,7 @@ def period_map(loop: Loop, options: DriveOptions) -> PeriodMap:
         before = merge(unravel(flat))
         after, (output, _) = _loop.step(prepared, smooth, before, Setpoint(rest, force=force))
         after = _growth.aligned(after)
-        after = LoopState(after.plant, _drive.forget(prepared.drive, after.drive))
+        after = LoopState(after.plant, _history.forget(prepared.drive, after.drive))
         seen = output.command, output.position_before, output.velocity_before
         return ravel_pytree(_growth.split(after)[0])[0], seen
 

@@ -32,6 +32,7 @@ LAYERS = (
     ("actuator", "sensor", "controller"),
     ("drive_options",),
     ("drive",),
+    ("drive_history",),
     ("plants",),
     ("linearize",),
     ANALYSIS,
@@ -53,6 +54,7 @@ SIMULATION = (
     "characteristic",
     "sweep",
     "drive",
+    "drive_history",
     "drive_options",
     "actuator",
 )

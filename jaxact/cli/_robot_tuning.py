@@ -179,9 +179,9 @@ def run(
         wish=Wish(options.tracking_weight, options.derivative),
     )  # fmt: skip
     points = robot_front.front(tuned, pareto, seed=seed) if pareto else []
-    front = _front.of_robot(points) if points else None
     held = _robot_report.validated(tuned, options.validate)
     document = _robot_report.report(tuned, held)
+    front = _front.of_robot(points) if points else None
     if pareto:
         document["pareto"] = [] if front is None else _front.report(front)
     if out is not None:
@@ -190,12 +190,20 @@ def run(
             _robot_report.write_folder(folder, tuned, held, command)
             if front is not None:
                 _front.write(folder, front, goal.max_peak)
-    print(_robot_report.as_json(document) if json else _robot_report.as_text(tuned, document))
-    if front is not None and not json:
-        print("\n" + _front.table(front))
-    if out is not None and not json:
-        print(f"wrote {out}")
-    stable, rollouts = (0, 0) if held is None else held.stable
+    if json:
+        print(_robot_report.as_json(document))
+    else:
+        print(_robot_report.as_text(tuned, document))
+        if front is not None:
+            print("\n" + _front.table(front))
+        if out is not None:
+            print(f"wrote {out}")
+    if held is not None:
+        _warn_of(*held.stable)
+
+
+def _warn_of(stable: int, rollouts: int) -> None:
+    """Say so where rollouts contradict the certificate."""
     if stable < rollouts:
         _warnings.warn(
             f"{rollouts - stable} of {rollouts} rollouts with these gains are not stable, whatever "
