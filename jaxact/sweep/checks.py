@@ -34,10 +34,15 @@ def check(specification: Specification) -> None:
 
 
 def physics_step(specification: Specification, control_rate: float) -> float:
-    """Step of the plant [s] of a loop with this control rate [Hz]."""
+    """Step of the plant [s] of a loop with this control rate [Hz].
+
+    Of a robot the longest one possible: its own is found when its model is read, see
+    `jaxact.sweep.plans.substeps`.
+    """
     if specification.physics_step is not None:
         return specification.physics_step
-    return 1.0 / control_rate if specification.engine == "mass" else MJX_STEP
+    whole = specification.engine == "mass" or specification.plant is not None
+    return 1.0 / control_rate if whole else MJX_STEP
 
 
 def _check_axes(specification: Specification, axes: dict[str, Axis]) -> None:

@@ -312,6 +312,14 @@ def test_a_sweep_that_goes_on_keeps_its_engine(folder, monkeypatch, tmp_path):
         assert settled(asked, place.at(tmp_path / "out"), overwriting).engine == "mjx"
 
 
+def test_any_control_rate_suits_a_robot_without_a_step_of_its_own(folder):
+    """The step is the longest that divides the period and is no longer than the model's 1 ms."""
+    asked = _parsed(folder, HOME, "control_rate = 333", duration=0.1)
+    assert [plan.case.drive.substeps for plan in plans.groups(asked, expand(asked))] == [4]
+    with pytest.raises(UserError, match="no multiple of the physics step 0.002 s"):
+        _parsed(folder, HOME, "control_rate = 333", duration=0.1, physics_step=0.002)
+
+
 def test_joints_that_are_too_weak_for_their_posture_are_named(folder):
     text = """<mujoco><worldbody><body><joint name="j" axis="0 1 0"/>
         <geom size="0.05" mass="2" pos="0.5 0 0"/></body></worldbody>
