@@ -16,7 +16,8 @@ from jaxact import growth, linearize, multiloop_disk, robot_loop
 from jaxact import loop as _loop
 from jaxact.actuator import Actuator
 from jaxact.controller import Controller, Setpoint
-from jaxact.drive import Drive, essential, options
+from jaxact.drive import Drive, options
+from jaxact.drive_history import essential
 from jaxact.loop import Loop
 from jaxact.plants import model, posture
 from jaxact.sampled import SampledLoop
