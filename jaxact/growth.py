@@ -8,14 +8,13 @@ propagation in that space gives
 
     growth rate = log(|largest eigenvalue|) / (periods in a block * T)
 
-Source: Arnoldi's method, Saad, "Numerical Methods for Large Eigenvalue Problems", 2nd ed., chapter
-6; the spectral radius of the small matrix as in `jaxact.characteristic`.
+The space is that of `jaxact.krylov`, the spectral radius of the small matrix as in
+`jaxact.characteristic`.
 """
 
 from __future__ import annotations
 
 import functools
-import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -27,6 +26,7 @@ from jax.flatten_util import ravel_pytree
 from jaxact import characteristic as _characteristic
 from jaxact import delay as _delay
 from jaxact import drive_history as _history
+from jaxact import krylov as _krylov
 from jaxact import loop as _loop
 from jaxact.controller import Setpoint
 from jaxact.drive import DriveOptions
@@ -179,115 +179,6 @@ def _perturbation(state: LoopState, prepared: Prepared) -> list[jax.Array]:
     return jax.jvp(displaced, (jnp.zeros((), dtype),), (jnp.ones((), dtype),))[1]
 
 
-def _dot(a: list[jax.Array], b: list[jax.Array]) -> jax.Array:
-    return sum((jnp.sum(x * y) for x, y in zip(a, b, strict=True)), start=jnp.zeros(()))
-
-
-def _scaled(vector: list[jax.Array], factor: jax.Array) -> list[jax.Array]:
-    return [factor * leaf for leaf in vector]
-
-
-def _inverse(size: jax.Array) -> jax.Array:
-    """1 / size, or 0 for nothing."""
-    return jnp.where(size > 0.0, 1.0 / jnp.where(size > 0.0, size, 1.0), 0.0)
-
-
-def _krylov(
-    apply: Callable, start: list[jax.Array], dimension: int, whole: bool, kept: Callable
-) -> list[list[jax.Array]]:
-    """Projection of a linear map on the Krylov space of `start`: rows of a Hessenberg matrix.
-
-    A space that is exhausted early leaves zero rows and columns, which add no eigenvalue but 0.
-    Of the `whole` space nothing may be missed, even if the start happens to be all but a mode.
-    What passes through `kept` is computed once, rather than wherever it is used.
-    """
-    # Below this share of an image, what is new in it is rounding, amplified by the delay lines.
-    exhausted = jnp.finfo(start[0].dtype).eps ** (0.6 if whole else 0.375)
-    first = _scaled(start, _inverse(jnp.sqrt(_dot(start, start))))
-    empty = [jnp.zeros_like(leaf) for leaf in start]
-
-    def column(known, carry, number):
-        newest, fresh = carry
-        image = kept(apply(newest))
-        size = jnp.sqrt(_dot(image, image))
-        entries = []
-        for vector in (*known, *fresh):
-            entry = kept(_dot(vector, image))
-            image = kept([x - entry * y for x, y in zip(image, vector, strict=True)])
-            entries.append(entry)
-        rest = jnp.sqrt(_dot(image, image))
-        rest = jnp.where(rest > exhausted * size, rest, 0.0)
-        newest = kept(_scaled(image, kept(_inverse(rest))))
-        fresh = [
-            jax.tree.map(functools.partial(jnp.where, number + 1 == place), newest, vector)
-            for place, vector in enumerate(fresh, len(known))
-        ]
-        return (newest, fresh), (entries, rest)
-
-    matrix = [[jnp.zeros(())] * dimension for _ in range(dimension)]
-    known, newest, middle = [first], first, dimension // 2
-    # In two loops, because vectors that are not there yet take as long as those that are.
-    for begin, end in ((0, middle), (middle, dimension)) if middle else ((0, dimension),):
-        carry = newest, [empty] * (end - len(known))
-        numbers = jnp.arange(begin, end)
-        (newest, fresh), columns = jax.lax.scan(functools.partial(column, known), carry, numbers)
-        known = [*known, *fresh, newest]
-        for place, number in enumerate(range(begin, end)):
-            entries, rest = jax.tree.map(operator.itemgetter(place), columns)
-            for row, entry in enumerate(entries):
-                matrix[row][number] = entry
-            if number + 1 < dimension:
-                matrix[number + 1][number] = rest
-    return matrix
-
-
-def _log_radius(matrix: jax.Array, squarings: int) -> jax.Array:
-    """Logarithm of the spectral radius of a matrix of many rows, by repeated squaring.
-
-        log rho = lim log(|A^(2k)| / |A^k|) / k
-
-    Source: Gelfand's formula. A polynomial of so high a degree would be too sensitive to rounding.
-    """
-
-    def advance(carry, _):
-        matrix, log_size, power, _ = carry
-        product = matrix @ matrix
-        size = jnp.linalg.norm(product)
-        growth = (log_size + jnp.log(size)) / power
-        return (_inverse(size) * product, 2.0 * log_size + jnp.log(size), 2.0 * power, growth), None
-
-    size = jnp.linalg.norm(matrix)
-    carry = (_inverse(size) * matrix, jnp.log(size), jnp.ones_like(size), size)
-    (_, _, _, growth), _ = jax.lax.scan(advance, carry, None, length=squarings)
-    return growth
-
-
-def _arnoldi(apply: Callable, start: jax.Array, dimension: int) -> jax.Array:
-    """As `_krylov` for a map of one flat vector; the small matrix as an array (dimension,) * 2."""
-    exhausted = jnp.finfo(start.dtype).eps ** 0.375
-    basis = jnp.zeros((dimension + 1, start.size), start.dtype)
-    basis = basis.at[0].set(start * _inverse(jnp.linalg.norm(start)))
-
-    def column(carry, number):
-        basis, matrix = carry
-        image = apply(basis[number])
-        size = jnp.linalg.norm(image)
-        entries = basis @ image
-        image = image - entries @ basis
-        # Once more, for what rounding has left of the earlier directions.
-        again = basis @ image
-        image, entries = image - again @ basis, entries + again
-        rest = jnp.linalg.norm(image)
-        rest = jnp.where(rest > exhausted * size, rest, 0.0)
-        basis = basis.at[number + 1].set(image * _inverse(rest))
-        matrix = matrix.at[:, number].set(entries).at[number + 1, number].set(rest)
-        return (basis, matrix), None
-
-    matrix = jnp.zeros((dimension + 1, dimension), start.dtype)
-    (_, matrix), _ = jax.lax.scan(column, (basis, matrix), jnp.arange(dimension))
-    return matrix[:-1]
-
-
 @dataclass(frozen=True)
 class _Space:
     """What a Krylov space is made of.
@@ -332,7 +223,7 @@ def _space(
     def settle(carry, _: None):
         vector, squares = carry
         image = apply(vector)
-        vector = _scaled(image, _inverse(jnp.sqrt(_dot(image, image))))
+        vector = _krylov.scaled(image, _krylov.inverse(jnp.sqrt(_krylov.dot(image, image))))
         return (vector, [x * x + y for x, y in zip(vector, squares, strict=True)]), None
 
     # Positions, velocities and forces have different units; their size along the way is the scale.
@@ -372,7 +263,7 @@ def polynomial(
     if not space.whole:
         raise TooManyStatesError(f"more than {measure.whole} states: their polynomial is not exact")
     kept = functools.partial(_loop.stage, options)
-    small = _krylov(space.apply, space.start, space.dimension, space.whole, kept)
+    small = _krylov.hessenberg(space.apply, space.start, space.dimension, space.whole, kept)
     return jnp.stack(_characteristic.polynomial(small, kept))
 
 
@@ -397,10 +288,12 @@ def growth_rate(
     """
     space = _space(prepared, options, state, setpoint, measure)
     if measure.stacked:
-        stacked = _arnoldi(lambda vector: space.apply([vector])[0], space.start[0], space.dimension)
-        log_radius = _log_radius(stacked, measure.squarings)
+        stacked = _krylov.arnoldi(
+            lambda vector: space.apply([vector])[0], space.start[0], space.dimension
+        )
+        log_radius = _krylov.log_radius(stacked, measure.squarings)
     else:
         kept = functools.partial(_loop.stage, options)
-        small = _krylov(space.apply, space.start, space.dimension, space.whole, kept)
+        small = _krylov.hessenberg(space.apply, space.start, space.dimension, space.whole, kept)
         log_radius = _characteristic.log_spectral_radius(small, measure.squarings, kept)
     return log_radius / (space.block * prepared.drive.drive.control_period)

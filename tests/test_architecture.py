@@ -28,7 +28,7 @@ ANALYSIS = (
 )  # fmt: skip
 LAYERS = (
     ("errors", "status"),
-    ("delay", "held", "characteristic", "packing"),
+    ("delay", "held", "characteristic", "krylov", "packing"),
     ("actuator", "sensor", "controller"),
     ("drive_options",),
     ("drive",),
@@ -52,6 +52,7 @@ SIMULATION = (
     "metrics",
     "growth",
     "characteristic",
+    "krylov",
     "sweep",
     "drive",
     "drive_history",

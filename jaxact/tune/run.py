@@ -168,6 +168,7 @@ def _rescued(cases: Sequence[Case], x: np.ndarray, bounds: np.ndarray) -> tuple[
     """The given starts, brought to where every member is stable."""
 
     def distance(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the worst member of every start: how far from its boundary, and the gradient."""
         found = joint.exact(cases, x)
         value = np.where(found.stable, np.abs(found.log["log_gain_to_boundary"]),
                          found.log["log_gain_to_boundary"])  # fmt: skip

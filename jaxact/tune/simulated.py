@@ -150,6 +150,7 @@ def _costs(
     parts = jax.tree.map(lambda row: row.reshape((chunks, chunk, *row.shape[1:])), wanted)
 
     def advance(state, inputs):
+        """One control period."""
         number, given = inputs
         own = jax.random.fold_in(key, number)
         state, running, _ = rollout.run(

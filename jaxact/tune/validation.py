@@ -311,6 +311,7 @@ def _compiled(case: kernel.Case, setting: Setting, double: bool) -> Callable:
     template = kernel.template_of(case, setting, "metrics")
 
     def one(values, growth_rate, seed, number):
+        """Metrics, largest distances and final configuration of one sample."""
         key = jax.random.fold_in(jax.random.key(seed), number)
         prepared, state, setpoint = kernel.start(case, template, values)
         start, _ = prepared.plant.measure(state.plant)
