@@ -15,6 +15,8 @@ progress", SIAM Review 39 (1997), for Graeffe's iteration and the bound.
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -23,6 +25,8 @@ import jax.numpy as jnp
 
 Values = TypeVar("Values")
 Kept = Callable[[Values], Values]
+# Without it a compiler computes each stage anew for every result of the next one.
+_barrier = jax.lax.optimization_barrier
 
 
 def _same(values: Values) -> Values:
@@ -74,54 +78,81 @@ def _squared(coefficients: list[jax.Array]) -> list[jax.Array]:
     return squared
 
 
+def _exponent(value: jax.Array) -> jax.Array:
+    """The smallest power of two above a number's size, as a float; -inf for 0 and subnormals."""
+    kind = jnp.finfo(value.dtype)
+    whole = jnp.uint32 if kind.bits == 32 else jnp.uint64
+    bits = jax.lax.bitcast_convert_type(jnp.abs(value), whole) >> whole(kind.nmant)
+    raised = bits.astype(jnp.int32)
+    exponent = (raised + (2 - int(kind.maxexp))).astype(value.dtype)
+    return jnp.where(raised > 0, exponent, -jnp.inf)
+
+
+def _power_of_two(exponent: jax.Array) -> jax.Array:
+    """2^exponent, of a whole number as a float; the nearest there is where it is beyond range."""
+    kind = jnp.finfo(exponent.dtype)
+    whole = jnp.uint32 if kind.bits == 32 else jnp.uint64
+    within = jnp.clip(exponent, int(kind.minexp), int(kind.maxexp) - 1)
+    raised = within.astype(jnp.int32) + (int(kind.maxexp) - 1)
+    return jax.lax.bitcast_convert_type(raised.astype(whole) << whole(kind.nmant), exponent.dtype)
+
+
 def _scaled(coefficients: list[jax.Array]) -> tuple[list[jax.Array], jax.Array]:
-    """The polynomial with its roots divided by a bound of them, and the logarithm of the bound."""
-    logs = [jnp.log(jnp.abs(c)) / (k + 1) for k, c in enumerate(coefficients)]
-    bound = logs[0]
-    for log in logs[1:]:
-        bound = jnp.maximum(bound, log)
+    """The polynomial with its roots divided by a power of two, and the power's exponent.
+
+    All roots are within 2 then. Powers of two round nothing, and ask for no logarithm.
+    """
+    exponent = _exponent(coefficients[0])
+    for degree, coefficient in enumerate(coefficients[1:], start=2):
+        exponent = jnp.maximum(exponent, _exponent(coefficient) * (1.0 / degree))
     # A polynomial without roots but 0 stays as it is.
-    factor = jnp.exp(-jnp.where(jnp.isneginf(bound), 0.0, bound))
+    exponent = _barrier(jnp.where(jnp.isneginf(exponent), 0.0, jnp.ceil(exponent)))
+    factor = _barrier(_power_of_two(-exponent))
     # A power that would overflow belongs to a coefficient of roots far below the largest one.
     largest = jnp.finfo(factor.dtype).max
     scaled, power = [], factor
     for coefficient in coefficients:
         scaled.append(coefficient * power)
         power = jnp.minimum(power * factor, largest)
-    return scaled, bound
+    return _barrier(scaled), exponent
 
 
-def log_largest_root(
-    coefficients: list[jax.Array], squarings: int, kept: Kept = _same
-) -> jax.Array:
+def log_largest_root(coefficients: list[jax.Array], squarings: int) -> jax.Array:
     """Logarithm of the largest modulus of the roots of a polynomial.
 
     Args:
         coefficients: c_1 ... c_n of x^n + c_1 x^(n-1) + ... + c_n, each of shape ().
         squarings: static; the error is at most log(n) / 2^squarings.
-        kept: static; applied to the results of each stage, see `log_spectral_radius`.
 
     Returns:
         shape (); -inf where every root is 0, NaN where a coefficient is.
     """
-    # Scaled roots are within 2, so that their product after this many squarings is no overflow.
-    exponent = int(jnp.finfo(coefficients[0].dtype).maxexp)
-    together = max(1, (exponent // (len(coefficients) + 2)).bit_length() - 1)
+    # The largest scaled root is between 1 / 2n and 2: the product of n like it must stay in range.
+    degree = len(coefficients)
+    longest = int(jnp.finfo(coefficients[0].dtype).maxexp) / (
+        degree * math.log2(2.0 * degree) + 2.0
+    )
+    most = max(1, math.floor(math.log2(max(longest, 1.0))))
+    rounds = max(1, -(-squarings // most))
+    together = -(-squarings // rounds)
 
     def square(coefficients, _):
-        return kept(_squared(coefficients)), None
+        return _barrier(_squared(coefficients)), None
 
     def advance(carry, _):
         coefficients, total, weight = carry
-        coefficients, _ = jax.lax.scan(square, coefficients, None, length=together)
-        weight = weight / 2.0**together
-        coefficients, bound = _scaled(coefficients)
-        return (coefficients, total + weight * bound, weight), None
+        coefficients, exponent = _scaled(coefficients)
+        coefficients, _ = jax.lax.scan(square, coefficients, None, length=together, unroll=True)
+        return (coefficients, total + weight * exponent, weight / 2.0**together), None
 
-    scaled, bound = _scaled(coefficients)
-    carry = scaled, bound, jnp.ones_like(bound)
-    (_, total, _), _ = jax.lax.scan(advance, carry, None, length=-(-squarings // together))
-    return total
+    zero = jnp.zeros_like(coefficients[0])
+    carry = coefficients, zero, zero + 1.0
+    (last, total, weight), _ = jax.lax.scan(advance, carry, None, length=rounds)
+    last, exponent = _scaled(last)
+    # Within a method's error of log(n) single precision is plenty, and far cheaper.
+    logs = [jnp.log(jnp.abs(c).astype(jnp.float32)) / k for k, c in enumerate(last, start=1)]
+    bound = functools.reduce(jnp.maximum, logs).astype(total.dtype)
+    return math.log(2.0) * (total + weight * exponent) + weight * bound
 
 
 def log_spectral_radius(
@@ -135,4 +166,4 @@ def log_spectral_radius(
         kept: static; applied to the results of each stage. An optimisation barrier here keeps a
             compiler from computing them wherever they are used.
     """
-    return log_largest_root(polynomial(matrix, kept), squarings, kept)
+    return log_largest_root(polynomial(matrix, kept), squarings)

@@ -198,6 +198,11 @@ class _Space:
     block: int
 
 
+def _short(measure: GrowthOptions) -> int:
+    """Control periods of a block where the whole state is looked at."""
+    return max(1, measure.block // 4)
+
+
 def _space(
     prepared: Prepared,
     options: DriveOptions,
@@ -209,7 +214,7 @@ def _space(
     tangent = _perturbation(aligned(state), prepared)
     rank = sum(leaf.size for leaf in tangent)
     whole = rank <= measure.whole
-    block = max(1, measure.block // 4) if whole else measure.block
+    block = _short(measure) if whole else measure.block
     blocks = measure.settle // 16 if whole else measure.settle
     periods = 1 if measure.dense else block
     start, apply = propagation(prepared, options, state, setpoint, periods)
@@ -241,30 +246,31 @@ def _space(
     return _Space(scaled_apply, unit, rank if whole else min(measure.dimension, rank), whole, block)
 
 
-def polynomial(
+def transition(
     prepared: Prepared,
     options: DriveOptions,
     state: LoopState,
     setpoint: Setpoint,
     measure: GrowthOptions = GrowthOptions(),
 ) -> jax.Array:
-    """The characteristic polynomial of a loop with few states over a block of periods.
+    """What a block of periods does to a perturbation of a loop with few states, as a matrix.
 
     Args:
         prepared, options, state, setpoint, measure: as for `growth_rate`.
 
     Returns:
-        c_1 ... c_n of x^n + c_1 x^(n-1) + ... + c_n, shape (n,).
+        shape (n, n); it maps the real leaves of the state, without those that are always zero.
 
     Raises:
         TooManyStatesError: the loop has more than `measure.whole`.
     """
-    space = _space(prepared, options, state, setpoint, measure)
-    if not space.whole:
-        raise TooManyStatesError(f"more than {measure.whole} states: their polynomial is not exact")
-    kept = functools.partial(_loop.stage, options)
-    small = _krylov.hessenberg(space.apply, space.start, space.dimension, space.whole, kept)
-    return jnp.stack(_characteristic.polynomial(small, kept))
+    rank = sum(leaf.size for leaf in _essential(aligned(state))[0])
+    if rank > measure.whole:
+        raise TooManyStatesError(f"{rank} states; at most {measure.whole} can be written out")
+    vector, apply = propagation(prepared, options, state, setpoint, _short(measure))
+    flat, unravel = ravel_pytree(vector)
+    units = jnp.eye(flat.size, dtype=flat.dtype)
+    return jax.vmap(lambda unit: ravel_pytree(apply(unravel(unit)))[0], out_axes=1)(units)
 
 
 def growth_rate(

@@ -23,11 +23,13 @@ def test_polynomial(size):
     np.testing.assert_allclose(np.asarray(got), want, rtol=1e-9, atol=1e-9)
 
 
-# A double root is only as sharp as the square root of rounding.
-@pytest.mark.parametrize(("double", "tolerance"), [(True, 6e-6), (False, 5e-4)])
-def test_log_spectral_radius_of_awkward_matrices(double, tolerance):
+# Within log(4) / 2^18; and m roots of one modulus are only as sharp as the m-th root of rounding.
+@pytest.mark.parametrize(
+    ("double", "tolerance", "thrice"), [(True, 6e-6, 6e-6), (False, 5e-4, 4e-3)]
+)
+def test_log_spectral_radius_of_awkward_matrices(double, tolerance, thrice):
     rng = np.random.default_rng(0)
-    matrices = [scipy.linalg.hessenberg(rng.normal(size=(4, 4))) for _ in range(20)]
+    matrices = [scipy.linalg.hessenberg(rng.normal(size=(4, 4))) for _ in range(500)]
     matrices += [1e-9 * matrices[0], 1e9 * matrices[1]]
     matrices.append(np.array([[1.0, 1.0, 0, 0], [0, 1.0, 0, 0], [0, 0, 0.5, 9.0], [0, 0, 0, 0.1]]))
     matrices.append(np.diag([0.9, -0.9, 0.9, 1e-9]))
@@ -35,7 +37,8 @@ def test_log_spectral_radius_of_awkward_matrices(double, tolerance):
     with jax.enable_x64(double):
         radius = jax.jit(jax.vmap(lambda m: characteristic.log_spectral_radius(_rows(m), 18)))
         got = np.asarray(radius(jnp.asarray(np.stack(matrices))))
-        np.testing.assert_allclose(got, want, rtol=tolerance, atol=tolerance)
+        np.testing.assert_allclose(got[:-1], want[:-1], rtol=tolerance, atol=tolerance)
+        np.testing.assert_allclose(got[-1], want[-1], atol=thrice)
         nothing = radius(jnp.zeros((1, 4, 4)).at[0, 0, 1].set(1.0))
         assert np.isneginf(nothing[0])
 

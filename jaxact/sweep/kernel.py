@@ -5,7 +5,6 @@ The flat names of `jaxact.sweep.parameters` become a closed loop here and nowher
 
 from __future__ import annotations
 
-import functools
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -234,23 +233,24 @@ def growth_rate(
     return _growth.growth_rate(prepared, case.drive, state, Setpoint(rest), case.growth)
 
 
-def polynomial(case: Case, template: Template, values: Values) -> jax.Array:
-    """Characteristic polynomial of one sample over `block`, see `jaxact.growth.polynomial`."""
+def transition(case: Case, template: Template, values: Values) -> jax.Array:
+    """What a block of periods does to one sample's perturbation, see `jaxact.growth.transition`."""
     case = replace(case, drive=case.drive.linearised())
     prepared, state, setpoint = start(case, template, values)
-    return _growth.polynomial(prepared, case.drive, state, setpoint, case.growth)
+    return _growth.transition(prepared, case.drive, state, setpoint, case.growth)
 
 
 def log_radius(case: Case, template: Template, values: Values) -> jax.Array:
     """Logarithm of the spectral radius of one sample, from polynomials that span those of its set.
 
-    `bases` holds those of all sets, shape (sets, 3, n), `place` the number of the sample's, and
-    `kp` and `kd` the shares of the second and third.
+    `bases` holds those of all sets, shape (sets, 3, n), and `place` the number of the sample's, or
+    `bases` those of the only one, shape (3, n); `kp` and `kd` are the second's and third's shares.
     """
-    bases = values["bases"][values["place"]]
+    bases = values["bases"]
+    if bases.ndim > 2:
+        bases = bases[values["place"]]
     mixed = bases[0] + values["kp"] * bases[1] + values["kd"] * bases[2]
-    kept = functools.partial(_loop.stage, case.drive)
-    return _characteristic.log_largest_root([*mixed], case.growth.squarings, kept)
+    return _characteristic.log_largest_root([*mixed], case.growth.squarings)
 
 
 def linear_loop(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,18 +60,23 @@ class Samples:
             for name, array in self.along.items()
         }
 
-    def take(self, numbers: np.ndarray) -> dict[str, np.ndarray]:
-        """Every parameter of some loops, each of the shape of `numbers`.
+    def take(
+        self, numbers: np.ndarray, names: Iterable[str] | None = None
+    ) -> dict[str, np.ndarray]:
+        """Parameters of some loops by their short names, each of the shape of `numbers`.
 
         numbers: of the loops, integers from 0 to n - 1
+        names: of the parameters; None: all
         """
         places = np.unravel_index(numbers, self.shape)
-        return {
-            name: np.broadcast_to(array.reshape(()), np.shape(numbers))
-            if array.size == 1
-            else np.broadcast_to(array, self.shape)[places]
-            for name, array in self.along.items()
-        }
+
+        def at(array: np.ndarray) -> np.ndarray:
+            varied = tuple(p for p, size in zip(places, array.shape, strict=True) if size > 1)
+            flat = array.reshape([size for size in array.shape if size > 1])
+            return flat[varied] if varied else np.broadcast_to(flat, np.shape(numbers))
+
+        names = self.along if names is None else names
+        return {name: at(self.along[name]) for name in names}
 
     def __len__(self) -> int:
         """Number of loops."""

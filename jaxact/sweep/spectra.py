@@ -133,35 +133,45 @@ def _polynomials(
     number = len(samples)
     few = replace(plan, tiles=-(-number // (plan.tile * plan.devices)))
     numbers = np.minimum(np.arange(few.batch), number - 1)
-    compute = tiles.compiled("polynomial", plan.case, plan.devices, setting, True)
+    compute = tiles.compiled("transition", plan.case, plan.devices, setting, True)
     try:
         found = np.asarray(compute(*tiles.tiled(few, samples, numbers, np.float64)))
     except TooManyStatesError:
         return None
-    return found.reshape(few.batch, -1)[:number].reshape(-1, len(_PAIRS), found.shape[-1])
+    found = found.reshape(few.batch, *found.shape[2:])[:number]
+    return _characteristic(found).reshape(-1, len(_PAIRS), found.shape[-1])
+
+
+def _characteristic(matrices: np.ndarray) -> np.ndarray:
+    """Coefficients c_1 ... c_n of x^n + c_1 x^(n-1) + ... + c_n, shape (..., n).
+
+    From the eigenvalues, which LAPACK finds after balancing the matrix: its rows have units.
+    """
+    sound = np.isfinite(matrices).all(axis=(-2, -1), keepdims=True)
+    roots = np.linalg.eigvals(np.where(sound, matrices, 0.0))
+    grown = np.zeros((*roots.shape[:-1], roots.shape[-1] + 1), complex)
+    grown[..., 0] = 1.0
+    for place in range(roots.shape[-1]):
+        grown[..., 1:] -= roots[..., place, None] * grown[..., :-1]
+    return np.where(sound[..., 0], grown[..., 1:].real, np.nan)
 
 
 def _of_gains(
     plan: Plan, setting: Setting, sets: _Sets, samples: Samples, numbers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Growth rates of samples, and whether their sets' polynomials are linear in the gains."""
-    places = np.unravel_index(numbers, samples.shape)
-
-    def at(name: str) -> np.ndarray:
-        array = samples.along[name]
-        return array[tuple(p * (n > 1) for p, n in zip(places, array.shape, strict=True))]
-
-    index, count = np.zeros(len(numbers), np.int32), 1
-    for place, size in zip(reversed(places), reversed(sets.shape), strict=True):
-        if size > 1:
-            index, count = index + count * place.astype(np.int32), count * size
+    places = np.arange(sets.linear.size).reshape(sets.shape)
+    along = {name: samples.along[name] for name in (*_GAINS, "control_rate")}
+    values = replace(samples, along=along | {"place": places}).take(numbers)
     rows = plan.devices * plan.tiles, plan.tile
-    scale = at("gain_scale")
     own = {
-        name: jnp.asarray(((scale * at(name) / usual - 1.0) / _STRIDE).reshape(rows))
+        name: ((values["gain_scale"] * values[name] / usual - 1.0) / _STRIDE).reshape(rows)
         for name, usual in zip(("kp", "kd"), sets.usual, strict=True)
     }
-    own["place"] = jnp.asarray(index.reshape(rows))
+    shared = {"bases": sets.bases[0]}
+    if len(sets.bases) > 1:
+        shared = {"bases": sets.bases}
+        own["place"] = values["place"].reshape(rows).astype(np.int32)
     find = tiles.compiled("log_radius", plan.case, plan.devices, setting, True)
-    found = np.asarray(find({"bases": jnp.asarray(sets.bases)}, own)).reshape(-1)
-    return found * at("control_rate"), sets.linear[index]
+    found = np.asarray(find(shared, own)).reshape(-1)
+    return found * values["control_rate"], sets.linear[values["place"]]
