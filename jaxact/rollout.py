@@ -25,6 +25,9 @@ from jaxact.loop import Loop, LoopState, Prepared
 from jaxact.metrics import SEGMENTS, Metrics, Period
 from jaxact.sensor import Draws
 
+# Iterations of the compiled loop between two looks at whether to stop, at least.
+_STRETCH = 16
+
 
 @dataclass(frozen=True)
 class RolloutOptions:
@@ -34,11 +37,14 @@ class RolloutOptions:
         ticks: control periods; a multiple of `jaxact.metrics.SEGMENTS`.
         unroll: largest number of control periods in one iteration of the compiled loop.
         linear_plant: whether the plant is linear, so that a linear drive makes a linear loop.
+        stops: end early where no loop of a batch has finite figures any more. It changes no result,
+            and leaves no derivative in reverse.
     """
 
     ticks: int
     unroll: int = 1
     linear_plant: bool = True
+    stops: bool = False
 
 
 @dataclass(frozen=True)
@@ -93,6 +99,49 @@ def _together(length: int, most: int) -> int:
     return next(count for count in range(most, 0, -1) if length % count == 0)
 
 
+def _stretch(length: int, together: int) -> int:
+    """Ticks after which a rollout looks whether to stop: enough that looking costs nothing."""
+    iterations = length // together
+    fewest = min(iterations, _STRETCH)
+    return together * next(n for n in range(fewest, iterations + 1) if iterations % n == 0)
+
+
+@jax.custom_batching.custom_vmap
+def _anywhere(flags: jax.Array) -> jax.Array:
+    """Whether a flag is set in any loop of a batch: the same for all of them, shape ()."""
+    return jnp.any(flags)
+
+
+@_anywhere.def_vmap
+def _anywhere_in_batch(size: int, batched: list[bool], flags: jax.Array) -> tuple[jax.Array, bool]:
+    del size, batched
+    return _anywhere(jnp.any(flags, axis=0)), False
+
+
+def _parted(rows: Any, count: int) -> Any:
+    """The first axis of every leaf cut into so many equal parts."""
+    return jax.tree.map(lambda row: row.reshape((count, -1, *row.shape[1:])), rows)
+
+
+def _until_lost(stretch: Callable, carry: Any, inputs: Any) -> tuple[Any, None]:
+    """As `jax.lax.scan` of a stretch, which ends once no loop of the batch has figures to find.
+
+    A sum that is not finite never is again, and none of the figures that are drawn from it.
+    """
+    count = jax.tree.leaves(inputs)[0].shape[0]
+
+    def going(at):
+        place, (_, running, _) = at
+        return (place < count) & _anywhere(jnp.isfinite(running.squared_error))
+
+    def go(at):
+        place, carry = at
+        carry, _ = stretch(carry, jax.tree.map(lambda rows: rows[place], inputs))
+        return place + 1, carry
+
+    return jax.lax.while_loop(going, go, (jnp.int32(0), carry))[1], None
+
+
 def run(
     prepared: Prepared,
     options: DriveOptions,
@@ -131,6 +180,7 @@ def run(
     length = rollout.ticks // SEGMENTS
 
     together = _together(length, rollout.unroll)
+    span = _stretch(length, together) if rollout.stops else length
 
     def tick(state, inputs):
         number, draws, given = inputs
@@ -150,21 +200,25 @@ def run(
         running = _metrics.update(running, periods)
         return (state, running, _metrics.update_envelope(envelope, periods)), None
 
+    def stretch(carry, inputs):
+        """A number of ticks; `inputs` are those of the first one and the setpoints of all."""
+        first, given = inputs
+        numbers = first + jnp.arange(span, dtype=jnp.int32)
+        inputs = numbers, _draws(options, key, numbers, start), given
+        return jax.lax.scan(ticks, carry, _parted(inputs, span // together))[0], None
+
     def segment(carry, inputs):
         first, given = inputs
         state, running = carry
         inner = state, running, _metrics.init_envelope(start)
-        numbers = first + jnp.arange(length, dtype=jnp.int32)
-        inputs = numbers, _draws(options, key, numbers, start), given
-        inputs = jax.tree.map(
-            lambda row: row.reshape((length // together, together, *row.shape[1:])), inputs
-        )
-        (state, running, envelope), _ = jax.lax.scan(ticks, inner, inputs)
+        firsts = first + span * jnp.arange(length // span, dtype=jnp.int32)
+        over = _until_lost if rollout.stops else jax.lax.scan
+        (state, running, envelope), _ = over(stretch, inner, (firsts, _parted(given, len(firsts))))
         return (state, running), envelope
 
     carry = state, _metrics.init(start)
     firsts = length * jnp.arange(SEGMENTS, dtype=jnp.int32)
-    parts = jax.tree.map(lambda row: row.reshape((SEGMENTS, length, *row.shape[1:])), setpoints)
+    parts = _parted(setpoints, SEGMENTS)
     (state, running), envelopes = jax.lax.scan(segment, carry, (firsts, parts))
     return state, running, envelopes
 

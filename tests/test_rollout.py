@@ -1,5 +1,8 @@
 """Rollouts: derivatives, metrics against independent ones, and Python transformations."""
 
+import functools
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -187,6 +190,33 @@ def test_a_diverged_lane_does_not_touch_its_neighbours():
         if name != "growth_rate":
             a, b = np.asarray(getattr(calm, name)), np.asarray(getattr(wild, name))
             np.testing.assert_array_equal(a[[0, 3]], b[[0, 3]], err_msg=name)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_what_ends_early_gives_the_same_figures(noise):
+    """A batch ends once its last loop is lost, and not before."""
+    stiffness, ticks = np.geomspace(1e3, 1e8, 16, dtype=np.float32), 2000
+    drive = replace(_delayed("command", 2e-3), sensor=Sensor(position_noise=noise))
+    options = drives.options(drive)
+
+    def one(kp, key, stops):
+        own = replace(drive, controller=Controller(kp, 10.0))
+        prepared = loop.prepare(Loop(Mass(0.7), own), options)
+        state = loop.init(prepared, options, 0.0, 0.0)
+        inputs = prepared, options, RolloutOptions(ticks, 4, stops=stops), state, Setpoint(0.1), key
+        return rollout.run(*inputs)[2].lowest, rollout.evaluate(*inputs, growth_rate=kp)
+
+    @functools.partial(jax.jit, static_argnums=1)
+    def batch(kp, stops):
+        keys = jax.random.split(jax.random.key(0), len(kp))
+        return jax.vmap(lambda *each: one(*each, stops))(kp, keys)
+
+    lost = np.isnan(batch(stiffness, False)[1].peak_force)
+    assert lost[-8:].all() and not lost[0]
+    for chosen, early in ((stiffness, False), (stiffness[-8:], True)):
+        whole, ended = batch(chosen, False), batch(chosen, True)
+        jax.tree.map(np.testing.assert_array_equal, whole[1], ended[1])
+        assert np.isposinf(ended[0][:, -1]).all() == early
 
 
 def test_ticks_are_whole_segments():

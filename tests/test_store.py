@@ -90,6 +90,15 @@ def test_attributes_are_enough_to_run_it_again(results):
     assert {"device", "command", "created", "title"} <= set(results.attrs)
 
 
+def test_a_title_names_the_robot_where_nobody_described_the_sweep(tmp_path):
+    (tmp_path / "arm.xml").write_text("<mujoco/>")
+    plant = '[plant]\nmodel = "arm.xml"\nkeyframe = "home"\n[axes]\nkp = [1]'
+    named = store.provenance(reading.parse(plant, tmp_path), "cpu")["title"]
+    assert named == "sweep of arm.xml, keyframe home"
+    joint = reading.parse("[axes]\nkp = [1]")
+    assert store.provenance(joint, "cpu")["title"] == "sweep of a joint's closed loop"
+
+
 def test_nominal_and_parameters_are_read_back(results):
     assert store.nominal(results)["kp"] == 300.0 and store.nominal(results)["wn"] == math.inf
     assert store.parameter(results, "kp") == 300.0

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -89,23 +90,28 @@ def fill(
     tile = int(str(wanted["tile"]))
     specification = dataclasses.replace(specification, tile=tile)
     store = Store(target, layout, specification.precision, tile)
-    description = _store.skeleton(
-        specification, samples, layout, _store.as_json(wanted), attributes | {"complete": False}
-    )
+
+    @functools.cache
+    def description() -> dict[str, bytes]:
+        """All files but the results, once they are needed: what makes them is slow to import."""
+        unfinished = attributes | {"complete": False}
+        return _store.skeleton(specification, samples, layout, _store.as_json(wanted), unfinished)
+
     numbers = list(range(len(layout)))
     if old is not None:
         target.clean()
         numbers = [n for n in numbers if store.look(n).state is not State.DONE]
-        if numbers or not _whole(target, description):
-            progress.repair(target, description)
+        if numbers or not _whole(target, description()):
+            progress.repair(target, description())
     done = len(samples) - sum(layout.span(n)[1] for n in numbers)
     moved(done, len(samples))
 
     def begin() -> None:
         """Make the store, in place of an old one, as soon as there is something to put in it."""
         if old is None:
+            files = description()
             target.remove()
-            progress.repair(target, description)
+            progress.repair(target, files)
 
     together = layout.loops if outline is None else planned.loops
     work = Work(specification, samples, outline or samples, together, store)
@@ -161,20 +167,25 @@ def here(
     work, numbers, begin: see `Workers`
     keep: told the plan and its rate [physics steps per second on one device] in the end
     """
-    compute = Computer(work)
-    begun, spent, loops = False, 0.0, 0
+    spent, loops, last = 0.0, 0, None
     waiting: deque[tuple[int, Future[None]]] = deque()
-    with ThreadPoolExecutor(1) as writer:
-        for number in numbers:
+
+    def write(number: int, results: dict[str, np.ndarray], tile: int, *, first: bool) -> None:
+        if first:
+            begin()
+        work.store.write(number, results, tile)
+
+    with ThreadPoolExecutor(1) as writer, ThreadPoolExecutor(1) as helper:
+        compute = Computer(work, helper)
+        for number, following in _in_pairs(numbers):
             started = time.perf_counter()
-            results, tile = compute(number)
+            results, tile = compute(number, following)
             # the first chunk is compiled for
-            spent += (time.perf_counter() - started) * begun
-            loops += work.store.layout.span(number)[1] * begun
-            if not begun:
-                begin()
-                begun = True
-            waiting.append((number, writer.submit(work.store.write, number, results, tile)))
+            spent += (time.perf_counter() - started) * (last is not None)
+            loops += work.store.layout.span(number)[1] * (last is not None)
+            task = writer.submit(write, number, results, tile, first=last is None)
+            waiting.append((number, task))
+            last = number
             while len(waiting) > _WAITING:
                 yield _written(*waiting.popleft())
         while waiting:
@@ -184,22 +195,42 @@ def here(
         keep(plan, asked, loops * plan.steps / (spent * plan.devices))
 
 
+def _in_pairs(numbers: Iterable[int]) -> Iterator[tuple[int, int | None]]:
+    """Each number with the one that follows it."""
+    ahead = iter(numbers)
+    number = next(ahead, None)
+    while number is not None:
+        following = next(ahead, None)
+        yield number, following
+        number = following
+
+
 def _written(number: int, future: Future[None]) -> int:
     future.result()
     return number
 
 
 class Computer:
-    """Computes chunks; once a device runs out of memory, in tiles of half the size."""
+    """Computes chunks; once a device runs out of memory, in tiles of half the size.
 
-    def __init__(self, work: Work) -> None:
+    While one is simulated, `helper` prepares the growth rates of the next, so that the devices need
+    not wait for what is done outside them; nobody does where it is None.
+    """
+
+    def __init__(self, work: Work, helper: Executor | None = None) -> None:
+        from jaxact.sweep import engines
+
         self._work = work
+        # For the built-in plants, of which a second of work is a million loops.
+        small = work.specification.plant is None and not engines.old_jax()
+        self._helper = helper if small else None
         self._plan(work.store.tile)
 
     def _plan(self, tile: int) -> None:
         from jaxact.sweep import plans
 
         self._tile = tile
+        self._prepared: dict[int, Future[list[np.ndarray]]] = {}
         self._specification = dataclasses.replace(self._work.specification, tile=tile)
         self._groups = plans.groups(
             self._specification, self._work.outline, together=self._work.together
@@ -210,15 +241,25 @@ class Computer:
         """The plan of the largest group of samples, and the specification with its tile."""
         return max(self._groups, key=lambda group: group.batch), self._specification
 
-    def __call__(self, number: int) -> tuple[dict[str, np.ndarray], int]:
-        """The results of a chunk by variable, and the tile they were computed with."""
+    def __call__(
+        self, number: int, following: int | None = None
+    ) -> tuple[dict[str, np.ndarray], int]:
+        """The results of a chunk by variable, and the tile they were computed with.
+
+        number: of the chunk
+        following: the chunk that will be asked for next, if there is one
+        """
         from jaxact.sweep import execute
 
         numbers = self._work.store.layout.numbers(number)
         while True:
             try:
+                prepared = self._prepared.pop(number, None)
+                growth = self._growth(number) if prepared is None else prepared.result()
+                if following is not None and self._helper is not None:
+                    self._prepared[following] = self._helper.submit(self._growth, following)
                 rows = execute.compute(
-                    self._groups, self._specification, self._work.samples, numbers
+                    self._groups, self._specification, self._work.samples, numbers, growth
                 )
                 return rows, self._tile
             except (RuntimeError, MemoryError) as error:
@@ -230,6 +271,13 @@ class Computer:
                         " the duration, or use another device"
                     ) from error
             self._plan(self._tile // 2)
+
+    def _growth(self, number: int) -> list[np.ndarray]:
+        """Growth rates of a chunk [1/s]."""
+        from jaxact.sweep import execute
+
+        numbers = self._work.store.layout.numbers(number)
+        return execute.growth_rates(self._groups, self._specification, self._work.samples, numbers)
 
 
 def _out_of_memory(error: Exception) -> bool:

@@ -186,7 +186,10 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
         engine=specification.engine,
         drive=options,
         rollout=RolloutOptions(
-            ticks=ticks, unroll=_UNROLL if mass else 1, linear_plant=mass or not robot
+            ticks=ticks,
+            unroll=_UNROLL if mass else 1,
+            linear_plant=mass or not robot,
+            stops=specification.engine != "mujoco",
         ),
         masked=bool(np.any(np.ceil(specification.duration * rates - 1e-4) < ticks)),
         duration=specification.duration,

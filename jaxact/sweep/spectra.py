@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxact.growth import TooManyStatesError
@@ -79,7 +78,7 @@ def _each(
         moved = outside.moved(plan.case, specification.setting, samples.take(numbers))
         assert moved is not None
         rows = plan.devices * plan.tiles, plan.tile
-        inputs.append([jnp.asarray(part.reshape(*rows, *part.shape[1:])) for part in moved])
+        inputs.append([part.reshape(*rows, *part.shape[1:]) for part in moved])
     return np.asarray(grow(*inputs)).reshape(-1)
 
 
@@ -138,8 +137,18 @@ def _polynomials(
         found = np.asarray(compute(*tiles.tiled(few, samples, numbers, np.float64)))
     except TooManyStatesError:
         return None
-    found = found.reshape(few.batch, *found.shape[2:])[:number]
+    found = _fed_back(found.reshape(few.batch, *found.shape[2:])[:number])
     return _characteristic(found).reshape(-1, len(_PAIRS), found.shape[-1])
+
+
+def _fed_back(matrices: np.ndarray) -> np.ndarray:
+    """The matrices without what no other state follows from: a clock is no mode of the loop."""
+    linked = (matrices != 0.0).any(axis=0)
+    np.fill_diagonal(linked, False)
+    kept = np.arange(len(linked))
+    while not (used := linked[np.ix_(kept, kept)].any(axis=0)).all():
+        kept = kept[used]
+    return matrices[:, kept[:, None], kept]
 
 
 def _characteristic(matrices: np.ndarray) -> np.ndarray:

@@ -201,7 +201,7 @@ def provenance(specification: Specification, device: str) -> dict[str, Any]:
     device, time.
     """
     found = {
-        "title": specification.description or "sweep of a joint's closed loop",
+        "title": specification.description or _title(specification),
         _MARK: __version__,
         "specification": as_json(specification.document),
         "specification_toml": specification.text,
@@ -216,6 +216,15 @@ def provenance(specification: Specification, device: str) -> dict[str, Any]:
     if model is not None:
         found["model_xml"] = model.read_text(encoding="utf-8", errors="replace")
     return found
+
+
+def _title(specification: Specification) -> str:
+    """What a sweep is of, where nobody has said it."""
+    plant = specification.plant
+    if plant is None:
+        return "sweep of a joint's closed loop"
+    posture = "" if plant.keyframe is None else f", keyframe {plant.keyframe}"
+    return f"sweep of {plant.model.name}{posture}"
 
 
 def versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:

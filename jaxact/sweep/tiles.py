@@ -6,7 +6,6 @@ import functools
 from collections.abc import Callable
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
@@ -58,7 +57,7 @@ def compiled(stage: str, case: Case, devices: int, setting: Setting, double: boo
 
 def tiled(
     plan: Plan, samples: Samples, numbers: np.ndarray, dtype: type
-) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """The parameters of a batch of samples.
 
     Returns:
@@ -67,14 +66,13 @@ def tiled(
         (devices * tiles, tile).
     """
     shape = (plan.devices * plan.tiles, plan.tile)
-    shared = {
-        name: jnp.asarray(array.reshape(()), dtype)
+    shared: dict[str, np.ndarray] = {
+        name: array.reshape(()).astype(dtype)
         for name, array in samples.along.items()
         if array.size == 1 and name != NEVER_SHARED and not engines.old_jax()
     }
-    own = {
-        name: jnp.asarray(value.reshape(shape).astype(dtype))
-        for name, value in samples.take(numbers).items()
-        if name not in shared
+    own: dict[str, np.ndarray] = {
+        name: value.reshape(shape).astype(dtype)
+        for name, value in samples.take(numbers, samples.along.keys() - shared.keys()).items()
     }
     return shared, own

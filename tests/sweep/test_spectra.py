@@ -73,6 +73,13 @@ def test_maps_of_gains_equal_the_exact_figures(rate, delays, shared):
 def test_a_plant_of_mjx_is_linear_in_the_gains():
     asked = reading.parse(MAP.format(engine="mjx", rate=1000.0, delays="[0.001]"))
     assert _known(asked)
+    samples = expand(asked)
+    (plan,) = plans.groups(asked, samples)
+    (numbers, count), *_ = plans.batches(plan, samples)
+    got = spectra.growth_batch(plan, asked, samples, numbers)[:count]
+    with jax.enable_x64(True):
+        want = spectra._each(plan, asked, samples, numbers)[:count]
+    np.testing.assert_allclose(got, want, rtol=1e-6, atol=2e-3)
 
 
 def test_what_is_not_linear_in_the_gains_goes_by_itself(monkeypatch):
