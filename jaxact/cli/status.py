@@ -30,6 +30,13 @@ def main(
       jaxact status results/paper_gain_map
       jaxact status results/paper_gain_map --quick
     """
+    from jaxact.sweep import store
+
+    with store.readable(result):
+        _show(result, quick=quick)
+
+
+def _show(result: str, *, quick: bool) -> None:
     from jaxact.sweep import adaptive, lock, progress, store
     from jaxact.sweep import place as _place
     from jaxact.sweep.progress import State

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -231,27 +231,31 @@ class Remote:
     def read(self, key: str) -> bytes | None:
         """The content of a file, None where there is none."""
         with contextlib.suppress(FileNotFoundError, NotADirectoryError, IsADirectoryError):
-            return bytes(self.system.cat_file(f"{self.root}/{key}"))
+            with _as_os_error():
+                return bytes(self.system.cat_file(f"{self.root}/{key}"))
         return None
 
     def write(self, files: Mapping[str, bytes]) -> None:
         """Write files by key; each is there as a whole or not at all."""
-        for folder in {f"{self.root}/{key}".rpartition("/")[0] for key in files}:
-            self.system.makedirs(folder, exist_ok=True)
-        self.system.pipe({f"{self.root}/{key}": content for key, content in files.items()})
+        with _as_os_error():
+            for folder in {f"{self.root}/{key}".rpartition("/")[0] for key in files}:
+                self.system.makedirs(folder, exist_ok=True)
+            self.system.pipe({f"{self.root}/{key}": content for key, content in files.items()})
 
     def delete(self, key: str) -> None:
         """Remove a file, if it is there."""
-        with contextlib.suppress(FileNotFoundError):
+        with contextlib.suppress(FileNotFoundError), _as_os_error():
             self.system.rm_file(f"{self.root}/{key}")
 
     def entries(self) -> dict[str, Entry]:
         """All files below, by key, but for temporary ones."""
         self.system.invalidate_cache()
         start = len(self.system._strip_protocol(self.root)) + 1
+        with _as_os_error():
+            found = self.system.find(self.root, detail=True)
         return {
             str(path)[start:]: Entry(int(item.get("size") or 0), _modified(item))
-            for path, item in self.system.find(self.root, detail=True).items()
+            for path, item in found.items()
         }
 
     def clean(self) -> None:
@@ -260,14 +264,27 @@ class Remote:
     def remove(self) -> None:
         """Remove the folder with all that is in it, if it is there."""
         self.system.invalidate_cache()
-        if self.system.exists(self.root):
-            self.system.rm(self.root, recursive=True)
+        with _as_os_error():
+            if self.system.exists(self.root):
+                self.system.rm(self.root, recursive=True)
 
     def zarr(self) -> Any:
         """What zarr and xarray open it as."""
         from zarr.storage import FsspecStore
 
         return FsspecStore.from_url(self.url)
+
+
+@contextlib.contextmanager
+def _as_os_error() -> Iterator[None]:
+    """What a store's own library raises, no credentials say or no connection, as an OSError."""
+    try:
+        yield
+    except Exception as error:
+        if isinstance(error, OSError) or type(error).__module__ == "builtins":
+            raise
+        lines = str(error).splitlines() or [type(error).__name__]
+        raise OSError(lines[0]) from error
 
 
 def _modified(item: Mapping[str, Any]) -> float:

@@ -6,13 +6,14 @@ key, all at once; the results come chunk by chunk, see `jaxact.sweep.progress`.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import shlex
 import sys
 import tempfile
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -262,6 +263,15 @@ def parameter(results: xr.Dataset, name: str) -> xr.DataArray:
     return xr.DataArray(value, name=name, attrs=dict(of(name).attributes))
 
 
+@contextlib.contextmanager
+def readable(where: str | Path) -> Iterator[None]:
+    """Raises UserError where a place cannot be read: no permission, no connection."""
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"{where}: cannot be read ({error.strerror or error})") from error
+
+
 def find(where: str | Path) -> Place:
     """The store that a user means: a results folder with a `sweep.zarr` in it, or the store itself.
 
@@ -271,13 +281,11 @@ def find(where: str | Path) -> Place:
     """
     given = _place.at(where)
     inner = given.inside(STORE)
-    try:
+    with readable(where):
         for store in (inner, given):
             if is_ours(store):
                 return store
         there = inner.entries() or given.entries()
-    except OSError as error:
-        raise UserError(f"{where}: cannot be read ({error.strerror or error})") from error
     if there or (isinstance(given, _place.Folder) and given.path.exists()):
         raise UserError(f"{where}: is no result of a sweep; give a folder that holds a {STORE}")
     raise UserError(f"{where}: no such result; give the results folder of a sweep, or its {STORE}")

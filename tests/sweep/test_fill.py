@@ -89,7 +89,8 @@ def test_results_that_no_computation_gives_are_found(whole, tmp_path):
 def test_a_device_short_of_memory_gets_smaller_tiles(monkeypatch, tmp_path):
     tiles = []
 
-    def compute(groups, specification, samples, numbers):
+    def compute(groups, specification, samples, numbers, growth):
+        assert growth[0].size == groups[0].batch
         tiles.append(groups[0].tile)
         if groups[0].tile > 4:
             raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating")

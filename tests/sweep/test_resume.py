@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from synthetic_store import run
 
+from jaxact.cli.main import main
 from jaxact.errors import UserError
 from jaxact.sweep import conduct, lock, place, progress, reading, store, validation
 from jaxact.sweep.progress import State
@@ -345,3 +346,23 @@ def test_a_url_holds_a_store_as_a_folder_does(tmp_path, whole):
 def test_a_url_that_cannot_be_is_one_line():
     with pytest.raises(UserError, match="nonsense"):
         place.at("nonsense://bucket/name")
+
+
+def test_what_a_remote_store_complains_of_is_one_line(monkeypatch, capsys):
+    """Its library's own exceptions are no OSError."""
+    pytest.importorskip("fsspec")
+    memory = pytest.importorskip("fsspec.implementations.memory").MemoryFileSystem
+
+    class NoCredentialsError(Exception):
+        pass
+
+    def refused(*_, **__):
+        raise NoCredentialsError("Unable to locate credentials\nand more")
+
+    for name in ("cat_file", "find", "exists", "pipe"):
+        monkeypatch.setattr(memory, name, refused)
+    for command in (["status"], ["validate"], ["plot"], ["export"]):
+        more = ["out.nc"] if command == ["export"] else []
+        assert main([*command, "memory://refused/one", *more]) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and "(Unable to locate credentials)" in said, said
