@@ -5,6 +5,7 @@ import pytest
 import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact import actuator
 from jaxact.actuator import Actuator

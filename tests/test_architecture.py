@@ -230,7 +230,8 @@ def _chains():
 @pytest.mark.parametrize("commands", [pytest.param(c, id=name) for name, c in _chains().items()])
 def test_readme_commands_run(commands, tmp_path):
     shutil.copytree(ROOT / "experiments", tmp_path / "experiments")
-    smaller = ["--set", "axes.kp.num=6", "--set", "axes.kd.num=6"]
+    smaller = ("axes.kp.num=6", "axes.kd.num=6", "delay=[0.0, 0.005]", "actuator=['hyq', 'ideal']")
+    smaller = [word for change in smaller for word in ("--set", change)]
     for words in commands:
         ran = subprocess.run(
             [sys.executable, "-m", "jaxact.cli.main", *words, *smaller * (words[0] == "sweep")],

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
+from quickly import ENVIRONMENT
 
 from jaxact.cli import _xla
 from jaxact.cli.main import VERBS
@@ -30,7 +31,7 @@ def _environment():
     # the user's shell, not the strict settings of the tests
     strict = ("JAX_NUM_CPU_DEVICES", "JAX_NUMPY_RANK_PROMOTION", "XLA_FLAGS")
     kept = {name: value for name, value in os.environ.items() if name not in strict}
-    return kept | {"PYTHONPATH": str(ROOT)}
+    return kept | ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
 
 
 def jaxact(*arguments, cwd=None, **environment):

@@ -6,6 +6,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 from test_cli import jaxact
 
 from jaxact.plants import inertia

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.cli.main import main
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.cli.main import main
 from jaxact.errors import UserError

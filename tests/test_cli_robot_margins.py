@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.cli.main import main
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact import delay
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact import drive as drives
 from jaxact import growth, loop, rollout

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
+from quickly import compiled_quickly as compiled_quickly
 from robots import HOPPER, PENDULUM
 
 from jaxact import Actuator, Controller, Drive, Loop, Sensor, Setpoint, drive, growth, linearize

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
+from quickly import compiled_quickly as compiled_quickly
 from scipy.linalg import expm
 from scipy.optimize import minimize, minimize_scalar
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact import drive as drives
 from jaxact import loop, metrics, rollout
@@ -30,31 +31,48 @@ def _delayed(place, delay):
     )
 
 
-@pytest.mark.parametrize("place", ["command", "measurement", "output"])
+PLACES = ("command", "measurement", "output")
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _final(options, delays, direction):
+    """The last position and its derivative in a direction of the three delays."""
+
+    def final(delays):
+        drive = Drive(
+            Controller(400.0, 20.0),
+            Actuator(110.0, 0.9, delays[0]),
+            Sensor(delay=delays[1]),
+            output_delay=delays[2],
+        )
+        path = rollout.trajectory(Loop(Mass(0.7), drive), options, 150, Setpoint(0.1))
+        return path.position[-1]
+
+    return jax.jvp(final, (delays,), (direction,))
+
+
+@pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("substeps", [1, 4])
 def test_derivative_with_respect_to_a_delay(place, substeps):
     options = DriveOptions(
         substeps, command_slots=8, measurement_slots=8 if place == "measurement" else 0
     )
-
-    @jax.jit
-    def final(delay):
-        path = rollout.trajectory(
-            Loop(Mass(0.7), _delayed(place, delay)), options, 150, Setpoint(0.1)
-        )
-        return path.position[-1]
-
-    derivative = jax.jit(lambda delay: jax.jvp(final, (delay,), (1.0,))[1])
     with jax.enable_x64(True):
+        direction = jnp.asarray([float(name == place) for name in PLACES])
+
+        def at(delay):
+            value, derivative = _final(options, delay * direction, direction)
+            return float(value), float(derivative)
+
         h = 1e-6
         for delay in (0.37e-3, 1.83e-3, 4.001e-3, 4.999e-3):
-            central = (final(delay + h) - final(delay - h)) / (2 * h)
-            assert float(derivative(delay)) == pytest.approx(float(central), rel=1e-5), delay
+            central = (at(delay + h)[0] - at(delay - h)[0]) / (2 * h)
+            assert at(delay)[1] == pytest.approx(central, rel=1e-5), delay
         for delay in (0.0, 1e-3, 5e-3):
             # one-sided, second order, towards longer delays
-            value = [final(delay + k * h) for k in range(3)]
+            value = [at(delay + k * h)[0] for k in range(3)]
             forward = (-3 * value[0] + 4 * value[1] - value[2]) / (2 * h)
-            assert float(derivative(delay)) == pytest.approx(float(forward), rel=1e-5), delay
+            assert at(delay)[1] == pytest.approx(forward, rel=1e-5), delay
 
 
 def test_gradients_of_every_kind():
@@ -67,14 +85,14 @@ def test_gradients_of_every_kind():
 
     with jax.enable_x64(True):
         at = (400.0, 20.0, 110.0, 1.0, 1.3e-3, 0.7)
-        reverse = jax.jit(jax.grad(error, argnums=range(6)))(*at)
+        value = jax.jit(jax.value_and_grad(error, argnums=range(6)))
+        reverse = value(*at)[1]
         forward = jax.jit(jax.jacfwd(error, argnums=range(6)))(*at)
         np.testing.assert_allclose(reverse, forward, rtol=1e-9)
-        value = jax.jit(error)
         for place, point in enumerate(at):
             h = 1e-5 * point
             above, below = (
-                value(*(x + s * h * (i == place) for i, x in enumerate(at))) for s in (1, -1)
+                value(*(x + s * h * (i == place) for i, x in enumerate(at)))[0] for s in (1, -1)
             )
             assert float((above - below) / (2 * h)) == pytest.approx(
                 float(reverse[place]), rel=1e-5
@@ -98,17 +116,23 @@ def _step_figures(time, y, setpoint, period):
     }
 
 
+@jax.jit
+def _both(setpoint):
+    """Trajectory and metrics of a step response."""
+    drive, ticks = _delayed("command", 1.4e-3), 2000
+    options = drives.options(drive)
+    built = Loop(Mass(0.7), drive)
+    prepared = loop.prepare(built, options)
+    state = loop.init(prepared, options, 0.0, 0.0)
+    got = rollout.evaluate(prepared, options, RolloutOptions(ticks), state, Setpoint(setpoint))
+    return rollout.trajectory(built, options, ticks + 1, Setpoint(setpoint)), got
+
+
 @pytest.mark.parametrize("setpoint", [0.1, -0.25])
 def test_metrics_equal_those_of_the_trajectory(setpoint):
-    drive, period, ticks = _delayed("command", 1.4e-3), 1e-3, 2000
-    options = drives.options(drive)
+    period = 1e-3
     with jax.enable_x64(True):
-        built = Loop(Mass(0.7), drive)
-        prepared = loop.prepare(built, options)
-        state = loop.init(prepared, options, 0.0, 0.0)
-        got = rollout.evaluate(prepared, options, RolloutOptions(ticks), state, Setpoint(setpoint))
-        path = rollout.trajectory(built, options, ticks + 1, Setpoint(setpoint))
-    path, got = jax.tree.map(np.asarray, (path, got))
+        path, got = jax.tree.map(np.asarray, _both(setpoint))
     for name, value in _step_figures(path.time, path.position, setpoint, period).items():
         assert getattr(got, name) == pytest.approx(value, rel=1e-9), name
     error, force, command = path.position[1:] - setpoint, path.force[:-1], path.command[:-1]
@@ -120,16 +144,15 @@ def test_metrics_equal_those_of_the_trajectory(setpoint):
     assert got.verdict == Verdict.STABLE and got.limit_cycle_amplitude == 0.0
 
 
-def _evaluate(drive, ticks=4000, **start):
-    options = drives.options(drive)
+@functools.partial(jax.jit, static_argnums=0)
+def _run(options, drive, key):
+    prepared = loop.prepare(Loop(Mass(0.7), drive), options)
+    state = loop.init(prepared, options, 0.0, 0.0)
+    return rollout.evaluate(prepared, options, RolloutOptions(4000), state, Setpoint(0.1), key)
 
-    @jax.jit
-    def run(drive, key):
-        prepared = loop.prepare(Loop(Mass(0.7), drive), options)
-        state = loop.init(prepared, options, 0.0, 0.0)
-        return rollout.evaluate(prepared, options, RolloutOptions(ticks), state, Setpoint(0.1), key)
 
-    return run(drive, jax.random.key(0))
+def _evaluate(drive):
+    return _run(drives.options(drive), drive, jax.random.key(0))
 
 
 def test_a_saturated_unstable_loop_ends_in_a_limit_cycle():

@@ -8,6 +8,7 @@ import scipy.integrate
 import theory
 from hypothesis import given
 from hypothesis import strategies as st
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.held import held_transition, servo_integrals
 from jaxact.sampled import SampledLoop, one_period_matrix

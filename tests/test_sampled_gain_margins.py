@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact import drive as drives
 from jaxact import growth, loop

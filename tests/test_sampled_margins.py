@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import theory
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.sampled import SampledLoop, one_period_matrix, period_map
 from jaxact.sampled_margins import SampledMargins, sampled_margins
@@ -29,20 +30,29 @@ def double_precision():
 
 compiled = jax.jit(partial(sampled_margins, max_delay_steps=STEPS))
 radii = jax.jit(jax.vmap(partial(spectral_radius, max_delay_steps=STEPS + 1)))
+respond = jax.jit(sampled_response)
 SIZE = 192
 
 
 def loops(values, dtype=None, *, velocity="sampled", cutoff=np.inf):
-    """SampledLoop of (6, n), padded to one compiled size."""
-    padded = np.pad(values, ((0, 0), (0, -values.shape[1] % SIZE)), mode="edge")
-    ones = np.ones(padded.shape[1])
-    arrays = [jnp.asarray(v, dtype=dtype) for v in (*padded, PERIOD * ones, cutoff * ones)]
+    """SampledLoop of (6, n)."""
+    ones = np.ones(values.shape[1])
+    arrays = [jnp.asarray(v, dtype=dtype) for v in (*values, PERIOD * ones, cutoff * ones)]
     return SampledLoop(*arrays, velocity=velocity)
 
 
+def in_parts(function, values, dtype=None, **kinds):
+    """`function` of loops (6, n) as a NumPy pytree, compiled for one shape only."""
+    padded = np.pad(values, ((0, 0), (0, -values.shape[1] % SIZE)), mode="edge")
+    parts = [
+        jax.tree.map(np.asarray, function(loops(part, dtype, **kinds)))
+        for part in np.split(padded, padded.shape[1] // SIZE, axis=1)
+    ]
+    return jax.tree.map(lambda *a: np.concatenate(a)[: values.shape[1]], *parts)
+
+
 def evaluate(values, dtype=None, **kinds):
-    found = compiled(loops(values, dtype, **kinds))
-    return SampledMargins(*(np.asarray(getattr(found, f))[: values.shape[1]] for f in FIELDS))
+    return in_parts(compiled, values, dtype, **kinds)
 
 
 @pytest.mark.parametrize(
@@ -93,8 +103,7 @@ def crowd():
 
 
 def radius(values):
-    found = radii(loops(values))
-    return np.asarray(found)[: values.shape[1]]
+    return in_parts(radii, values)
 
 
 def test_spectral_radius_decides_and_margins_follow(crowd):
@@ -147,6 +156,8 @@ def test_delay_margin_of_whole_periods_is_exact():
     for _ in range(40):
         values[:2] = PAPER[:2, 8] * scale
         margin = float(evaluate(values[:, None]).delay_margin[0])
+        if abs(margin / (9 * PERIOD) - 1.0) < 1e-12:
+            break
         scale *= (margin / (9 * PERIOD)) ** 0.5
     np.testing.assert_allclose(margin, 9 * PERIOD, rtol=1e-9)
     values[5] += 9 * PERIOD
@@ -158,12 +169,11 @@ def test_peaks_are_the_maxima_of_a_dense_grid(crowd):
     values, found = crowd
     chosen = np.flatnonzero(found.stable)[:40]
     theta = np.concatenate([np.geomspace(1e-4, np.pi, 4000), np.linspace(0, np.pi, 4000)[1:]])
-    function = jax.jit(sampled_response)
     for j in chosen:
         loop = jax.tree.map(lambda a, j=j: a[j], loops(values))
         near = np.linspace(0.99, 1.01, 501) * found.sensitivity_peak_frequency[j]
         w = np.concatenate([theta / PERIOD, np.minimum(near, np.pi / PERIOD)])
-        value = np.asarray(function(loop, jnp.asarray(w)))
+        value = np.asarray(respond(loop, jnp.asarray(w)))
         for name, curve in (
             ("sensitivity_peak", np.abs(1 / (1 + value))),
             ("complementary_peak", np.abs(value / (1 + value))),
@@ -192,7 +202,7 @@ def test_response_equals_the_resolvent(velocity, integrator):
             ratio = np.linalg.det(z * np.eye(size) - closed) / np.linalg.det(
                 z * np.eye(size) - opened
             )
-            found = complex(sampled_response(loop, jnp.asarray(theta / PERIOD)))
+            found = complex(respond(loop, jnp.asarray(theta / PERIOD)))
             np.testing.assert_allclose(1 + found, ratio, rtol=1e-8)
 
 
@@ -205,7 +215,7 @@ def test_response_is_accurate_far_above_a_slow_actuator():
     s = 1j * shifts / PERIOD
     hold = (1 - np.exp(-1j * theta)) / (s * PERIOD)
     expected = np.sum(hold * theory.response(values, shifts / PERIOD))
-    found = complex(sampled_response(loop, jnp.asarray(theta / PERIOD)))
+    found = complex(respond(loop, jnp.asarray(theta / PERIOD)))
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
@@ -264,7 +274,7 @@ def test_reverse_mode_equals_central_differences():
 
     def disk(x):
         loop = SampledLoop(*x, jnp.asarray(PERIOD))
-        return sampled_margins(loop, max_delay_steps=STEPS).disk_margin
+        return sampled_margins(loop, max_delay_steps=2).disk_margin
 
     gradient = np.asarray(jax.jit(jax.grad(disk))(values))
     for i in range(6):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 from synthetic_store import radius
 
 from jaxact.errors import UserError

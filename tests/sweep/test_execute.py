@@ -10,6 +10,7 @@ import jax
 import numpy as np
 import pytest
 from exact import growth_rate as exact_growth_rate
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.errors import UserError
 from jaxact.plants import mjx

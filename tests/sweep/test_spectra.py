@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 from exact import growth_rate as exact_growth_rate
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.sweep import plans, reading, spectra
 from jaxact.sweep.parameters import PRESETS

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import robots
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact import linearize
 from jaxact.errors import UserError

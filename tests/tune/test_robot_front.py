@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import robots
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.sweep import reading
 from jaxact.tune import robot, robot_front
