@@ -36,7 +36,7 @@ hypothesis.settings.load_profile("jaxact")
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Workers keep to files of their own as long as they can: what a file compiles, one compiles."""
+    """Workers keep to files of their own while they can: one compiles what a file compiles."""
     from xdist.scheduler import WorkStealingScheduling
 
     return WorkStealingScheduling(config, log) if config.option.dist == "load" else None

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from quickly import compiled_quickly as compiled_quickly
+from quickly import ENVIRONMENT
 
 from jaxact.cli.main import main
 from jaxact.errors import UserError
@@ -60,7 +60,7 @@ def _render(folder, *options, **environment):
     ]
     return subprocess.run(
         [*command, *files, *options], capture_output=True, text=True, cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        env=os.environ | ENVIRONMENT | {"PYTHONPATH": str(ROOT)} | environment,
     )  # fmt: skip
 
 
@@ -91,12 +91,14 @@ def test_simulates_both_motions_itself(folder):
     small = ["--kd", "300", "--size", "64", "64", "--duration", "0.3", "--out", "two.gif"]
     ran = subprocess.run(
         [*command, "--spec", "loop.toml", "--push", "1", "0", "0", "0", *small],
-        capture_output=True, text=True, cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True, cwd=folder,
+        env=os.environ | ENVIRONMENT | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert ran.returncode == 2 and "push.body" in ran.stderr
     ran = subprocess.run(
         [*command, "--spec", "loop.toml", *small],
-        capture_output=True, text=True, cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True, cwd=folder,
+        env=os.environ | ENVIRONMENT | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert ran.returncode == 0 and ran.stderr == "", ran.stderr
     bare, drive, wrote = ran.stdout.splitlines()

@@ -93,7 +93,10 @@ def test_measurement_delay_is_exact_on_the_mass():
 def test_physics_steps_compose(substeps):
     with jax.enable_x64(True):
         for delay in (0.0, 0.37e-3, 1e-3, 1.83e-3):
-            one, many = (simulate(with_delays(delay), substeps=n) for n in (1, substeps))
+            one, many = (
+                simulate(with_delays(delay), substeps=n, slots={"command_slots": 3})
+                for n in (1, substeps)
+            )
             np.testing.assert_allclose(
                 many.position[::substeps], one.position, rtol=1e-11, atol=1e-15
             )

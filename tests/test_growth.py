@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import quickly
 from exact import growth_rate as exact_growth_rate
 
 from jaxact import drive as drives
@@ -52,29 +53,36 @@ def test_every_verdict_and_growth_rate_of_a_large_map(name, delay):
     assert np.sum(near) > 10_000
 
 
+@pytest.fixture
+def quickly_compiled():
+    """For what is not as large as the maps."""
+    with quickly.optimised_little():
+        yield
+
+
+LATE = drives.options(Drive(Controller(1.0, 1.0), Actuator(delay=20.4e-3)), differenced=True)
+
+
+@jax.jit
+def _late_rates(kp, kd, wn, zeta, delay, cutoff):
+    def one(kp, kd):
+        sensor = Sensor(velocity_filter=cutoff)
+        drive = Drive(Controller(kp, kd), Actuator(wn, zeta, delay), sensor)
+        prepared = loop.prepare(Loop(Mass(0.7), drive), LATE)
+        state = loop.init(prepared, LATE, 0.0, 0.0)
+        return growth.growth_rate(prepared, LATE, state, Setpoint(0.0))
+
+    return jax.vmap(one)(kp, kd)
+
+
+@pytest.mark.usefixtures("quickly_compiled")
 @pytest.mark.parametrize("cutoff", [np.inf, 500.0])
 def test_differenced_velocity_and_long_delays(cutoff):
     """A long line is a ring buffer; lightly damped actuators have many slow modes."""
     kp, kd = KP[::97], KD[::97]
-    longest = Drive(
-        Controller(1.0, 1.0), Actuator(300.0, 0.05, 20.4e-3), Sensor(velocity_filter=cutoff)
-    )
-    options = drives.options(longest, differenced=True)
-
-    @jax.jit
-    def rates(kp, kd, wn, zeta, delay):
-        def one(kp, kd):
-            sensor = Sensor(velocity_filter=cutoff)
-            drive = Drive(Controller(kp, kd), Actuator(wn, zeta, delay), sensor)
-            prepared = loop.prepare(Loop(Mass(0.7), drive), options)
-            state = loop.init(prepared, options, 0.0, 0.0)
-            return growth.growth_rate(prepared, options, state, Setpoint(0.0))
-
-        return jax.vmap(one)(kp, kd)
-
     for wn, zeta, delay in ((300.0, 0.05, 12e-3), (800.0, 0.45, 20.4e-3)):
         with jax.enable_x64(True):
-            got = np.asarray(rates(jnp.asarray(kp), jnp.asarray(kd), wn, zeta, delay))
+            got = np.asarray(_late_rates(jnp.asarray(kp), jnp.asarray(kd), wn, zeta, delay, cutoff))
         want = exact_growth_rate(kp, kd, 0.7, wn, zeta, delay, differenced=True, cutoff=cutoff)
         decided = np.abs(np.expm1(want * 1e-3)) > 1e-4
         assert np.all((got > 0.0) == (want > 0.0), where=decided)
@@ -82,6 +90,7 @@ def test_differenced_velocity_and_long_delays(cutoff):
         np.testing.assert_array_less(np.abs(got - want)[near], 0.01 * np.abs(want[near]) + 0.02)
 
 
+@pytest.mark.usefixtures("quickly_compiled")
 def test_high_control_rates():
     """Where a control period is short, all modes are close to each other."""
     rate, delay = 20e3, 0.25e-3
@@ -102,6 +111,7 @@ def test_high_control_rates():
     assert np.sum(near) > 100
 
 
+@pytest.mark.usefixtures("quickly_compiled")
 @pytest.mark.parametrize("slots", [6, 46])
 def test_a_line_much_longer_than_the_delay_changes_nothing(slots):
     """Just inside the gain margin, where a false mode would change the verdict."""

@@ -9,6 +9,7 @@ import pytest
 import theory
 from hypothesis import given
 from hypothesis import strategies as st
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.frequency import JointLoop, complementary_sensitivity, loop_response, sensitivity
 from jaxact.margins import Margins, margins
