@@ -8,7 +8,8 @@ boundary hangs on it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
 import jax
 import numpy as np
@@ -32,27 +33,60 @@ def simulate_batch(
     growth: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """Metrics of one batch of samples whose growth rates [1/s] are known; each (batch,)."""
-    double = specification.precision == "float64"
-    with jax.enable_x64(True) if double else nullcontext():
+    with _precision(specification):
         if plan.case.engine == "mujoco":
             return _outside(plan, specification, samples, numbers, growth)
-        dtype = np.float64 if double else np.float32
         order = _by_life(plan, growth)
-        numbers, rates = numbers[order], growth[order]
-        shared, values = tiles.tiled(plan, samples, numbers, dtype)
-        shape = values[tiles.NEVER_SHARED].shape
-        simulate = tiles.compiled("metrics", plan.case, plan.devices, specification.setting, double)
-        result: Metrics = simulate(
-            shared,
-            values,
-            rates.reshape(shape).astype(dtype),
-            np.full(shape, specification.seed, np.uint32),
-            (samples.first + numbers).reshape(shape).astype(np.uint32),
-        )
-        rows = _rows(result, rates)
+        rates = growth[order]
+        program, inputs = _program(plan, specification, samples, numbers[order], rates)
+        rows = _rows(program(*inputs), rates)
         if not isinstance(order, slice):
             rows = {name: _reordered(row, order) for name, row in rows.items()}
         return rows
+
+
+def prepare(
+    groups: Sequence[plans.Plan],
+    specification: Specification,
+    samples: Samples,
+    numbers: np.ndarray,
+) -> None:
+    """Compile what simulates some samples; arguments as for `compute`."""
+    for plan in groups:
+        batch = next((batch for batch, _ in plans.batches(plan, samples, numbers)), None)
+        if batch is None or plan.case.engine == "mujoco":
+            continue
+        with _precision(specification):
+            rates = np.zeros(batch.size)
+            program, inputs = _program(plan, specification, samples, batch, rates)
+            program.prepare(*inputs)
+
+
+def _precision(specification: Specification) -> AbstractContextManager[Any]:
+    return jax.enable_x64(True) if specification.precision == "float64" else nullcontext()
+
+
+def _program(
+    plan: plans.Plan,
+    specification: Specification,
+    samples: Samples,
+    numbers: np.ndarray,
+    growth: np.ndarray,
+) -> tuple[tiles.Program, tuple[Any, ...]]:
+    """What simulates a batch in JAX, and its inputs."""
+    double = specification.precision == "float64"
+    dtype = np.float64 if double else np.float32
+    shared, values = tiles.tiled(plan, samples, numbers, dtype)
+    shape = values[tiles.NEVER_SHARED].shape
+    inputs = (
+        shared,
+        values,
+        growth.reshape(shape).astype(dtype),
+        np.full(shape, specification.seed, np.uint32),
+        (samples.first + numbers).reshape(shape).astype(np.uint32),
+    )
+    setting = specification.setting
+    return tiles.compiled("metrics", plan.case, plan.devices, setting, double), inputs
 
 
 def _by_life(plan: plans.Plan, growth: np.ndarray) -> slice | np.ndarray:

@@ -254,8 +254,7 @@ class Computer:
         numbers = self._work.store.layout.numbers(number)
         while True:
             try:
-                prepared = self._prepared.pop(number, None)
-                growth = self._growth(number) if prepared is None else prepared.result()
+                growth = self._begun(number)
                 if following is not None and self._helper is not None:
                     self._prepared[following] = self._helper.submit(self._growth, following)
                 rows = execute.compute(
@@ -271,6 +270,19 @@ class Computer:
                         " the duration, or use another device"
                     ) from error
             self._plan(self._tile // 2)
+
+    def _begun(self, number: int) -> list[np.ndarray]:
+        """Growth rates of a chunk [1/s], and all that is needed to simulate it."""
+        if self._helper is None:
+            return self._growth(number)
+        if number not in self._prepared:
+            from jaxact.sweep import execute
+
+            # The first chunk: two programs are compiled in less time side by side.
+            self._prepared[number] = self._helper.submit(self._growth, number)
+            numbers = self._work.store.layout.numbers(number)
+            execute.prepare(self._groups, self._specification, self._work.samples, numbers)
+        return self._prepared.pop(number).result()
 
     def _growth(self, number: int) -> list[np.ndarray]:
         """Growth rates of a chunk [1/s]."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import numpy as np
@@ -19,9 +20,30 @@ from jaxact.sweep.specification import Setting
 NEVER_SHARED = "kp"
 
 
+class Program:
+    """A function that is compiled for each shape of its inputs, when it is called or before."""
+
+    def __init__(self, function: Callable) -> None:
+        self._function = jax.jit(function)
+        self._compiled: dict[Any, Callable] = {}
+
+    def __call__(self, *inputs: Any) -> Any:
+        """Run it."""
+        return self._compiled.get(_shapes(inputs), self._function)(*inputs)
+
+    def prepare(self, *inputs: Any) -> None:
+        """Compile it for inputs like these; another thread may compile something else meanwhile."""
+        self._compiled[_shapes(inputs)] = self._function.lower(*inputs).compile()
+
+
+def _shapes(inputs: Any) -> Any:
+    leaves, structure = jax.tree.flatten(inputs)
+    return structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+
+
 @functools.cache
-def compiled(stage: str, case: Case, devices: int, setting: Setting, double: bool) -> Callable:
-    """The function that runs one batch: arrays of shape (devices * tiles, tile) in and out.
+def compiled(stage: str, case: Case, devices: int, setting: Setting, double: bool) -> Program:
+    """The program that runs one batch: arrays of shape (devices * tiles, tile) in and out.
 
     Its first argument are the parameters that all samples share, numbers of shape ().
 
@@ -52,7 +74,7 @@ def compiled(stage: str, case: Case, devices: int, setting: Setting, double: boo
         )
         return parted(shared, *inputs)
 
-    return jax.jit(sharded)
+    return Program(sharded)
 
 
 def tiled(
