@@ -25,7 +25,7 @@ _ROBOT_TILE = 32
 # Most degrees of freedom of a robot that MJX on a CPU simulates faster than C MuJoCo.
 _LIGHT = 2
 # Physics steps that one call to a device simulates: about a second of work.
-_WORK = {"mass": 2e8, "mjx": 5e6, "mujoco": 2e5}
+_WORK = {"mass": 6e8, "mjx": 5e6, "mujoco": 2e5}
 
 
 def resolved(specification: Specification) -> Specification:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -25,6 +26,20 @@ _OVERFLOW = 44.0
 _STEPS = 256
 
 
+@dataclass(frozen=True)
+class Begun:
+    """Samples that devices are simulating.
+
+    Attributes:
+        size: number of samples.
+        parts: of each batch where its rows belong, how many of them count, the order in which they
+            are computed, the growth rates in that order, and the metrics.
+    """
+
+    size: int
+    parts: list[tuple[slice | np.ndarray, int, slice | np.ndarray, np.ndarray, Metrics]]
+
+
 def simulate_batch(
     plan: plans.Plan,
     specification: Specification,
@@ -33,16 +48,24 @@ def simulate_batch(
     growth: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """Metrics of one batch of samples whose growth rates [1/s] are known; each (batch,)."""
+    return _rows(*_simulated(plan, specification, samples, numbers, growth))
+
+
+def _simulated(
+    plan: plans.Plan,
+    specification: Specification,
+    samples: Samples,
+    numbers: np.ndarray,
+    growth: np.ndarray,
+) -> tuple[slice | np.ndarray, np.ndarray, Metrics]:
+    """The order of a batch, its growth rates in that order, and its metrics, not waited for."""
     with _precision(specification):
         if plan.case.engine == "mujoco":
-            return _outside(plan, specification, samples, numbers, growth)
+            return slice(None), growth, _outside(plan, specification, samples, numbers, growth)
         order = _by_life(plan, growth)
         rates = growth[order]
         program, inputs = _program(plan, specification, samples, numbers[order], rates)
-        rows = _rows(program(*inputs), rates)
-        if not isinstance(order, slice):
-            rows = {name: _reordered(row, order) for name, row in rows.items()}
-        return rows
+        return order, rates, program(*inputs)
 
 
 def prepare(
@@ -103,35 +126,36 @@ def _by_life(plan: plans.Plan, growth: np.ndarray) -> slice | np.ndarray:
     return np.argsort((share * _STEPS).astype(np.int16), kind="stable")
 
 
-def _reordered(row: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Values at the places that they were taken from."""
-    back = np.empty_like(row)
-    back[order] = row
-    return back
-
-
 def _outside(
     plan: plans.Plan,
     specification: Specification,
     samples: Samples,
     numbers: np.ndarray,
     growth: np.ndarray,
-) -> dict[str, np.ndarray]:
-    """`simulate_batch` for physics in C MuJoCo."""
+) -> Metrics:
+    """Metrics of a batch whose physics is C MuJoCo's."""
     from jaxact.sweep import outside  # imports MuJoCo
 
     values = samples.take(numbers)
     setting, seed = specification.setting, specification.seed
-    return _rows(
-        outside.metrics(plan.case, setting, values, growth, seed, samples.first + numbers), growth
-    )
+    return outside.metrics(plan.case, setting, values, growth, seed, samples.first + numbers)
 
 
-def _rows(result: Metrics, growth: np.ndarray) -> dict[str, np.ndarray]:
+def _rows(order: slice | np.ndarray, growth: np.ndarray, result: Metrics) -> dict[str, np.ndarray]:
     """Metrics as flat arrays by name, the growth rates as they were before any rounding."""
     names = Metrics.__dataclass_fields__
     rows = {name: np.asarray(getattr(result, name)).reshape(-1) for name in names}
-    return rows | {"growth_rate": growth}
+    rows |= {"growth_rate": growth}
+    return {name: _reordered(row, order) for name, row in rows.items()}
+
+
+def _reordered(row: np.ndarray, order: slice | np.ndarray) -> np.ndarray:
+    """Values at the places that they were taken from."""
+    if isinstance(order, slice):
+        return row
+    back = np.empty_like(row)
+    back[order] = row
+    return back
 
 
 def growth_rates(
@@ -148,12 +172,48 @@ def growth_rates(
     ]
 
 
+def begin(
+    groups: Sequence[plans.Plan],
+    specification: Specification,
+    samples: Samples,
+    numbers: np.ndarray,
+    growth: Sequence[np.ndarray],
+) -> Begun:
+    """Set devices to simulate some samples, without waiting for them.
+
+    Args:
+        groups, specification, samples, numbers: as for `compute`.
+        growth: from `growth_rates`.
+    """
+    parts = []
+    done = 0
+    batches = [(plan, *each) for plan in groups for each in plans.batches(plan, samples, numbers)]
+    for (plan, batch, count), rates in zip(batches, growth, strict=True):
+        places: slice | np.ndarray = slice(done, done + count)
+        if len(groups) > 1:
+            places = np.searchsorted(numbers, batch[:count])
+        found = _simulated(plan, specification, samples, batch, rates)
+        parts.append((places, count, *found))
+        done += count
+    return Begun(numbers.size, parts)
+
+
+def finish(begun: Begun) -> dict[str, np.ndarray]:
+    """What `compute` returns, once it is there."""
+    results: dict[str, np.ndarray] = {}
+    for places, count, *found in begun.parts:
+        for name, row in _rows(*found).items():
+            if name not in results:
+                results[name] = np.zeros(begun.size, row.dtype)
+            results[name][places] = row[:count]
+    return results
+
+
 def compute(
     groups: Sequence[plans.Plan],
     specification: Specification,
     samples: Samples,
     numbers: np.ndarray,
-    growth: Sequence[np.ndarray] | None = None,
 ) -> dict[str, np.ndarray]:
     """Simulate some samples of a sweep.
 
@@ -162,30 +222,12 @@ def compute(
         specification: checked.
         samples: expanded from it.
         numbers: of the samples, rising, shape (n,).
-        growth: from `growth_rates`, if they are known already.
 
     Returns:
         One array for each field of `jaxact.metrics.Metrics`, shape (n,).
     """
-    known = None if growth is None else iter(growth)
-    results: dict[str, np.ndarray] = {}
-    done = 0
-    for plan in groups:
-        for batch, count in plans.batches(plan, samples, numbers):
-            if known is None:
-                rates = spectra.growth_batch(plan, specification, samples, batch)
-            else:
-                rates = next(known)
-            rows = simulate_batch(plan, specification, samples, batch, rates)
-            places: slice | np.ndarray = slice(done, done + count)
-            if len(groups) > 1:
-                places = np.searchsorted(numbers, batch[:count])
-            for name, row in rows.items():
-                if name not in results:
-                    results[name] = np.zeros(numbers.size, row.dtype)
-                results[name][places] = row[:count]
-            done += count
-    return results
+    growth = growth_rates(groups, specification, samples, numbers)
+    return finish(begin(groups, specification, samples, numbers, growth))
 
 
 def run(

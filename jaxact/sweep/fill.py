@@ -24,6 +24,7 @@ from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Specification
 
 if TYPE_CHECKING:
+    from jaxact.sweep.execute import Begun
     from jaxact.sweep.plans import Plan
 
 # Chunks that are computed and not yet written, at most.
@@ -167,8 +168,8 @@ def here(
     work, numbers, begin: see `Workers`
     keep: told the plan and its rate [physics steps per second on one device] in the end
     """
-    spent, loops, last = 0.0, 0, None
     waiting: deque[tuple[int, Future[None]]] = deque()
+    started, loops = None, 0
 
     def write(number: int, results: dict[str, np.ndarray], tile: int, *, first: bool) -> None:
         if first:
@@ -177,20 +178,17 @@ def here(
 
     with ThreadPoolExecutor(1) as writer, ThreadPoolExecutor(1) as helper:
         compute = Computer(work, helper)
-        for number, following in _in_pairs(numbers):
-            started = time.perf_counter()
-            results, tile = compute(number, following)
+        for number, (results, tile) in compute.each(numbers):
+            waiting.append((number, writer.submit(write, number, results, tile, first=not started)))
             # the first chunk is compiled for
-            spent += (time.perf_counter() - started) * (last is not None)
-            loops += work.store.layout.span(number)[1] * (last is not None)
-            task = writer.submit(write, number, results, tile, first=last is None)
-            waiting.append((number, task))
-            last = number
+            loops += 0 if started is None else work.store.layout.span(number)[1]
+            started = started or time.perf_counter()
             while len(waiting) > _WAITING:
                 yield _written(*waiting.popleft())
+        spent = 0.0 if started is None else time.perf_counter() - started
         while waiting:
             yield _written(*waiting.popleft())
-    if spent > 0.0:
+    if loops:
         plan, asked = compute.plan
         keep(plan, asked, loops * plan.steps / (spent * plan.devices))
 
@@ -241,10 +239,12 @@ class Computer:
         """The plan of the largest group of samples, and the specification with its tile."""
         return max(self._groups, key=lambda group: group.batch), self._specification
 
-    def __call__(
-        self, number: int, following: int | None = None
-    ) -> tuple[dict[str, np.ndarray], int]:
-        """The results of a chunk by variable, and the tile they were computed with.
+    def __call__(self, number: int) -> tuple[dict[str, np.ndarray], int]:
+        """The results of a chunk by variable, and the tile they were computed with."""
+        return self.finish(number, self.begin(number))
+
+    def begin(self, number: int, following: int | None = None) -> tuple[Begun, int] | None:
+        """Set the devices to compute a chunk, for `finish`.
 
         number: of the chunk
         following: the chunk that will be asked for next, if there is one
@@ -252,24 +252,55 @@ class Computer:
         from jaxact.sweep import execute
 
         numbers = self._work.store.layout.numbers(number)
+        try:
+            growth = self._begun(number)
+            if following is not None and self._helper is not None:
+                self._prepared[following] = self._helper.submit(self._growth, following)
+            begun = execute.begin(
+                self._groups, self._specification, self._work.samples, numbers, growth
+            )
+        except (RuntimeError, MemoryError) as error:
+            self._smaller(error)
+            return None
+        return begun, self._tile
+
+    def finish(
+        self, number: int, begun: tuple[Begun, int] | None
+    ) -> tuple[dict[str, np.ndarray], int]:
+        """The results of a chunk by variable, and the tile they were computed with."""
+        from jaxact.sweep import execute
+
         while True:
-            try:
-                growth = self._begun(number)
-                if following is not None and self._helper is not None:
-                    self._prepared[following] = self._helper.submit(self._growth, following)
-                rows = execute.compute(
-                    self._groups, self._specification, self._work.samples, numbers, growth
-                )
-                return rows, self._tile
-            except (RuntimeError, MemoryError) as error:
-                if not _out_of_memory(error):
-                    raise
-                if self._tile == 1:
-                    raise UserError(
-                        "a device has too little memory for a single loop; shorten the delays or"
-                        " the duration, or use another device"
-                    ) from error
-            self._plan(self._tile // 2)
+            if begun is not None:
+                try:
+                    return execute.finish(begun[0]), begun[1]
+                except (RuntimeError, MemoryError) as error:
+                    self._smaller(error)
+            begun = self.begin(number)
+
+    def _smaller(self, error: Exception) -> None:
+        """Halve the tile where a device has run out of memory; raises any other error."""
+        if not _out_of_memory(error):
+            raise error
+        if self._tile == 1:
+            raise UserError(
+                "a device has too little memory for a single loop; shorten the delays or"
+                " the duration, or use another device"
+            ) from error
+        self._plan(self._tile // 2)
+
+    def each(
+        self, numbers: Iterable[int]
+    ) -> Iterator[tuple[int, tuple[dict[str, np.ndarray], int]]]:
+        """The results of chunks in order; with a helper, devices begin one before they end one."""
+        running: deque[tuple[int, tuple[Begun, int] | None]] = deque()
+        for number, following in _in_pairs(numbers):
+            running.append((number, self.begin(number, following)))
+            if len(running) > (self._helper is not None):
+                ended, begun = running.popleft()
+                yield ended, self.finish(ended, begun)
+        for ended, begun in running:
+            yield ended, self.finish(ended, begun)
 
     def _begun(self, number: int) -> list[np.ndarray]:
         """Growth rates of a chunk [1/s], and all that is needed to simulate it."""
