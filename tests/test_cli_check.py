@@ -36,7 +36,7 @@ def test_json_says_what_is_driven_and_how(robot):
     ran = jaxact("check", robot, "--keyframe", "home", "--json")
     assert ran.returncode == 0 and ran.stderr == ""
     report = json.loads(ran.stdout)
-    assert report["engines"] == ["mjx", "mujoco"] and report["degrees_of_freedom"] == 8
+    assert report["engines"][:2] == ["mjx", "mujoco"] and report["degrees_of_freedom"] == 8
     hip, knee = report["joints"]
     assert (hip["kind"], hip["kp"], hip["kd"], hip["setpoint"]) == ("position", 40.0, 2.0, 0.3)
     assert hip["force_limits"] == [-30.0, 30.0] and hip["setpoint_limits"] == [None, None]

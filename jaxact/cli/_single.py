@@ -37,7 +37,8 @@ def specification(
         raise UserError("--set changes a specification; give one with --spec, or use the options")
     tables: dict[str, Any] = {} if push is None else {"push": dict(push)}
     if path is None:
-        defaults = {"precision": "float64", "duration": duration}
+        single = static.get("engine") == "warp" or "engine=warp" in overrides  # it knows no other
+        defaults = {"precision": "float32" if single else "float64", "duration": duration}
         tables |= {"plant": dict(plant)} if plant else {}
         document = {**defaults, **static, **tables, "parameters": dict(given)}
         return _loops.specified(document, overrides)

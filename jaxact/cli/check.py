@@ -54,11 +54,11 @@ def main(
     keyframe, else 0.
 
     JSON: model, keyframe, digest, physics_step [s], degrees_of_freedom; engines that can simulate
-    it; joints with name, actuator, kind, kp, kd, force_limits, setpoint_limits, setpoint,
-    setpoint_velocity, delay and setpoint_delay [s], natural_frequency [rad/s], damping_ratio,
-    inertia, inertia_others_held, joint_damping, joint_friction, armature (what the joint itself
-    has), bandwidth [rad/s]; findings with where, field, value, mjx, action,
-    advice, engines. SI units; null: none.
+    it (warp where it is installed); joints with name, actuator, kind, kp, kd, force_limits,
+    setpoint_limits, setpoint, setpoint_velocity, delay and setpoint_delay [s],
+    natural_frequency [rad/s], damping_ratio, inertia, inertia_others_held, joint_damping,
+    joint_friction, armature (what the joint itself has), bandwidth [rad/s]; findings with where,
+    field, value, mjx, action, advice, engines. SI units; null: none.
 
     examples:
       jaxact check robot.xml --keyframe home
@@ -68,7 +68,7 @@ def main(
     from jaxact.plants import model as _model
 
     robot = _model.read(model, keyframe=keyframe, joints=joints)
-    robot = replace(robot, findings=(*robot.findings, *_of_mjx(robot)))
+    robot = replace(robot, findings=(*robot.findings, *_of_mjx(robot), *_of_warp(robot)))
     print(_as_json(robot, keyframe) if json else _as_text(robot, keyframe))
     if any(item.engines for item in robot.findings):
         raise SystemExit(REFUSED)
@@ -80,11 +80,27 @@ def _of_mjx(robot: Robot) -> list[Finding]:
     return mjx_refusals.find(robot.model)
 
 
+def _of_warp(robot: Robot) -> list[Finding]:
+    """What MJX-Warp refuses by itself, where it is there to be asked."""
+    from jaxact.plants import warp
+    from jaxact.plants.findings import WARP, refused
+
+    known = any(WARP in item.engines for item in robot.findings)
+    reason = "" if known or warp.lacking() else warp.refusal(robot.model)
+    if not reason:
+        return []
+    advice = "MJX-Warp refuses it; choose another engine"
+    return [refused("model", "MJX-Warp", reason, "is not asked", advice, (WARP,))]
+
+
 def engines(robot: Robot) -> list[str]:
-    """The engines that can simulate the robot."""
-    from jaxact.plants.findings import ENGINES
+    """The engines that can simulate the robot; `warp` only where MJX-Warp is installed."""
+    from jaxact.plants import warp
+    from jaxact.plants.findings import ENGINES, WARP
 
     stopped = {engine for item in robot.findings for engine in item.engines}
+    if warp.lacking():
+        stopped.add(WARP)
     return [name for name in ENGINES if name not in stopped and robot.joints]
 
 

@@ -15,8 +15,8 @@ from jaxact.cli import _xla
 from jaxact.sweep import cache
 
 PACKAGES = (
-    "jax", "jaxlib", "mujoco", "mujoco-mjx", "optax", "numpy", "scipy", "xarray", "zarr",
-    "h5netcdf", "pydantic", "tyro", "rich", "matplotlib",
+    "jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "optax", "numpy", "scipy", "xarray",
+    "zarr", "h5netcdf", "pydantic", "tyro", "rich", "matplotlib",
 )  # fmt: skip
 
 
@@ -49,12 +49,20 @@ def collect() -> dict[str, Any]:
         "cpu cores": _xla.cores(),  # a sweep makes one JAX device of each
         "jax backend": jax.default_backend(),
         "jax devices": [f"{device} ({device.device_kind})" for device in jax.devices()],
+        "engine warp": _engine_warp(),
         "float64 by default": bool(jax.config.jax_enable_x64),
         "sweep precision": "float32, or float64 with --set precision=float64",
         "cache": str(jax.config.jax_compilation_cache_dir or cache.folder()),
         "XLA_FLAGS": os.environ.get("XLA_FLAGS", ""),
         "JAX_PLATFORMS": os.environ.get("JAX_PLATFORMS", ""),
     }
+
+
+def _engine_warp() -> str:
+    """Whether it can be used, and what is missing where it cannot."""
+    from jaxact.plants import warp
+
+    return warp.lacking() or "can be used"
 
 
 def _installed(name: str) -> str | None:

@@ -65,8 +65,8 @@ def main(
     engine: Annotated[
         str | None,
         tyro.conf.arg(
-            metavar="mjx|mujoco|auto",
-            help="MuJoCo in JAX, in C, or the faster one.",
+            metavar="mjx|mujoco|warp|auto",
+            help="MuJoCo in JAX, in C, in Warp, or the fastest one.",
             help_behavior_hint="(default: auto)",
         ),
     ] = None,

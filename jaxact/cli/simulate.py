@@ -45,8 +45,8 @@ def main(
     engine: Annotated[
         str | None,
         arg(
-            metavar="mass|mjx|mujoco|auto",
-            help="Plant: an exact mass, MuJoCo in JAX, MuJoCo in C, or the faster one of them.",
+            metavar="mass|mjx|mujoco|warp|auto",
+            help="Plant: an exact mass; MuJoCo in JAX, in C, or in Warp; or the fastest of these.",
             help_behavior_hint="(default: mass; auto for a model)",
         ),
     ] = None,
@@ -91,7 +91,7 @@ def main(
         arg(
             metavar="float32|float64",
             help="Of the simulation.",
-            help_behavior_hint="(default: float64)",
+            help_behavior_hint="(default: float64; with warp float32)",
         ),
     ] = None,
     seed: Annotated[

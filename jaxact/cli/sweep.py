@@ -209,7 +209,7 @@ def _settled(
     with contextlib.suppress(OSError):  # said when the sweep begins
         there = store.identity_of(folder.inside(store.STORE)) if how.resume else None
         engine = (there or {}).get("engine")
-    if engine not in ("mjx", "mujoco"):
+    if engine not in ("mjx", "mujoco", "warp"):
         engine = throughput.fastest(asked, expand(asked), say=say if measure else None)
     if not quiet:
         print(f"engine {engine}, expected to be the fastest one here; engine = {engine!r} says it")

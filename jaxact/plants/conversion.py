@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxact.plants import actuators, assets
 from jaxact.plants.actuators import Law
-from jaxact.plants.findings import EMULATED, ENGINES, MJX, Finding, refused
+from jaxact.plants.findings import EMULATED, ENGINES, MJX, WARP, Finding, refused
 from jaxact.plants.parity import switched_off
 from jaxact.plants.selection import Driven
 
@@ -196,7 +196,8 @@ def _inertia_finding(model: mujoco.MjModel, index: int, field: str, value: str) 
         if not tendon:
             actuators.transmission(model, index)
     except actuators.UndrivableError:
-        return _refused(model, index, field, value, (MJX,))
+        # MJX-Warp ignores the one, and simulates the other.
+        return _refused(model, index, field, value, (MJX, WARP) if field == "armature" else (MJX,))
     holder = "tendon" if tendon else "joint"
     advice = f"added to the {holder}'s own {field}, times gear^2 (gear {gear:g})"
     return Finding(actuators.label(model, index), field, value, "ignores it", EMULATED, advice)

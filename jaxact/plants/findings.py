@@ -18,7 +18,8 @@ REFUSED = "refused"
 
 MJX = "mjx"
 MUJOCO = "mujoco"
-ENGINES = (MJX, MUJOCO)
+WARP = "warp"
+ENGINES = (MJX, MUJOCO, WARP)
 
 
 @dataclass(frozen=True)

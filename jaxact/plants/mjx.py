@@ -112,6 +112,7 @@ class MjxPlant:
         bodies: bodies that the driven joints move; static.
         payload_body: the body that carries a payload; static.
         kinds: MuJoCo's type of every joint; static.
+        impl: what simulates it: "jax", or "warp" (forward only, float32); static.
     """
 
     model: Any
@@ -126,6 +127,7 @@ class MjxPlant:
     bodies: tuple[int, ...]
     payload_body: int
     kinds: tuple[int, ...]
+    impl: str = "jax"
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -178,8 +180,15 @@ class MjxPlant:
         """One MJX step under the mean force, with the model's own integrator."""
         # MJX multiplies matrices by vectors as NumPy allows; a user may have forbidden that.
         with jax.numpy_rank_promotion("allow"):
-            data = mjx.step(self.model, self.loaded(state, force))
+            data = self._stepped(self.loaded(state, force))
         return MjxState(data.qpos, data.qvel, data.act, data.qacc_warmstart, data.time)
+
+    def _stepped(self, data: Any) -> Any:
+        if self.impl == "warp":
+            from jaxact.plants import warp  # starts from this module's MJX
+
+            return warp.step(self.model, data)
+        return mjx.step(self.model, data)
 
     def loaded(self, state: MjxState, force: Force) -> Any:
         """MJX's data with a state and what acts on it filled in."""
@@ -230,7 +239,7 @@ jax.tree_util.register_dataclass(
     MjxPlant,
     data_fields=["model", "data", "mass", "variation", "push"],
     meta_fields=[
-        "qpos", "dofs", "actuators", "limits", "bodies", "payload_body", "kinds",
+        "qpos", "dofs", "actuators", "limits", "bodies", "payload_body", "kinds", "impl",
     ],
 )  # fmt: skip
 
@@ -259,6 +268,7 @@ def place(
     *,
     payload_body: int | None = None,
     dry_friction: bool = False,
+    impl: str = "jax",
 ) -> MjxPlant:
     """A robot in MJX, at a start posture.
 
@@ -267,14 +277,16 @@ def place(
         posture: from `jaxact.plants.posture`.
         payload_body: that carries a payload; None for the heaviest body.
         dry_friction: the driven joints' dry friction varies, so it must exist in the model.
+        impl: "jax", or "warp".
 
     Returns:
         The plant, in the precision that JAX has at this moment.
 
     Raises:
-        UserError: the robot uses a feature that MJX does not have, or would ignore.
+        UserError: the robot uses a feature that MJX does not have, or would ignore; for "warp"
+            also, that MJX-Warp is not there.
     """
-    _model.demand(robot, "mjx")
+    _model.demand(robot, "warp" if impl == "warp" else "mjx")
     dofs = tuple(joint.dof for joint in robot.joints)
     model = robot.model
     if dry_friction:
@@ -287,16 +299,7 @@ def place(
     start.ctrl[[joint.index for joint in robot.joints]] = posture.force
     mujoco.mj_forward(model, start)
     start.qacc_warmstart = start.qacc
-    try:
-        on_device, _ = put_model(model)  # `jaxact check` tells of its warnings
-        with jax.numpy_rank_promotion("allow"):
-            data = mjx.put_data(model, start, impl="jax")
-    except NotImplementedError as error:
-        from jaxact.plants import mjx_refusals  # asks this module's MJX
-
-        reasons = [f"{item.where}: {item.advice}" for item in mjx_refusals.find(model)]
-        said = reasons[0] if reasons else f"MJX cannot simulate this model: {error}"
-        raise UserError(f"{robot.path.name}: {said}") from error
+    on_device, data = (_put_in_warp if impl == "warp" else _put)(robot, model, start)
     heaviest = int(np.argmax(model.body_mass))
     return MjxPlant(
         model=on_device,
@@ -311,7 +314,37 @@ def place(
         bodies=tuple(joint.body for joint in robot.joints),
         payload_body=heaviest if payload_body is None else payload_body,
         kinds=tuple(int(kind) for kind in model.jnt_type),
+        impl=impl,
     )
+
+
+def _put(robot: Robot, model: mujoco.MjModel, start: mujoco.MjData) -> tuple[Any, Any]:
+    """A robot's model and data in MJX."""
+    try:
+        on_device, _ = put_model(model)  # `jaxact check` tells of its warnings
+        with jax.numpy_rank_promotion("allow"):
+            return on_device, mjx.put_data(model, start, impl="jax")
+    except NotImplementedError as error:
+        from jaxact.plants import mjx_refusals  # asks this module's MJX
+
+        reasons = [f"{item.where}: {item.advice}" for item in mjx_refusals.find(model)]
+        said = reasons[0] if reasons else f"MJX cannot simulate this model: {error}"
+        raise UserError(f"{robot.path.name}: {said}") from error
+
+
+def _put_in_warp(robot: Robot, model: mujoco.MjModel, start: mujoco.MjData) -> tuple[Any, Any]:
+    """A robot's model and data in MJX-Warp."""
+    from jaxact.plants import warp  # starts from this module's MJX
+    from jaxact.plants.warp_room import room
+
+    try:
+        return warp.put(model, start, room(model, start))
+    except NotImplementedError as error:
+        reason = " ".join(str(error).split()).rstrip(".")
+        raise UserError(
+            f"{robot.path.name}: MJX-Warp cannot simulate this model: {reason}; choose the engine"
+            " `mujoco`"
+        ) from error
 
 
 def _limits(joint: Joint) -> tuple[float, float]:

@@ -165,12 +165,12 @@ def read(
 
 
 def suits(robot: Robot, engine: str) -> bool:
-    """Whether this engine can simulate the robot: "mjx" or "mujoco"."""
+    """Whether this engine can simulate the robot: "mjx", "mujoco" or "warp"."""
     return not any(engine in item.engines for item in robot.findings)
 
 
 def demand(robot: Robot, engine: str = "mjx") -> Robot:
-    """The robot, if this engine can simulate it: "mjx" or "mujoco".
+    """The robot, if this engine can simulate it: "mjx", "mujoco" or "warp".
 
     Raises:
         UserError: it cannot; says why in one line.

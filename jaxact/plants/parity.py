@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from jaxact.plants.findings import EMULATED, HARMLESS, MJX, REFUSED, Finding, named
+from jaxact.plants.findings import EMULATED, HARMLESS, MJX, REFUSED, WARP, Finding, named
 
 Places = Iterable[tuple[str, str]]
 """(where, value) of each element that has the field."""
@@ -29,6 +29,7 @@ class Claim:
         field: as MJCF names it.
         find: the elements of a model that have it, given those of its actuators that are driven.
         mjx, action, advice: as in `Finding`.
+        engines: that it stops where it is refused; MJX-Warp knows more fields than MJX.
     """
 
     field: str
@@ -36,6 +37,7 @@ class Claim:
     mjx: str
     action: str
     advice: str
+    engines: tuple[str, ...] = (MJX,)
 
 
 def findings(model: mujoco.MjModel, driven: Iterable[int]) -> list[Finding]:
@@ -53,8 +55,8 @@ def findings(model: mujoco.MjModel, driven: Iterable[int]) -> list[Finding]:
             claim.mjx,
             claim.action,
             claim.advice,
-            (MJX,) if claim.action == REFUSED else (),
-        )  # fmt: skip
+            claim.engines if claim.action == REFUSED else (),
+        )
         for claim in CLAIMS
         for where, value in claim.find(model, taken)
     ]
@@ -204,6 +206,7 @@ _MJX_TRANSMISSIONS = [
 _IMPLICIT = (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 ACTUATOR_TYPE = "actuator type"
 _IGNORES, _NOT_AT_ALL = "ignores it", "refuses the model"
+_BOTH = (MJX, WARP)
 
 CLAIMS = (
     Claim("stiffness (polynomial)", _rows("joint", "jnt_stiffnesspoly", "njnt"), _IGNORES, REFUSED,
@@ -215,7 +218,7 @@ CLAIMS = (
     Claim("tendon damping (polynomial)", _rows("tendon", "tendon_dampingpoly", "ntendon"),
           _IGNORES, REFUSED, f"give one damping only, {_MUJOCO_CAN}"),
     Claim(ACTUATOR_TYPE, _undriven(unknown_to_mjx), _NOT_AT_ALL, REFUSED,
-          f"this undriven actuator has no counterpart in MJX; remove it, {_MUJOCO_CAN}"),
+          f"this undriven actuator has no counterpart in MJX; remove it, {_MUJOCO_CAN}", _BOTH),
     Claim("delay", _undriven(_delayed), _IGNORES, HARMLESS,
           "undriven: its control is constant, so a delay of it changes nothing"),
     Claim("actearly", _undriven(lambda model, i: bool(model.actuator_actearly[i])), _IGNORES,
@@ -241,9 +244,9 @@ CLAIMS = (
     Claim("flag fwdinv", _enabled(_ENABLE.mjENBL_FWDINV), _NOT_AT_ALL, HARMLESS,
           "not computed; it touches no motion"),
     Claim("flag override", _enabled(_ENABLE.mjENBL_OVERRIDE), _NOT_AT_ALL, REFUSED,
-          f"give the contact parameters to the geoms, {_MUJOCO_CAN}"),
+          f"give the contact parameters to the geoms, {_MUJOCO_CAN}", _BOTH),
     Claim("flag diagexact", _enabled(_ENABLE.mjENBL_DIAGEXACT), _NOT_AT_ALL, REFUSED,
-          f"remove the flag, {_MUJOCO_CAN}"),
+          f"remove the flag, {_MUJOCO_CAN}", _BOTH),
     Claim("integrator", _integrator(mujoco.mjtIntegrator.mjINT_IMPLICIT), _NOT_AT_ALL, EMULATED,
           "implicitfast instead, in every engine: without the derivative of Coriolis forces"),
     Claim("integrator", _integrator(mujoco.mjtIntegrator.mjINT_DISCRETE), _NOT_AT_ALL, REFUSED,
@@ -264,8 +267,8 @@ CLAIMS = (
     Claim("surfacevel", _rows("geom", "geom_surfacevel", "ngeom"), _IGNORES, REFUSED,
           f"remove it, {_MUJOCO_CAN}"),
     Claim("flex", _option(lambda model: f"{model.nflex}" if model.nflex else ""), _NOT_AT_ALL,
-          REFUSED, f"remove the deformable objects, {_MUJOCO_CAN}"),
+          REFUSED, f"remove the deformable objects, {_MUJOCO_CAN}", _BOTH),
     Claim("plugin", _plugins, _IGNORES, REFUSED,
-          f"remove the plugin, {_MUJOCO_CAN}"),
+          f"remove the plugin, {_MUJOCO_CAN}", _BOTH),
 )  # fmt: skip
 """Everything that is known to differ, apart from what concerns the inertia of actuators."""

@@ -28,7 +28,12 @@ _NONLINEAR = {
     "force_rate_limit": math.inf,
     "stall_force": math.inf,
 }
-_ENGINES = {"mass": "exact mass plant", "mjx": "MuJoCo MJX", "mujoco": "MuJoCo (C)"}
+_ENGINES = {
+    "mass": "exact mass plant",
+    "mjx": "MuJoCo MJX",
+    "mujoco": "MuJoCo (C)",
+    "warp": "MJX-Warp",
+}
 
 
 def simulated(results: xr.Dataset) -> str:

@@ -1,12 +1,12 @@
 """Engines, and how many loops each likes to compute side by side.
 
-`mass` is the exact mass plant, `mjx` and `mujoco` simulate models.
+`mass` is the exact mass plant; `mjx`, `warp` and `mujoco` simulate models.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, cast
 
 import jax
 
@@ -14,18 +14,22 @@ from jaxact.errors import UserError
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.specification import Setting, Specification
 
+Engine = Literal["mjx", "mujoco", "warp"]
+"""Of a robot."""
+
 # Loops in a tile, where none is given: measured on CPUs, where the state should stay in the
-# first-level cache, and GPUs, which want many.
+# first-level cache, and GPUs, which want many. On a CPU each step of MJX-Warp costs 10 ms whatever
+# the tile: its kernels are started from Python, one by one.
 _TILES = {
-    ("mass", "cpu"): 128, ("mjx", "cpu"): 128, ("mujoco", "cpu"): 32,
-    ("mass", "gpu"): 65536, ("mjx", "gpu"): 4096, ("mujoco", "gpu"): 32,
+    ("mass", "cpu"): 128, ("mjx", "cpu"): 128, ("mujoco", "cpu"): 32, ("warp", "cpu"): 256,
+    ("mass", "gpu"): 65536, ("mjx", "gpu"): 4096, ("mujoco", "gpu"): 32, ("warp", "gpu"): 4096,
 }  # fmt: skip
 # The same for robots in MJX on a CPU: their states are far larger.
 _ROBOT_TILE = 32
 # Most degrees of freedom of a robot that MJX on a CPU simulates faster than C MuJoCo.
 _LIGHT = 2
-# Physics steps that one call to a device simulates: about a second of work.
-_WORK = {"mass": 6e8, "mjx": 5e6, "mujoco": 2e5}
+# Physics steps that one call to a device simulates: about a second of work; of MJX-Warp on a CPU.
+_WORK = {"mass": 6e8, "mjx": 5e6, "mujoco": 2e5, "warp": 1e4}
 
 
 def resolved(specification: Specification) -> Specification:
@@ -39,17 +43,23 @@ def resolved(specification: Specification) -> Specification:
         UserError: the engine cannot simulate the robot.
     """
     if specification.plant is None:
-        if specification.engine == "mujoco":
-            raise UserError("engine = 'mujoco': simulates robots; give one with [plant] model")
+        if specification.engine in ("mujoco", "warp"):
+            raise UserError(
+                f"engine = '{specification.engine}': simulates robots; give one with [plant] model"
+            )
         if specification.engine == "auto":
             return replace(specification, engine="mjx")
         return specification
     if specification.engine == "mass":
-        raise UserError("engine = 'mass': simulates no robot; use 'auto', 'mjx' or 'mujoco'")
+        raise UserError("engine = 'mass': simulates no robot; use 'auto', 'mjx', 'mujoco', 'warp'")
+    if specification.engine == "warp" and specification.precision == "float64":
+        raise UserError(
+            "precision = 'float64': MJX-Warp computes in float32; use it, or engine 'mjx', 'mujoco'"
+        )
     return replace(specification, engine=_for_robot(specification.setting, specification.engine))
 
 
-def _for_robot(setting: Setting, asked: str) -> Literal["mjx", "mujoco"]:
+def _for_robot(setting: Setting, asked: str) -> Engine:
     """The engine that simulates a robot: the one asked for, or the one expected to be faster.
 
     Raises:
@@ -60,22 +70,34 @@ def _for_robot(setting: Setting, asked: str) -> Literal["mjx", "mujoco"]:
 
     assert setting.plant is not None
     robot = robots.scene(setting.plant).robot
+    if asked == "warp":
+        from jaxact.plants import warp  # starts MJX
+
+        warp.demand()
     if asked != "auto":
         model.demand(robot, asked)
-        return "mjx" if asked == "mjx" else "mujoco"
+        return cast(Engine, asked)
     if jax.default_backend() == "cpu":
         return "mujoco"
     return "mjx" if model.suits(robot, "mjx") else "mujoco"
 
 
-def able(setting: Setting) -> tuple[Literal["mjx", "mujoco"], ...]:
-    """The engines that can simulate a robot."""
+def able(specification: Specification) -> tuple[Engine, ...]:
+    """The engines that can simulate the robot and are worth measuring here.
+
+    MJX-Warp is on an NVIDIA GPU only; on a CPU it is there to be asked for by name.
+    """
     from jaxact.plants import model  # as above
     from jaxact.sweep import robots
 
-    assert setting.plant is not None
-    robot = robots.scene(setting.plant).robot
-    engines: tuple[Literal["mjx", "mujoco"], ...] = ("mjx", "mujoco")
+    assert specification.plant is not None
+    robot = robots.scene(specification.plant).robot
+    engines: tuple[Engine, ...] = ("mjx", "mujoco")
+    if jax.default_backend() == "gpu" and specification.precision == "float32":
+        from jaxact.plants import warp  # starts MJX
+
+        if not warp.lacking() and not warp.refusal(robot.model):
+            engines = ("mjx", "mujoco", "warp")
     return tuple(engine for engine in engines if model.suits(robot, engine))
 
 
@@ -114,6 +136,8 @@ def tile_size(specification: Specification) -> int:
 
 def usual_rate(case: Case) -> float:
     """Physics steps per second on one device, before anything was measured on a machine."""
+    if case.engine == "warp" and jax.default_backend() != "cpu":
+        return _WORK["mjx"]
     return _WORK[case.engine]
 
 

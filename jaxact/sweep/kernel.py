@@ -39,7 +39,7 @@ class Case:
     """The static side of a tile: everything that a compiled kernel depends on.
 
     Attributes:
-        engine: "mass", "mjx" or "mujoco".
+        engine: "mass", "mjx", "mujoco" or "warp".
         drive: static options of the drive.
         rollout: static options of the rollout.
         masked: some samples run longer than the duration, because control rates differ or because

@@ -14,8 +14,10 @@ _SIZE = re.compile(r"(\d+(?:\.\d*)?|\.\d+) ?([kmgt]?)(?:i?b)?")
 SHARE = 0.25
 # What Python, JAX and a kernel that is being compiled take, measured and rounded up [bytes]: the
 # mass plant 410 MiB, MJX 690 MiB with a slide joint and 1280 MiB with a quadruped, which C MuJoCo
-# runs in 520 MiB.
-_BASE = {"mass": 600 * 2**20, "mujoco": 700 * 2**20, "mjx": 900 * 2**20}
+# runs in 520 MiB. MJX-Warp takes 920 MiB with it.
+_BASE = {"mass": 600 * 2**20, "mujoco": 700 * 2**20, "mjx": 900 * 2**20,
+    "warp": 1100 * 2**20,
+}  # fmt: skip
 _ROBOT_IN_MJX = 1500 * 2**20
 # Copies of the parameters of a batch: taken from the axes, sorted into tiles, and on the device.
 _COPIES = 3
@@ -62,7 +64,7 @@ def per_loop(parameters: int, results: int, itemsize: int) -> int:
 def base(engine: str, *, robot: bool) -> int:
     """What a process takes before it computes the first loop [bytes].
 
-    engine: "mass", "mjx" or "mujoco"
+    engine: "mass", "mjx", "mujoco" or "warp"
     robot: the plant is a robot of the user's
     """
     return _ROBOT_IN_MJX if robot and engine == "mjx" else _BASE[engine]

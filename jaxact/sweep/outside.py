@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import functools
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -39,7 +40,7 @@ Observer = Callable[[int, Setpoint, BatchState, jax.Array], None]
 @functools.lru_cache(maxsize=4)
 def template(case: Case, setting: Setting) -> Template:
     """What the samples share; it holds no JAX arrays, so any precision may use it."""
-    return kernel.template_of(case, setting, "metrics")
+    return kernel.template_of(replace(case, engine="mujoco"), setting, "metrics")
 
 
 def moved(case: Case, setting: Setting, values: Mapping[str, np.ndarray]) -> tuple[Any, Any] | None:

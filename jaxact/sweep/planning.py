@@ -11,7 +11,7 @@ from jaxact.sweep import layout, memory
 from jaxact.sweep.layout import Layout
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Specification
-from jaxact.sweep.store import NUMERIC, VARIABLES, as_json, versions
+from jaxact.sweep.store import VARIABLES, as_json, numeric_versions
 
 # Chunks of a sweep that are enough, where they would otherwise be a second of work each.
 _CHUNKS = 32
@@ -129,7 +129,7 @@ def identity(
         "engine": planned.engine,
         "model": planned.digest,
         "platform": planned.platform,
-        "versions": versions(NUMERIC),
+        "versions": numeric_versions(planned.engine),
         **more,
         "tile": planned.tile,
         "precision": specification.precision,

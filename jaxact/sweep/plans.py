@@ -105,7 +105,9 @@ def _devices(specification: Specification) -> int:
         UserError: more are asked for than there are.
     """
     there = len(jax.local_devices())
-    asked = there if specification.devices is None else specification.devices
+    # On a CPU, MJX-Warp computes for one device after the other: more of them gain little.
+    usual = 1 if specification.engine == "warp" and jax.default_backend() == "cpu" else there
+    asked = usual if specification.devices is None else specification.devices
     if asked > there:
         raise UserError(f"devices = {asked}: this machine has {there}; `jaxact info` lists them")
     return asked

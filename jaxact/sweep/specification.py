@@ -118,8 +118,8 @@ class Specification:
     """A sweep, checked and complete.
 
     description: a sentence for people, shown with the results
-    engine: plant, "mass" (exact), "mjx" (MuJoCo in JAX), "mujoco" (MuJoCo in C, for robots), or
-        "auto", the faster of the two for a robot
+    engine: plant, "mass" (exact), "mjx" (MuJoCo in JAX), for robots also "mujoco" (MuJoCo in C),
+        "warp" (MJX-Warp) or "auto", the fastest of the three
     plant: the robot of the MuJoCo engines, None for the built-in slide joint
     motion: of the setpoint, None for a step
     push: on a robot, None for none
@@ -136,7 +136,7 @@ class Specification:
     """
 
     description: Annotated[str, Field(max_length=1000)] = ""
-    engine: Literal["mass", "mjx", "mujoco", "auto"] = "mass"
+    engine: Literal["mass", "mjx", "mujoco", "warp", "auto"] = "mass"
     physics_step: Annotated[float, Field(ge=1e-7, le=1.0, allow_inf_nan=False)] | None = None
     velocity: Literal["sampled", "differenced"] = "sampled"
     duration: Annotated[float, Field(gt=0.0, le=1e5, allow_inf_nan=False)] = 2.0

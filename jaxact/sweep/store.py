@@ -43,8 +43,8 @@ RECEIPT = "receipt"
 IDENTITY = "identity"
 _MARK = "jaxact_version"
 # Another version of these may compute other numbers.
-NUMERIC = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scipy")
-_PACKAGES = (*NUMERIC, "xarray", "zarr")
+_NUMERIC = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scipy")
+_PACKAGES = (*_NUMERIC, "xarray", "zarr")
 
 
 @dataclass(frozen=True)
@@ -231,6 +231,11 @@ def _title(specification: Specification) -> str:
 def versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:
     """Version of jaxact and of some packages."""
     return {"jaxact": __version__} | {name: version(name) for name in packages}
+
+
+def numeric_versions(engine: str) -> dict[str, str]:
+    """Of what computes an engine's numbers: another version may compute other ones."""
+    return versions((*_NUMERIC, "warp-lang") if engine == "warp" else _NUMERIC)
 
 
 def as_json(value: Any) -> str:

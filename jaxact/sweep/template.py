@@ -72,7 +72,7 @@ def of_robot(
 
     Args:
         setting: with a plant.
-        engine: "mjx" or "mujoco", which loads no MJX plant.
+        engine: "mjx", "warp", or "mujoco", which loads no MJX plant.
         varied: changes of the model that differ between samples.
         step: physics step [s].
         period: control period [s].
@@ -88,8 +88,9 @@ def of_robot(
     assert setting.plant is not None
     scene = robots.scene(setting.plant)
     plant = found = None
-    if engine == "mjx":
-        plant = _placed(setting, scene, varied)
+    # MJX-Warp has no derivatives: its robots are linearised in C.
+    if engine == "mjx" or (engine == "warp" and not growth):
+        plant = _placed(setting, scene, varied, "jax" if engine == "mjx" else "warp")
     # Where models differ, each is linearised in C, in the coordinates of the nominal one there.
     if growth and plant is not None and not varied:
         found = linearize.linearise(replace(plant, push=None), scene.posture.force, step)
@@ -110,7 +111,7 @@ def of_robot(
     )
 
 
-def _placed(setting: Setting, scene: Scene, varied: tuple[str, ...]) -> Any:
+def _placed(setting: Setting, scene: Scene, varied: tuple[str, ...], impl: str) -> Any:
     """The MJX plant of a robot, its push included."""
     from jaxact.plants import mjx
     from jaxact.sweep import robots
@@ -120,6 +121,7 @@ def _placed(setting: Setting, scene: Scene, varied: tuple[str, ...]) -> Any:
         scene.posture,
         payload_body=scene.payload_body,
         dry_friction="joint_friction" in varied,
+        impl=impl,
     )
     push = setting.push
     if push is None:

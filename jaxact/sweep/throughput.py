@@ -25,7 +25,7 @@ from jaxact.sweep.specification import Specification
 # Tiles that are measured, as factors on the usual one.
 _FACTORS = (0.5, 1.0, 2.0, 4.0)
 # Shortest sweep for which measuring pays [s]: it takes a few compilations.
-_WORTH = {"mass": 300.0, "mjx": 1800.0, "mujoco": 600.0}
+_WORTH = {"mass": 300.0, "mjx": 1800.0, "mujoco": 600.0, "warp": 1800.0}
 # Physics steps from which on the compilation of a light robot in MJX is made up for.
 _MANY = 3e6
 # Physics steps of a rollout that is measured.
@@ -106,7 +106,7 @@ def fastest(
     usual = engines.resolved(specification)
     if specification.engine != "auto" or specification.plant is None:
         return usual.engine
-    able = engines.able(specification.setting)
+    able = engines.able(specification)
     steps = len(samples) * plans.groups(usual, samples)[0].steps
     if "mjx" in able and engines.light(specification.setting) and steps > _MANY:
         usual = replace(usual, engine="mjx")

@@ -44,7 +44,7 @@ class Validation:
     excursion: largest distance of each joint from its setpoint [rad or m], shape (p, n, m)
     fallen: whether a floating robot had turned over or sunk in the end, shape (p, n)
     reasons: a sentence for each, p rows of n
-    engines: that simulated each posture, "mjx" or "mujoco"
+    engines: that simulated each posture, "mjx", "mujoco" or "warp"
     """
 
     situations: tuple[str, ...]
@@ -95,7 +95,7 @@ def validate(
         shape (m,) [N m/rad or N/m], [N m s/rad or N s/m]
     members: values of the parameters in which they differ by key (see `jaxact.sweep.parameters`;
         `actuator` holds names of presets), shape (n,) each; none: one member
-    engine: "mjx", "mujoco" or "auto"; None: the specification's own
+    engine: "mjx", "mujoco", "warp" or "auto"; None: the specification's own
 
     Raises UserError for postures with other joints, for values out of their bounds, and for a robot
     that cannot be simulated.

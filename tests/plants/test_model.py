@@ -14,6 +14,7 @@ import pytest
 
 from jaxact.errors import UserError
 from jaxact.plants import model as models
+from jaxact.plants.findings import ENGINES
 
 STEP = 0.001
 ARM = """
@@ -363,9 +364,9 @@ def test_what_cannot_be_driven_says_why_in_one_line(read, actuator, reason):
     ).replace('<geom type="plane"', '<site name="s2"/><geom type="plane"')  # fmt: skip
     text = text.replace('<key name="home" qpos="0.3 0.1 0" qvel="0.1 0 0"/>', "")
     robot = read(text)
-    stops = [item for item in robot.findings if item.engines == ("mjx", "mujoco")]
+    stops = [item for item in robot.findings if item.engines == ENGINES]
     assert any(reason in item.advice or reason in item.field for item in stops)
-    for engine in ("mjx", "mujoco"):
+    for engine in ENGINES:
         with pytest.raises(UserError) as caught:
             models.demand(robot, engine)
         assert "\n" not in str(caught.value)
@@ -483,6 +484,9 @@ def test_inertia_that_no_single_joint_can_carry_stays_with_its_actuator(read):
     models.demand(robot, "mujoco")
     with pytest.raises(UserError, match=r"'ball': give armature to the joints .*and 2 more"):
         models.demand(robot, "mjx")
+    # MJX-Warp simulates the damping
+    with pytest.raises(UserError, match=r"'ball': give armature to the joints instead, as one n"):
+        models.demand(robot, "warp")
 
 
 def test_a_name_is_made_for_a_joint_without_one(read):

@@ -87,28 +87,36 @@ def test_results_that_no_computation_gives_are_found(whole, tmp_path):
 
 
 def test_a_device_short_of_memory_gets_smaller_tiles(monkeypatch, tmp_path):
+    """One that has no room for the inputs, and one that finds out while it computes."""
     tiles = []
 
-    def compute(groups, specification, samples, numbers, growth):
+    def begin(groups, specification, samples, numbers, growth):
         assert growth[0].size == groups[0].batch
         tiles.append(groups[0].tile)
-        if groups[0].tile > 4:
+        if groups[0].tile > 8:
+            raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating")
+        return groups[0].tile, numbers
+
+    def finish(begun):
+        tile, numbers = begun
+        if tile > 4:
             raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating")
         return {name: numbers.astype(float) % 4 for name in store.VARIABLES}
 
-    monkeypatch.setattr(execute, "compute", compute)
+    monkeypatch.setattr(execute, "begin", begin)
+    monkeypatch.setattr(execute, "finish", finish)
     filled = _run(tmp_path, NOISY, loops=45)
-    assert tiles == [16, 8, 4, 4]
+    assert tiles[0] == 16 and tiles[-1] == 4 and {*tiles} == {16, 8, 4}
     assert [int(filled.receipt(n)[1]) for n in range(2)] == [4, 4] and filled.tile == 16
     results = store.open_result(tmp_path)
     np.testing.assert_array_equal(results["rms_force"].values.ravel(), np.arange(90) % 4)
 
 
 def test_other_failures_are_not_taken_for_a_lack_of_memory(monkeypatch, tmp_path):
-    def compute(*_):
+    def finish(_):
         raise jax.errors.JaxRuntimeError("INTERNAL: something else")
 
-    monkeypatch.setattr(execute, "compute", compute)
+    monkeypatch.setattr(execute, "finish", finish)
     with pytest.raises(jax.errors.JaxRuntimeError, match="something else"):
         _run(tmp_path, NOISY, loops=45)
     assert list(tmp_path.iterdir()) == []

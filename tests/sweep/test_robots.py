@@ -280,7 +280,7 @@ def test_auto_is_the_engine_that_was_faster_on_this_machine(folder, monkeypatch,
     assert cache.usable() == ""
     asked = _parsed(folder, HOME, DRIVE, engine="auto", duration=0.1)
     samples, said = expand(asked), []
-    assert engines.able(asked.setting) == ("mjx", "mujoco")
+    assert engines.able(asked) == ("mjx", "mujoco")
     assert throughput.fastest(asked, samples, say=said.append) == "mujoco", "short: expected"
     assert said == []
     monkeypatch.setattr(throughput, "_MANY", 10)
