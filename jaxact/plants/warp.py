@@ -131,11 +131,9 @@ def step(model: Any, data: Any) -> Any:
     """
     # A template and what differs between simulations apart: MJX's own data would have to be
     # batched with a list of contacts that is not.
-    template, given = data, {name: getattr(data, name) for name in _GIVEN}
-    for name in _GIVEN:
-        fixed = jax.ShapeDtypeStruct(given[name].shape, given[name].dtype)
-        template = template.replace(**{name: jnp.zeros(fixed.shape, fixed.dtype)})
-    return data.replace(**_stepped(model, template, given))
+    given = {name: getattr(data, name) for name in _GIVEN}
+    blank = {name: jnp.zeros(value.shape, value.dtype) for name, value in given.items()}
+    return data.replace(**_stepped(model, data.replace(**blank), given))
 
 
 @custom_vmap

@@ -105,9 +105,12 @@ def _devices(specification: Specification) -> int:
         UserError: more are asked for than there are.
     """
     there = len(jax.local_devices())
-    # On a CPU, MJX-Warp computes for one device after the other: more of them gain little.
-    usual = 1 if specification.engine == "warp" and jax.default_backend() == "cpu" else there
+    # MJX-Warp computes for one CPU device after the other, so that more of them would gain nothing.
+    single = specification.engine == "warp" and jax.default_backend() == "cpu"
+    usual = 1 if single else there
     asked = usual if specification.devices is None else specification.devices
+    if single and asked > 1:
+        raise UserError(f"devices = {asked}: on CPUs, the engine warp uses one; leave it out")
     if asked > there:
         raise UserError(f"devices = {asked}: this machine has {there}; `jaxact info` lists them")
     return asked

@@ -3,6 +3,7 @@
 What needs MJX-Warp is skipped where it is not installed; what is said of its absence is not.
 """
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -144,7 +145,7 @@ def test_friction_of_contacts_differs_between_samples(folder):
 
 @needs_warp
 def test_the_same_bits_again_and_in_other_company(folder, tmp_path):
-    """On a CPU: repeated, resumed chunk by chunk, and computed again one by one."""
+    """On a CPU, where it uses one device: repeated, some only, and again for a store."""
     noise = DRIVE + "position_noise = 1e-3\nsetpoint = 0.1\nkp = 60\nkd = 2"
     axes = "gain_scale = { min = 0.5, max = 2, num = 6 }"
     asked = _parsed(
@@ -153,10 +154,13 @@ def test_the_same_bits_again_and_in_other_company(folder, tmp_path):
     samples = expand(asked)
     with optimised_little():
         groups = plans.groups(asked, samples)
+        assert groups[0].devices == 1
         whole = execute.compute(groups, asked, samples, np.arange(6))
         again = execute.compute(groups, asked, samples, np.array([1, 4]))
         for name, values in again.items():
             np.testing.assert_array_equal(values, whole[name][[1, 4]], err_msg=name)
+        with pytest.raises(UserError, match="devices = 2: on CPUs, the engine warp uses one"):
+            plans.groups(dataclasses.replace(asked, devices=2), samples)
         target = place.at(tmp_path / "out")
         conduct.sweep(asked, target, conduct.How())
         checked = validation.recompute(target.inside(store.STORE), 4, seed=0)
@@ -189,6 +193,15 @@ def test_auto_may_choose_it_on_an_nvidia_gpu_only(folder, monkeypatch):
     assert engines.able(asked) == ("mjx", "mujoco")
     monkeypatch.setattr(warp, "lacking", lambda: "not installed")
     assert engines.able(asked) == ("mjx", "mujoco")
+
+
+def test_on_a_gpu_its_loops_are_compared_to_rounding_only(monkeypatch, tmp_path):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(store, "numeric_versions", lambda engine: {})
+    for engine, words in (("mjx", ""), ("warp", "MJX-Warp on a GPU adds up in any order")):
+        there = {"engine": engine, "platform": "gpu", "versions": {}}
+        monkeypatch.setattr(store, "identity_of", lambda target, there=there: there)
+        assert validation._rounds_otherwise(place.at(tmp_path)) == words
 
 
 REFUSED = {
