@@ -260,7 +260,7 @@ class Computer:
                 self._groups, self._specification, self._work.samples, numbers, growth
             )
         except (RuntimeError, MemoryError) as error:
-            self._smaller(error)
+            self._smaller(error, self._tile)
             return None
         return begun, self._tile
 
@@ -275,13 +275,15 @@ class Computer:
                 try:
                     return execute.finish(begun[0]), begun[1]
                 except (RuntimeError, MemoryError) as error:
-                    self._smaller(error)
+                    self._smaller(error, begun[1])
             begun = self.begin(number)
 
-    def _smaller(self, error: Exception) -> None:
-        """Halve the tile where a device has run out of memory; raises any other error."""
+    def _smaller(self, error: Exception, tile: int) -> None:
+        """Halve the tile with which a device has run out of memory; raises any other error."""
         if not _out_of_memory(error):
             raise error
+        if tile > self._tile:
+            return  # it was begun before another chunk had the tile halved
         if self._tile == 1:
             raise UserError(
                 "a device has too little memory for a single loop; shorten the delays or"
