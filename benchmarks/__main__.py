@@ -93,6 +93,15 @@ def _mass(quick: bool) -> Iterator:
         "at least 0.77 (1.3 times as long)",
         1 / 1.3,
     )
+    gains = 64 if quick else 3200
+    yield Row(
+        f"the whole command `jaxact sweep` over {gains**2:,} loops, kernels kept from a run before",
+        "C loop without growth rates, store or start",
+        *alternate(sweeps.command("mass", gains, 2.0), loop, 3),
+        "loop step",
+        "at least 0.77 (1.3 times as long)",
+        1 / 1.3,
+    )
 
 
 def _mjx(quick: bool) -> Iterator:

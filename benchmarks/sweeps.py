@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -14,15 +18,37 @@ from jaxact.sweep.specification import Specification
 LOOP = {"actuator": "hyq", "delay": 0.005}
 
 
-def specification(engine: str, gains: int, duration: float, **options: object) -> Specification:
-    """A grid of gains x gains around the study's loop with HyQ's actuator and 5 ms."""
+def written(engine: str, gains: int, duration: float, **options: object) -> str:
+    """TOML of a grid of gains x gains around the study's loop with HyQ's actuator and 5 ms."""
     text = [f'engine = "{engine}"', f"duration = {duration}"]
     text += [f"{name} = {value}" for name, value in options.items() if name == "physics_step"]
     text += ["[parameters]", 'actuator = "hyq"', "delay = 0.005"]
     text += [f"{name} = {value}" for name, value in options.items() if name != "physics_step"]
     text += ["[axes]", f'kp = {{min = 10, max = 2000, num = {gains}, spacing = "log"}}']
     text += [f'kd = {{min = 5, max = 60, num = {gains}, spacing = "log"}}']
-    return reading.parse("\n".join(text))
+    return "\n".join(text)
+
+
+def specification(engine: str, gains: int, duration: float, **options: object) -> Specification:
+    """The same, read."""
+    return reading.parse(written(engine, gains, duration, **options))
+
+
+def command(engine: str, gains: int, duration: float) -> Callable[[], float]:
+    """`jaxact sweep` from the shell, start to finished store; units: loop steps."""
+    asked = specification(engine, gains, duration)
+    units = steps(asked, expand(asked))
+
+    def run() -> float:
+        with tempfile.TemporaryDirectory() as folder:
+            (Path(folder) / "sweep.toml").write_text(written(engine, gains, duration))
+            words = ["sweep", "sweep.toml", "--out", "out", "--quiet"]
+            subprocess.run(
+                [sys.executable, "-m", "jaxact.cli.main", *words], cwd=folder, check=True
+            )
+        return units
+
+    return run
 
 
 def steps(asked: Specification, samples: Samples) -> int:

@@ -13,18 +13,19 @@ _SHORTEST = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"
 _LOUDNESS = "TF_CPP_MIN_LOG_LEVEL"
 
 
-def prepare(*, wanted: bool = True) -> None:
+def prepare(*, wanted: bool = True, quiet: bool = False) -> None:
     """Turn JAX's compilation cache on, before JAX starts; the user's own settings are respected.
 
     wanted: False turns it off
-
-    Where the folder cannot be used, that is said in one line, and everything is compiled anew.
+    quiet: do not say, in one line, where the folder cannot be used and everything is compiled anew
     """
     if not wanted:
         os.environ.pop(_FOLDER, None)
         return
     if _FOLDER not in os.environ:
         reason = cache.usable()
+        if reason and quiet:
+            return
         if reason:
             print(
                 f"jaxact: {cache.folder()}: cannot be used as cache ({reason}); compiling anew,"

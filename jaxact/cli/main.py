@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from jaxact import __version__
-from jaxact.cli import _gl, _options, _signals, _xla
+from jaxact.cli import _cache, _gl, _options, _signals, _xla
 from jaxact.cli._signals import Terminated
 from jaxact.errors import UserError
 
@@ -38,6 +38,11 @@ VERBS = {
     "check": "show what will be driven in a robot model, and every field that engines would ignore",
     "info": "show versions, devices, precision and caches: what a bug report needs",
 }
+
+# Those that keep what they compile and have no option that says otherwise.
+_COMPILE = (
+    "plot", "simulate", "step", "margins", "bode", "nyquist", "sensitivity", "render", "paper"
+)  # fmt: skip
 
 USAGE_ERROR = 2
 INTERRUPTED = 130
@@ -118,6 +123,8 @@ def entry() -> NoReturn:
     # Tracing makes hundreds of thousands of objects, few of which are garbage: looking for it after
     # every few hundred takes a tenth of a command's time.
     gc.set_threshold(50_000, 20, 100)
+    if sys.argv[1:2] and sys.argv[1] in _COMPILE:
+        _cache.prepare(quiet=True)
     code = main()
     if code in (INTERRUPTED, TERMINATED):
         # devices may be computing still, and would crash while the interpreter is taken down

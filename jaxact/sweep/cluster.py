@@ -16,7 +16,7 @@ from typing import Any
 
 from jaxact.errors import UserError
 from jaxact.sweep import planning
-from jaxact.sweep.fill import Computer, Work
+from jaxact.sweep.computer import Computer, Work
 from jaxact.sweep.planning import Planned
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Specification
