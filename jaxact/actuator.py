@@ -204,14 +204,20 @@ def response(
     left = step - older_for
     rest = free_response(natural_frequency, damping_ratio, left)
     half = 0.5 * step * step
+    # Not a division of each: a compiler may or may not make these of it, and round otherwise.
+    per_step, per_half = 1.0 / step, 1.0 / half
     return Response(
         force=(whole.c, whole.s, rest.c - whole.c),
         rate=(whole.rate_e, whole.rate_g, rest.rate_e - whole.rate_e),
-        mean=(whole.Ic / step, whole.Is / step, (older_for - whole.Ic + rest.Ic) / step),
+        mean=(
+            whole.Ic * per_step,
+            whole.Is * per_step,
+            (older_for - whole.Ic + rest.Ic) * per_step,
+        ),
         moment=(
-            whole.Jc / half,
-            whole.Js / half,
-            (half - 0.5 * left * left - whole.Jc + rest.Jc) / half,
+            whole.Jc * per_half,
+            whole.Js * per_half,
+            (half - 0.5 * left * left - whole.Jc + rest.Jc) * per_half,
         ),
     )
 

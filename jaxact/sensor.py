@@ -112,7 +112,9 @@ def quantise(value: jax.Array, resolution: jax.Array) -> jax.Array:
     """
     on = resolution > 0.0
     count = jnp.where(on, resolution, 1.0)
-    return jnp.where(on, jnp.round(value / count) * count, value)
+    # Not value / count: a compiler may or may not make this of it, and round otherwise.
+    per_count = 1.0 / count
+    return jnp.where(on, jnp.round(value * per_count) * count, value)
 
 
 def prepare(sensor: Sensor, period: jax.Array) -> SensorCoefficients:

@@ -303,7 +303,7 @@ def test_compiled_kernels_are_kept_and_a_damaged_cache_is_no_error(small, tmp_pa
 def test_other_commands_keep_their_kernels_too_and_say_nothing_where_they_cannot(tmp_path):
     words = ["margins", "--kp", "400", "--kd", "20", "--json"]
     said = [
-        jaxact(*words, XDG_CACHE_HOME=where)
+        jaxact(*words, XDG_CACHE_HOME=where, MPLCONFIGDIR=str(tmp_path))
         for where in (str(tmp_path), str(tmp_path), "/proc/nowhere")
     ]
     assert [(ran.returncode, ran.stderr) for ran in said] == [(0, "")] * 3

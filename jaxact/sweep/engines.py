@@ -148,5 +148,5 @@ def batch_size(case: Case, tile: int, devices: int) -> int:
 
 
 def old_jax() -> bool:
-    """Whether this is JAX 0.10, whose compiler rounds a shared number by the number of devices."""
+    """Whether this is JAX 0.10, which on a CPU can wait for ever for threads of its own."""
     return jax.__version__.startswith("0.10.")

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
-from jaxact.sweep import engines, kernel
+from jaxact.sweep import kernel
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.plans import Plan
 from jaxact.sweep.samples import Samples
@@ -91,7 +91,7 @@ def tiled(
     shared: dict[str, np.ndarray] = {
         name: array.reshape(()).astype(dtype)
         for name, array in samples.along.items()
-        if array.size == 1 and name != NEVER_SHARED and not engines.old_jax()
+        if array.size == 1 and name != NEVER_SHARED
     }
     own: dict[str, np.ndarray] = {
         name: value.reshape(shape).astype(dtype)
