@@ -27,17 +27,31 @@ _STEPS = 256
 
 
 @dataclass(frozen=True)
+class _Batch:
+    """A batch that devices are simulating.
+
+    Attributes:
+        order: in which its samples are computed.
+        growth: their growth rates [1/s] in that order, shape (batch,).
+        metrics: in that order; not waited for.
+    """
+
+    order: slice | np.ndarray
+    growth: np.ndarray
+    metrics: Metrics
+
+
+@dataclass(frozen=True)
 class Begun:
     """Samples that devices are simulating.
 
     Attributes:
         size: number of samples.
-        parts: of each batch where its rows belong, how many of them count, the order in which they
-            are computed, the growth rates in that order, and the metrics.
+        batches: each with where its rows belong, and how many of them count.
     """
 
     size: int
-    parts: list[tuple[slice | np.ndarray, int, slice | np.ndarray, np.ndarray, Metrics]]
+    batches: list[tuple[slice | np.ndarray, int, _Batch]]
 
 
 def simulate_batch(
@@ -48,7 +62,7 @@ def simulate_batch(
     growth: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """Metrics of one batch of samples whose growth rates [1/s] are known; each (batch,)."""
-    return _rows(*_simulated(plan, specification, samples, numbers, growth))
+    return _rows(_simulated(plan, specification, samples, numbers, growth))
 
 
 def _simulated(
@@ -57,15 +71,16 @@ def _simulated(
     samples: Samples,
     numbers: np.ndarray,
     growth: np.ndarray,
-) -> tuple[slice | np.ndarray, np.ndarray, Metrics]:
-    """The order of a batch, its growth rates in that order, and its metrics, not waited for."""
+) -> _Batch:
+    """A batch that is being simulated; arguments as for `simulate_batch`."""
     with _precision(specification):
         if plan.case.engine == "mujoco":
-            return slice(None), growth, _outside(plan, specification, samples, numbers, growth)
+            found = _outside(plan, specification, samples, numbers, growth)
+            return _Batch(slice(None), growth, found)
         order = _by_life(plan, growth)
         rates = growth[order]
         program, inputs = _program(plan, specification, samples, numbers[order], rates)
-        return order, rates, program(*inputs)
+        return _Batch(order, rates, program(*inputs))
 
 
 def prepare(
@@ -141,12 +156,12 @@ def _outside(
     return outside.metrics(plan.case, setting, values, growth, seed, samples.first + numbers)
 
 
-def _rows(order: slice | np.ndarray, growth: np.ndarray, result: Metrics) -> dict[str, np.ndarray]:
+def _rows(batch: _Batch) -> dict[str, np.ndarray]:
     """Metrics as flat arrays by name, the growth rates as they were before any rounding."""
     names = Metrics.__dataclass_fields__
-    rows = {name: np.asarray(getattr(result, name)).reshape(-1) for name in names}
-    rows |= {"growth_rate": growth}
-    return {name: _reordered(row, order) for name, row in rows.items()}
+    rows = {name: np.asarray(getattr(batch.metrics, name)).reshape(-1) for name in names}
+    rows |= {"growth_rate": batch.growth}
+    return {name: _reordered(row, batch.order) for name, row in rows.items()}
 
 
 def _reordered(row: np.ndarray, order: slice | np.ndarray) -> np.ndarray:
@@ -185,7 +200,7 @@ def begin(
         groups, specification, samples, numbers: as for `compute`.
         growth: from `growth_rates`.
     """
-    parts = []
+    begun = []
     done = 0
     batches = [(plan, *each) for plan in groups for each in plans.batches(plan, samples, numbers)]
     for (plan, batch, count), rates in zip(batches, growth, strict=True):
@@ -193,16 +208,16 @@ def begin(
         if len(groups) > 1:
             places = np.searchsorted(numbers, batch[:count])
         found = _simulated(plan, specification, samples, batch, rates)
-        parts.append((places, count, *found))
+        begun.append((places, count, found))
         done += count
-    return Begun(numbers.size, parts)
+    return Begun(numbers.size, begun)
 
 
 def finish(begun: Begun) -> dict[str, np.ndarray]:
     """What `compute` returns, once it is there."""
     results: dict[str, np.ndarray] = {}
-    for places, count, *found in begun.parts:
-        for name, row in _rows(*found).items():
+    for places, count, batch in begun.batches:
+        for name, row in _rows(batch).items():
             if name not in results:
                 results[name] = np.zeros(begun.size, row.dtype)
             results[name][places] = row[:count]

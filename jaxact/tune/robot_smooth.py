@@ -98,6 +98,7 @@ def surrogate(goal: Goal, loops: int) -> Surrogate:
     names = tuple(sorted({name for name, _ in rows} | {goal.figure} - {"kp"}))
 
     def smooth(x: jax.Array, case: Data, sharpness: jax.Array) -> Smooth:
+        """Smoothed objective and bounds at the logarithms of the gains."""
         # Beyond a bound nothing changes any more.
         x = jnp.clip(x, case.low, case.high)
         logs = x.reshape(2, -1)
@@ -142,6 +143,7 @@ def _inverse(A: jax.Array) -> jax.Array:
     """
 
     def eliminate(k: int, A: jax.Array) -> jax.Array:
+        """One pivot's row and column."""
         pivot = jnp.where(jnp.abs(A[k, k]) < _TINY, _TINY, A[k, k])
         here = jnp.arange(len(A)) == k
         row = jnp.where(here[:, None], 1.0, A[k]) / pivot[None]

@@ -79,6 +79,7 @@ def _interior(box: Box, goal: Goal, tuned: Tuned, seed: int) -> tuple[float, Ens
     x = np.log([tuned.kp, tuned.kd])
 
     def rise(members: Ensemble) -> tuple[np.ndarray, np.ndarray]:
+        """By how much each member exceeds the bound it exceeds most, and that slope in the box."""
         found = joint.exact([Case(members, goal)], x[None])
         over = np.stack([sign * (found.log[f][0] - np.log(b)) for _, f, sign, b in goal.rows])
         slope = np.stack([sign * found.slope[f][0, :, 2:] for _, f, sign, b in goal.rows])

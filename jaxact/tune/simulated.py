@@ -115,6 +115,7 @@ def term(
     ]
 
     def costs(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Tracking error and effort, means over the members, at the logarithms of the gains."""
         gains = {key: jnp.exp(x[place]) for key, place in keys}
 
         def member(own: Mapping[str, jax.Array], number: jax.Array):

@@ -91,6 +91,7 @@ def _pulse_responses(
     """Gp and Gv of the sampled plants, shape (n, points); plants: parameters, shape (n,) each."""
 
     def one(plant: tuple[jax.Array, ...], w: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Gp and Gv of one plant at its own frequencies."""
         period = jnp.asarray(sampling.control_period, w.dtype)
         cutoff = jnp.asarray(sampling.velocity_filter, w.dtype)
         zero = jnp.zeros((), w.dtype)
