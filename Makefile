@@ -2,6 +2,7 @@
 # make paper   the study's figures and claims, exact and as simulated, to results/paper/
 # make quadruped  the study's robot: tripled gains, bare and with drives, to results/quadruped/
 # make tuning  gains for that robot, certified and simulated, to results/tuning/quadruped/
+# make engines  MJX against C MuJoCo with the same drives, to results/engines/
 # make test    the whole test suite
 # make lint    style and types
 # make bench   benchmarks against rivals, to results/benchmarks/
@@ -17,7 +18,7 @@ STAMP := $(VENV)/.complete
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 STUDY := paper_gain_map
 
-.PHONY: help demo paper quadruped tuning test lint bench lock clean
+.PHONY: help demo paper quadruped tuning engines test lint bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -35,6 +36,9 @@ quadruped: $(STAMP)
 
 tuning: $(STAMP)
 	$(BIN)/python experiments/tuning/quadruped.py
+
+engines: $(STAMP)
+	$(BIN)/python experiments/engines/run.py
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n auto

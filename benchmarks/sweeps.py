@@ -44,7 +44,7 @@ def command(engine: str, gains: int, duration: float) -> Callable[[], float]:
             (Path(folder) / "sweep.toml").write_text(written(engine, gains, duration))
             words = ["sweep", "sweep.toml", "--out", "out", "--quiet"]
             subprocess.run(
-                [sys.executable, "-m", "jaxact.cli.main", *words], cwd=folder, check=True
+                [sys.executable, "-m", "jaxact", *words], cwd=folder, check=True
             )
         return units
 

@@ -42,6 +42,7 @@ LAYERS = (
     ("plot",),
     ("paper",),
     ("cli",),
+    ("__main__",),
 )
 # Theory and simulation are written independently, so that each can catch the other's mistakes.
 THEORY = (*ANALYSIS, "held")
@@ -236,7 +237,7 @@ def test_readme_commands_run(commands, tmp_path):
     kept = {"JAX_COMPILATION_CACHE_DIR": str(kernels), "TF_CPP_MIN_LOG_LEVEL": "3"}
     for words in commands:
         ran = subprocess.run(
-            [sys.executable, "-m", "jaxact.cli.main", *words, *smaller * (words[0] == "sweep")],
+            [sys.executable, "-m", "jaxact", *words, *smaller * (words[0] == "sweep")],
             capture_output=True, text=True, cwd=tmp_path,
             env=os.environ | ENVIRONMENT | kept | {"PYTHONPATH": str(ROOT)},
         )  # fmt: skip

@@ -51,7 +51,7 @@ def _environment():
 
 def jaxact(*arguments, cwd=None, **environment):
     return subprocess.run(
-        [sys.executable, "-m", "jaxact.cli.main", *map(str, arguments)],
+        [sys.executable, "-m", "jaxact", *map(str, arguments)],
         capture_output=True, text=True, cwd=cwd, env=_environment() | ENVIRONMENT | environment,
         timeout=300, stdin=subprocess.DEVNULL,
     )  # fmt: skip
@@ -184,7 +184,7 @@ def test_results_do_not_depend_on_where_or_how_they_were_computed(tmp_path):
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_sweep_interrupted_before_its_first_chunk_leaves_nothing(number, code, small, tmp_path):
     running = subprocess.Popen(
-        [sys.executable, "-m", "jaxact.cli.main", "sweep", small, "--set", "duration=2000"],
+        [sys.executable, "-m", "jaxact", "sweep", small, "--set", "duration=2000"],
         cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=_environment(),
     )  # fmt: skip
     while not (tmp_path / "results" / "small").is_dir() and running.poll() is None:
@@ -205,7 +205,7 @@ def test_an_interrupted_sweep_says_how_to_continue_and_does(number, code, tmp_pa
     )
     command = ["sweep", "long.toml", "--set", "duration=20"]
     running = subprocess.Popen(
-        [sys.executable, "-m", "jaxact.cli.main", *command],
+        [sys.executable, "-m", "jaxact", *command],
         cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=_environment(),
     )  # fmt: skip
     receipts = tmp_path / "results/long/sweep.zarr/progress/receipt"

@@ -46,7 +46,7 @@ def folder(tmp_path_factory):
 
 
 def _render(folder, *options, **environment):
-    command = [sys.executable, "-W", "error", "-m", "jaxact.cli.main", "render"]
+    command = [sys.executable, "-W", "error", "-m", "jaxact", "render"]
     files = [
         "--model",
         "robot.xml",
@@ -87,7 +87,7 @@ def test_simulates_both_motions_itself(folder):
         '[plant]\nmodel = "robot.xml"\n[parameters]\nkp = 50\nactuator = "starleth"\n'
         "delay = 0.005\nposition_noise = 1e-4\n[axes]\nkd = [1, 300]\n"
     )
-    command = [sys.executable, "-W", "error", "-m", "jaxact.cli.main", "render"]
+    command = [sys.executable, "-W", "error", "-m", "jaxact", "render"]
     small = ["--kd", "300", "--size", "64", "64", "--duration", "0.3", "--out", "two.gif"]
     ran = subprocess.run(
         [*command, "--spec", "loop.toml", "--push", "1", "0", "0", "0", *small],
@@ -122,7 +122,7 @@ def test_without_opengl_it_says_so_in_one_line_and_writes_nothing(folder, asked)
 
 def test_an_opengl_that_fails_leaves_the_other_commands_alone(folder):
     ran = subprocess.run(
-        [sys.executable, "-m", "jaxact.cli.main", "check", "robot.xml"],
+        [sys.executable, "-m", "jaxact", "check", "robot.xml"],
         capture_output=True, text=True, cwd=folder,
         env=os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": "bogus"},
     )  # fmt: skip

@@ -62,7 +62,7 @@ def _mistake(capsys, *arguments):
 
 def test_the_gains_of_the_model_are_taken_and_everything_is_said(capsys):
     ran = subprocess.run(
-        [sys.executable, "-m", "jaxact.cli.main", "margins", "--model", "arm.xml", "--keyframe",
+        [sys.executable, "-m", "jaxact", "margins", "--model", "arm.xml", "--keyframe",
          "bent", "--actuator", "hyq", "--delay", "0.001", "--json"],
         capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip

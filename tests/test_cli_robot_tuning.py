@@ -46,7 +46,7 @@ def _mistake(capsys, *arguments):
 
 def test_a_robot_is_tuned_certified_simulated_and_written():
     ran = subprocess.run(
-        [sys.executable, "-m", "jaxact.cli.main", "tune", *ASKED, *QUICK,
+        [sys.executable, "-m", "jaxact", "tune", *ASKED, *QUICK,
          "--groups", "shoulder,elbow", "--uncertainty", "delay=0.001..0.003,payload=0..0.3",
          "--set", "plant.payload_body=lower", "--pareto", "3",
          "--validate", "2", "--out", "tuned", "--json"],

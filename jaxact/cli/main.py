@@ -133,6 +133,3 @@ def entry() -> NoReturn:
         os._exit(code)
     sys.exit(code)
 
-
-if __name__ == "__main__":
-    entry()

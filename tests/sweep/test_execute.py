@@ -161,7 +161,7 @@ def test_no_sweep_hangs(tmp_path, devices, tile):
         'engine = "mjx"\nduration = 0.02\nphysics_step = 0.001\n[axes]\n'
         "kp = {min = 10, max = 1000, num = 64}\nkd = {min = 5, max = 50, num = 32}\n"
     )
-    command = [sys.executable, "-m", "jaxact.cli.main", "sweep", str(sweep), "--quiet"]
+    command = [sys.executable, "-m", "jaxact", "sweep", str(sweep), "--quiet"]
     command += ["--out", str(tmp_path / "out"), "--set", f"tile={tile}"]
     command += ["--set", f"devices={devices}"]
     environment = {key: value for key, value in os.environ.items() if key != "NPROC"}

@@ -187,7 +187,7 @@ def test_a_sweep_of_a_hundred_million_loops_stays_within_its_memory(tmp_path):
     (tmp_path / "huge.toml").write_text(HUGE)
     bound = int(1.4 * 2**30)
     process = subprocess.Popen(
-        [sys.executable, "-m", "jaxact.cli.main", "sweep", "huge.toml", "--memory", str(bound)],
+        [sys.executable, "-m", "jaxact", "sweep", "huge.toml", "--memory", str(bound)],
         cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     status = Path(f"/proc/{process.pid}/status")

@@ -236,7 +236,7 @@ def test_without_warp_lang_the_program_says_how_to_get_it(verb, folder, tmp_path
     }[verb]
     path = os.pathsep.join([str(hidden), *filter(None, [os.environ.get("PYTHONPATH")])])
     done = subprocess.run(
-        [sys.executable, "-m", "jaxact.cli.main", *given],
+        [sys.executable, "-m", "jaxact", *given],
         cwd=folder, env={**os.environ, **ENVIRONMENT, "PYTHONPATH": path},
         capture_output=True, text=True, check=False,
     )  # fmt: skip
@@ -249,7 +249,7 @@ def test_without_warp_lang_the_program_says_how_to_get_it(verb, folder, tmp_path
 @needs_warp
 def test_nothing_of_warp_reaches_the_screen(folder):
     done = subprocess.run(
-        [sys.executable, "-m", "jaxact.cli.main", "simulate", "--model", "pendulum.xml",
+        [sys.executable, "-m", "jaxact", "simulate", "--model", "pendulum.xml",
          "--engine", "warp", "--duration", "0.05"],
         cwd=folder, env={**os.environ, **ENVIRONMENT}, capture_output=True, text=True, check=False,
     )  # fmt: skip
