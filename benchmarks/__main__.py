@@ -95,7 +95,7 @@ def _mass(quick: bool) -> Iterator:
     )
     gains = 64 if quick else 3200
     yield Row(
-        f"the whole command `jaxact sweep` over {gains**2:,} loops, kernels kept from a run before",
+        f"the whole command `jaxact sweep` over {gains**2:,} loops, programs kept from before",
         "C loop without growth rates, store or start",
         *alternate(sweeps.command("mass", gains, 2.0), loop, 3),
         "loop step",

@@ -43,9 +43,7 @@ def command(engine: str, gains: int, duration: float) -> Callable[[], float]:
         with tempfile.TemporaryDirectory() as folder:
             (Path(folder) / "sweep.toml").write_text(written(engine, gains, duration))
             words = ["sweep", "sweep.toml", "--out", "out", "--quiet"]
-            subprocess.run(
-                [sys.executable, "-m", "jaxact", *words], cwd=folder, check=True
-            )
+            subprocess.run([sys.executable, "-m", "jaxact", *words], cwd=folder, check=True)
         return units
 
     return run

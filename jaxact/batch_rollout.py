@@ -27,6 +27,7 @@ from jaxact.metrics import SEGMENTS, Envelope, Metrics, Period, Reference, Runni
 from jaxact.packing import pack, unpack
 from jaxact.plants.linear import hermite
 from jaxact.plants.mujoco import Simulations
+from jaxact.programs import Program
 from jaxact.sensor import Draws
 
 Pair = tuple[Any, Any]  # arrays of either kind: NumPy's where C has just written them
@@ -156,10 +157,10 @@ jax.tree_util.register_dataclass(
 class _Stages:
     """The compiled functions of a batch; states and `_Fixed` are packed."""
 
-    first: Callable
-    turn: Callable
-    middle: Callable
-    last: Callable
+    first: Program
+    turn: Program
+    middle: tuple[Program, ...]
+    last: Program
 
 
 @functools.cache
@@ -205,21 +206,20 @@ def _stages(options: DriveOptions, masked: bool) -> _Stages:
     def last(fixed, state, ends, ended, number):
         return pack(end(unpack(fixed), unpack(state), ends, ended, number))
 
+    def program(stage: Callable, *axes: int | None, **static: int) -> Program:
+        name = (stage.__name__, options, masked, static)
+        return Program(lambda: jax.vmap(functools.partial(stage, **static), axes), name)
+
     return _Stages(
-        first=jax.jit(jax.vmap(first, in_axes=(0, 0, 0, 0, None))),
-        turn=jax.jit(jax.vmap(turn, in_axes=(0, 0, 0, 0, 0, None))),
-        middle=jax.jit(
-            lambda fixed, state, ends, place: jax.vmap(functools.partial(middle, place=place))(
-                fixed, state, ends
-            ),
-            static_argnums=3,
-        ),
-        last=jax.jit(jax.vmap(last, in_axes=(0, 0, 0, 0, None))),
+        first=program(first, 0, 0, 0, 0, None),
+        turn=program(turn, 0, 0, 0, 0, 0, None),
+        middle=tuple(program(middle, 0, 0, 0, place=place) for place in range(1, options.substeps)),
+        last=program(last, 0, 0, 0, 0, None),
     )
 
 
-_packed = jax.jit(jax.vmap(pack))
-_unpacked = jax.jit(jax.vmap(unpack))
+_packed = Program(lambda: jax.vmap(pack), "pack")
+_unpacked = Program(lambda: jax.vmap(unpack), "unpack")
 
 
 def evaluate(
@@ -283,6 +283,8 @@ def evaluate(
     envelopes = []
     wanted = None if rows is None else rows[0]
     held, force = stages.first(fixed, held, now, wanted, np.int32(0))
+    middle = [stage.compiled(fixed, held, (now, now)) for stage in stages.middle]
+    turn = stages.turn.compiled(fixed, held, (now, now), wanted, wanted, np.int32(0))
     for number in range(1, ticks + 1):
         for place in range(options.substeps):
             if observe is not None:
@@ -293,13 +295,13 @@ def evaluate(
             now = _pair(simulations.measure())
             ends = before, now
             if place + 1 < options.substeps:
-                held, force = stages.middle(fixed, held, ends, place + 1)
+                held, force = middle[place](fixed, held, ends)
         count = np.int32(number)
         if number == ticks:
             held = stages.last(fixed, held, ends, wanted, count)
         else:
             following = None if rows is None else rows[number]
-            held, force = stages.turn(fixed, held, ends, wanted, following, count)
+            held, force = turn(fixed, held, ends, wanted, following, count)
             wanted = following
         if number % (ticks // SEGMENTS) == 0:
             whole = _unpacked(held)
@@ -313,7 +315,7 @@ def evaluate(
 
 
 @functools.cache
-def _finish(ticks: int) -> Callable[..., Metrics]:
+def _finish(ticks: int) -> Program:
     """The compiled end of a rollout of so many control periods."""
 
     def finished(running, envelopes, reference, growth_rate, period, counted, rest_amplitude):
@@ -329,7 +331,7 @@ def _finish(ticks: int) -> Callable[..., Metrics]:
             rest_amplitude=rest_amplitude,
         )
 
-    return jax.jit(jax.vmap(finished))
+    return Program(lambda: jax.vmap(finished), ("finish", ticks))
 
 
 def _pair(state: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

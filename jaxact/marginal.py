@@ -9,6 +9,7 @@ Sampled, on z = exp(j w T): the two real unknowns of 1 + kp Gp(z) + kd Gv(z) = 0
 z = 1 (kp = 0) and z = -1. NumPy at the edge, float64.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,6 +20,7 @@ import numpy as np
 
 from jaxact.frequency import JointLoop
 from jaxact.lobes import Count, Gains, Range, frequency_grid
+from jaxact.programs import Program
 from jaxact.pulse import plant_response, pulse_transfer
 from jaxact.roots import count_unstable_roots
 from jaxact.sampled import SampledLoop, one_period_matrix
@@ -101,7 +103,7 @@ def sampled_marginal(
         steps = int(transfer.steps)
         # The matrix is affine in the gains.
         base, along_kp, along_kd = (
-            np.asarray(_period_matrix(replace(plant, kp=zero + kp, kd=zero + kd), steps))
+            np.asarray(_period_matrix(steps)(replace(plant, kp=zero + kp, kd=zero + kd)))
             for kp, kd in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
         )
 
@@ -127,9 +129,13 @@ def sampled_marginal(
     return Marginal(gains, None, nyquist, at_nyquist, delay + 4.0 * control_period, count)
 
 
-_transfer = jax.jit(pulse_transfer)
-_period_matrix = jax.jit(one_period_matrix, static_argnums=1)
-_counter = jax.jit(count_unstable_roots)
+_transfer = Program(lambda: pulse_transfer, "pulse transfer")
+_counter = Program(lambda: count_unstable_roots, "unstable roots")
+
+
+@functools.cache
+def _period_matrix(steps: int) -> Program:
+    return Program(lambda: lambda loop: one_period_matrix(loop, steps), ("period matrix", steps))
 
 
 def _check_plant(mass: float, wn: float, zeta: float, delay: float) -> None:

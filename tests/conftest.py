@@ -1,5 +1,6 @@
 """Strict JAX, two CPU devices, and reproducible properties, for every test."""
 
+import gc
 import os
 import tempfile
 from pathlib import Path
@@ -18,6 +19,9 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ["XDG_CACHE_HOME"] = _cache.name
 
 import jax  # noqa: E402
+
+# Tracing makes many objects and little garbage; looking for it often takes a tenth of the time.
+gc.set_threshold(50_000, 20, 100)
 
 # Two workers that run tests of one module compile its functions once. Not by the environment, which
 # the command line under test would inherit.

@@ -281,15 +281,16 @@ def test_a_cache_that_cannot_be_written_is_one_line(small, tmp_path):
     assert (quiet.returncode, quiet.stderr) == (0, "")
 
 
-def test_compiled_kernels_are_kept_and_a_damaged_cache_is_no_error(small, tmp_path):
+def test_compiled_programs_are_kept_and_a_damaged_cache_is_no_error(small, tmp_path):
     cache = tmp_path / "cache"
     first = jaxact("sweep", small, "--out", "one", cwd=tmp_path, XDG_CACHE_HOME=str(cache))
-    kernels = sorted((cache / "jaxact" / "kernels").iterdir())
-    assert first.returncode == 0 and kernels
+    programs = sorted((cache / "jaxact" / "programs").iterdir())
+    assert first.returncode == 0 and programs
+    contents = [path.read_bytes() for path in programs]
     jaxact("sweep", small, "--out", "two", cwd=tmp_path, XDG_CACHE_HOME=str(cache))
-    named = [path.name for path in kernels if not path.name.endswith("-atime")]
-    assert {path.name for path in (cache / "jaxact" / "kernels").iterdir()} >= set(named)
-    for path in kernels:
+    assert sorted((cache / "jaxact" / "programs").iterdir()) == programs
+    assert [path.read_bytes() for path in programs] == contents
+    for path in programs:
         path.write_bytes(b"nonsense")
     third = jaxact("sweep", small, "--out", "three", cwd=tmp_path, XDG_CACHE_HOME=str(cache))
     assert (third.returncode, third.stderr) == (0, "")
@@ -298,9 +299,10 @@ def test_compiled_kernels_are_kept_and_a_damaged_cache_is_no_error(small, tmp_pa
     ]
     xr.testing.assert_equal(results[0], results[1])
     xr.testing.assert_equal(results[0], results[2])
+    assert all(path.stat().st_size > 1000 for path in programs)
 
 
-def test_other_commands_keep_their_kernels_too_and_say_nothing_where_they_cannot(tmp_path):
+def test_other_commands_keep_their_programs_too_and_say_nothing_where_they_cannot(tmp_path):
     words = ["margins", "--kp", "400", "--kd", "20", "--json"]
     said = [
         jaxact(*words, XDG_CACHE_HOME=where, MPLCONFIGDIR=str(tmp_path))
@@ -308,7 +310,7 @@ def test_other_commands_keep_their_kernels_too_and_say_nothing_where_they_cannot
     ]
     assert [(ran.returncode, ran.stderr) for ran in said] == [(0, "")] * 3
     assert len({ran.stdout for ran in said}) == 1
-    assert any((tmp_path / "jaxact" / "kernels").iterdir())
+    assert any((tmp_path / "jaxact" / "programs").iterdir())
 
 
 def test_info_is_what_a_bug_report_needs():

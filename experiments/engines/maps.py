@@ -1,4 +1,4 @@
-"""Verdicts of maps of gains in MJX and in C MuJoCo, and whether the boundary is where they differ."""
+"""Verdicts of maps of gains in MJX and C MuJoCo, and whether they differ at the boundary only."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from jaxact.sweep.samples import Samples, expand
 from jaxact.sweep.specification import Specification
 
 NEAR = 1.05  # factor on a gain that is near the boundary
+STEPS = 5  # of each gain, from one end of what is near to the other
 SHARE = 0.95  # of the verdicts that must agree
 
 
@@ -86,7 +87,8 @@ def _far(
     looked = np.flatnonzero(differ.any(axis=0))
     if not looked.size:
         return differ
-    steps = [(a, b) for a in (1 / NEAR, 1.0, NEAR) for b in (1 / NEAR, 1.0, NEAR)]
+    factors = np.geomspace(1 / NEAR, NEAR, STEPS)
+    steps = [(a, b) for a in factors for b in factors]
     around = cases.loops(
         specification,
         kp=np.concatenate([kp[looked] * a for a, _ in steps]),

@@ -74,11 +74,11 @@ def _page(motions: Sequence[Parity], found: Sequence[Comparison]) -> str:
             for one in motions
         ),
         "",
-        "Verdicts of maps of gains with contacts, MJX in float32. Where one engine says stable and the "
-        f"other does not (at least {maps.SHARE:.0%} must agree), the boundary must be near: with one "
-        "or both gains 5 % up or down, C MuJoCo itself must come to the other verdict.",
+        "Verdicts of maps of gains with contacts, MJX in float32. At least "
+        f"{maps.SHARE:.0%} of the loops must be stable in both or in neither; near the others "
+        "there must be a boundary: within 5 % in gain C MuJoCo itself must come to both verdicts.",
         "",
-        "| robot | drive | gains | stable | agree | same in every word | differ far from the boundary |",
+        "| robot | drive | gains | stable | agree | same in every word | differ far from it |",
         "|---|---|---|---|---|---|---|",
         *map(_row, found),
         "",

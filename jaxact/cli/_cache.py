@@ -1,41 +1,57 @@
-"""Compiled kernels kept from run to run, in the user's cache folder."""
+"""What is compiled is kept from run to run, in the user's cache folder."""
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import sys
 import warnings
+from importlib.metadata import entry_points
 
 from jaxact.sweep import cache
 
-_FOLDER = "JAX_COMPILATION_CACHE_DIR"
+_KERNELS = "JAX_COMPILATION_CACHE_DIR"
+_PROGRAMS = "JAXACT_PROGRAMS"  # of `jaxact.programs`, which imports JAX
+_FOLDERS = {_KERNELS: "kernels", _PROGRAMS: "programs"}
 _SHORTEST = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"
 _LOUDNESS = "TF_CPP_MIN_LOG_LEVEL"
 
 
 def prepare(*, wanted: bool = True, quiet: bool = False) -> None:
-    """Turn JAX's compilation cache on, before JAX starts; the user's own settings are respected.
+    """Have whole programs kept, and JAX's kernels where it may use more than the processor.
 
-    wanted: False turns it off
+    To be called before JAX starts. Folders that the user names in the environment are respected.
+
+    wanted: False turns both off
     quiet: do not say, in one line, where the folder cannot be used and everything is compiled anew
     """
     if not wanted:
-        os.environ.pop(_FOLDER, None)
+        for name in _FOLDERS:
+            os.environ.pop(name, None)
         return
-    if _FOLDER not in os.environ:
-        reason = cache.usable()
-        if reason and quiet:
-            return
-        if reason:
-            print(
-                f"jaxact: {cache.folder()}: cannot be used as cache ({reason}); compiling anew,"
-                " --no-cache does so silently",
-                file=sys.stderr,
-            )
-            return
-        os.environ[_FOLDER] = str(cache.folder() / "kernels")
+    names = _FOLDERS if _accelerated() else (_PROGRAMS,)
+    missing = [name for name in names if name not in os.environ]
+    reason = cache.usable() if missing else ""
+    if reason and quiet:
+        return
+    if reason:
+        print(
+            f"jaxact: {cache.folder()}: cannot be used as cache ({reason}); compiling anew,"
+            " --no-cache does so silently",
+            file=sys.stderr,
+        )
+        return
+    for name in missing:
+        os.environ[name] = str(cache.folder() / _FOLDERS[name])
     os.environ.setdefault(_SHORTEST, "0.3")
     # XLA tells of every kernel it loads which CPU it was compiled for
     os.environ.setdefault(_LOUDNESS, "3")
     # a full or damaged cache costs time, no results
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation")
+
+
+def _accelerated() -> bool:
+    """Whether JAX may find a GPU or the like; programs of the processor only can be kept whole."""
+    if os.environ.get("JAX_PLATFORMS") == "cpu":
+        return False
+    return bool(entry_points(group="jax_plugins") or importlib.util.find_spec("jax_plugins"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from jaxact.errors import UserError
 
 if TYPE_CHECKING:
     from jaxact.plot.response import LoopResponse
+    from jaxact.programs import Program
 
 MOST_CURVES = 12
 _POINTS = 4000
@@ -56,22 +57,21 @@ def sampled_margins(loops: Loops, velocity: str) -> dict[str, np.ndarray]:
 
 
 @functools.cache
-def _compiled() -> Callable[[Any], Any]:
-    import jax
-
+def _compiled() -> Program:
     from jaxact.margins import margins as margins_of
+    from jaxact.programs import Program
     from jaxact.roots import rightmost_root
 
-    return jax.jit(lambda loop: (margins_of(loop), rightmost_root(loop)))
+    return Program(lambda: lambda loop: (margins_of(loop), rightmost_root(loop)), "margins, root")
 
 
 @functools.cache
-def _compiled_sampled(steps: int) -> Callable[[Any], Any]:
-    import jax
-
+def _compiled_sampled(steps: int) -> Program:
+    from jaxact.programs import Program
     from jaxact.sampled_margins import sampled_margins as margins_of
 
-    return jax.jit(functools.partial(margins_of, max_delay_steps=steps))
+    function = functools.partial(margins_of, max_delay_steps=steps)
+    return Program(lambda: function, ("sampled margins", steps))
 
 
 def responses(loops: Loops, *, sampled: bool, velocity: str) -> list[LoopResponse]:

@@ -52,7 +52,9 @@ def collect() -> dict[str, Any]:
         "engine warp": _engine_warp(),
         "float64 by default": bool(jax.config.jax_enable_x64),
         "sweep precision": "float32, or float64 with --set precision=float64",
-        "cache": str(jax.config.jax_compilation_cache_dir or cache.folder()),
+        "cache": str(cache.folder()),
+        "JAX_COMPILATION_CACHE_DIR": os.environ.get("JAX_COMPILATION_CACHE_DIR", ""),
+        "JAXACT_PROGRAMS": os.environ.get("JAXACT_PROGRAMS", ""),
         "XLA_FLAGS": os.environ.get("XLA_FLAGS", ""),
         "JAX_PLATFORMS": os.environ.get("JAX_PLATFORMS", ""),
     }

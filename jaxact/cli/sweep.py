@@ -82,7 +82,7 @@ def main(
     ] = None,
     dry_run: Annotated[bool, arg(help="Only say what the sweep would take.")] = False,
     no_cache: Annotated[
-        bool, arg(help="Compile anew, and keep no compiled kernels from run to run.")
+        bool, arg(help="Compile anew, and keep no compiled programs from run to run.")
     ] = False,
     quiet: Annotated[bool, arg(help="Show no progress and no summary.")] = False,
 ) -> None:

@@ -120,7 +120,7 @@ def main(
     overwrite: Annotated[bool, arg(help="Replace the folder if it is there.")] = False,
     json: Annotated[bool, arg(help="Print the result as one line of JSON.")] = False,
     no_cache: Annotated[
-        bool, arg(help="Compile anew, and keep no compiled kernels from run to run.")
+        bool, arg(help="Compile anew, and keep no compiled programs from run to run.")
     ] = False,
 ) -> None:
     """Find the best gains of a joint behind its actuator, and certify them.

@@ -20,7 +20,7 @@ def main(
         int, arg(metavar="N", help="Loops to compute again, drawn at random; 0: none.")
     ] = 64,
     seed: Annotated[int, arg(metavar="N", help="Of that draw.")] = 0,
-    no_cache: Annotated[bool, arg(help="Compile anew, and keep no compiled kernels.")] = False,
+    no_cache: Annotated[bool, arg(help="Compile anew, and keep no compiled programs.")] = False,
 ) -> None:
     """Check every checksum of a result, and compute some of its loops again.
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxact.frequency import JointLoop, sensitivity
 from jaxact.margins import margins
 from jaxact.paper.study import CONTROL_RATE, KD, KP, MASS, Cases
+from jaxact.programs import Program
 from jaxact.sampled import SampledLoop
 from jaxact.sampled_margins import sampled_margins
 from jaxact.sampled_search import sampled_response
@@ -27,7 +28,7 @@ def continuous_margins(cases: Cases) -> dict[str, np.ndarray]:
 
     cases: at the nominal gains
     """
-    return _arrays(jax.jit(margins), _joint_loop, cases)
+    return _arrays(Program(lambda: margins, "margins"), _joint_loop, cases)
 
 
 def sampled_at_1_khz(cases: Cases) -> dict[str, np.ndarray]:
@@ -36,8 +37,8 @@ def sampled_at_1_khz(cases: Cases) -> dict[str, np.ndarray]:
     cases: at the nominal gains, control at CONTROL_RATE, sampled velocity
     """
     steps = int(np.floor(np.max(cases.delay) * CONTROL_RATE + 1e-9))
-    function = jax.jit(functools.partial(sampled_margins, max_delay_steps=steps))
-    return _arrays(function, _sampled_loop, cases)
+    function = functools.partial(sampled_margins, max_delay_steps=steps)
+    return _arrays(Program(lambda: function, ("sampled margins", steps)), _sampled_loop, cases)
 
 
 def continuous_sensitivity(cases: Cases, w: np.ndarray) -> np.ndarray:
@@ -60,7 +61,7 @@ def sampled_sensitivity(cases: Cases, w: np.ndarray) -> np.ndarray:
     """
     with jax.enable_x64(True):
         loops = _sampled_loop(cases.flat())
-        one = jax.jit(jax.vmap(sampled_response, in_axes=(0, None)))
+        one = Program(lambda: jax.vmap(sampled_response, in_axes=(0, None)), "sampled responses")
         found = np.abs(1.0 / (1.0 + np.asarray(one(loops, jnp.asarray(w)))))
     return found.reshape((*cases.shape, len(w)))
 

@@ -25,6 +25,7 @@ from jaxact.growth import growth_rate
 from jaxact.loop import Loop
 from jaxact.paper.study import CONTROL_RATE, DELAYS, KD, KP, MASS, Cases
 from jaxact.plants import Mass
+from jaxact.programs import Program
 
 LARGEST_GAIN = 200.0  # no margin of the sampled loops is larger [-]
 LONGEST_DELAY = 0.040  # nor any delay margin [s]
@@ -83,7 +84,8 @@ def sensitivity(cases: Cases, w: np.ndarray) -> np.ndarray:
             run = rollout.trajectory(loop, options, ticks, Setpoint(jnp.asarray(_STEP)))
             return run.command.reshape(ticks)
 
-        commands = np.asarray(jax.jit(jax.vmap(command))(*map(jnp.asarray, row.columns)))
+        program = Program(lambda: jax.vmap(command), ("commands", options, ticks))
+        commands = np.asarray(program(*map(jnp.asarray, row.columns)))
     changes = np.diff(commands, axis=-1, prepend=0.0)
     turned = np.exp(-1j * np.outer(np.arange(ticks), w) / CONTROL_RATE)
     return np.abs(changes @ turned / (KP * _STEP)).reshape((*cases.shape, len(w)))
@@ -112,7 +114,7 @@ def _growth(cases: Cases, factor: np.ndarray, added_delay: np.ndarray) -> np.nda
 
 
 @functools.cache
-def _growth_kernel() -> Callable[..., jax.Array]:
+def _growth_kernel() -> Program:
     """Growth rates of a tile of loops, whose delays reach up to the longest that is asked for."""
     longest = max(DELAYS) + LONGEST_DELAY
     every_part = Cases(np.array([1.0]), np.array([1.0]), np.array([longest]))
@@ -127,7 +129,7 @@ def _growth_kernel() -> Callable[..., jax.Array]:
         state = _loop.init(prepared, options, still, still)
         return growth_rate(prepared, options, state, Setpoint(still))
 
-    return jax.jit(jax.vmap(growth))
+    return Program(lambda: jax.vmap(growth), ("growth rates", options))
 
 
 def _first_growing(

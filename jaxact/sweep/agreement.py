@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from jaxact.boundary import BoundaryCurve
+    from jaxact.programs import Program
 
 # What the stability of the linear loop depends on; the gains first.
 LINEAR_PARAMETERS = (
@@ -263,12 +264,13 @@ def _matrices(values: Mapping[str, np.ndarray], velocity: str, most: int, chunk:
 
 
 @functools.lru_cache(maxsize=16)
-def _compiled(most: int) -> Callable[[Any], Any]:
+def _compiled(most: int) -> Program:
     import jax
 
+    from jaxact.programs import Program
     from jaxact.sampled import one_period_matrix
 
-    return jax.jit(jax.vmap(lambda loop: one_period_matrix(loop, most)))
+    return Program(lambda: jax.vmap(lambda loop: one_period_matrix(loop, most)), ("matrix", most))
 
 
 def _cut(matrices: np.ndarray, held: int, most: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The user's cache folder: compiled kernels, and how fast this machine was.
+"""The user's cache folder: compiled kernels and programs, and how fast this machine was.
 
 It may be lost at any time. Everything works without it; it is the command line that turns it on.
 """

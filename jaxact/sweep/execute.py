@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from jaxact.metrics import Metrics
+from jaxact.programs import Program
 from jaxact.sweep import plans, spectra, tiles
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Specification
@@ -97,7 +98,7 @@ def prepare(
         with _precision(specification):
             rates = np.zeros(batch.size)
             program, inputs = _program(plan, specification, samples, batch, rates)
-            program.prepare(*inputs)
+            program.compiled(*inputs)
 
 
 def _precision(specification: Specification) -> AbstractContextManager[Any]:
@@ -110,7 +111,7 @@ def _program(
     samples: Samples,
     numbers: np.ndarray,
     growth: np.ndarray,
-) -> tuple[tiles.Program, tuple[Any, ...]]:
+) -> tuple[Program, tuple[Any, ...]]:
     """What simulates a batch in JAX, and its inputs."""
     double = specification.precision == "float64"
     dtype = np.float64 if double else np.float32

@@ -27,6 +27,7 @@ from jaxact.plants import posture as _posture
 from jaxact.plants import variation
 from jaxact.plants.mujoco import Impulse, Simulations
 from jaxact.plants.variation import Variation
+from jaxact.programs import Program
 from jaxact.rollout import Trajectory
 from jaxact.sweep import kernel, robots
 from jaxact.sweep.kernel import Case
@@ -160,7 +161,7 @@ def metrics(
     assert scene is not None
     dtype = jnp.result_type(float)
     arrays = {name: jnp.asarray(value, dtype) for name, value in values.items()}
-    prepared = _prepare(case, setting)(arrays, seed, jnp.asarray(numbers, jnp.uint32))
+    prepared = _prepare(case, setting)(arrays, np.uint32(seed), jnp.asarray(numbers, jnp.uint32))
     fields = {}
     if case.varied:
         rows = np.stack([_at_joints(case, setting, values, name) for name in case.varied], axis=1)
@@ -204,8 +205,8 @@ def _impulse(setting: Setting, scene: Scene) -> Impulse | None:
 
 
 @functools.lru_cache(maxsize=8)
-def _prepare(case: Case, setting: Setting) -> Any:
-    """The compiled function that makes everything a batch starts from out of its parameters."""
+def _prepare(case: Case, setting: Setting) -> Program:
+    """The program that makes everything a batch starts from out of its parameters."""
     made = template(case, setting)
 
     def one(values: Mapping[str, jax.Array], seed: jax.Array, number: jax.Array):
@@ -230,7 +231,7 @@ def _prepare(case: Case, setting: Setting) -> Any:
             active,
         )
 
-    return jax.jit(jax.vmap(one, in_axes=(0, None, 0)))
+    return Program(lambda: jax.vmap(one, in_axes=(0, None, 0)), ("start", case, setting))
 
 
 def trajectories(

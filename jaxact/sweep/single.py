@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from jaxact import rollout
 from jaxact.errors import UserError
+from jaxact.programs import Program
 from jaxact.rollout import Trajectory
 from jaxact.sweep import execute, kernel, plans
 from jaxact.sweep.kernel import Case
@@ -128,25 +130,30 @@ def _simulated(
         from jaxact.sweep import outside  # imports MuJoCo
 
         return outside.trajectories(case, setting, values, seed, numbers)
-    template = kernel.template_of(case, setting, "metrics")
     robot = setting.plant is not None
 
-    def simulated(values: dict[str, jax.Array], number: jax.Array) -> Trajectory:
-        prepared, state, setpoint = kernel.start(case, template, values)
-        return rollout.follow(
-            prepared,
-            case.drive,
-            case.rollout.ticks,
-            state,
-            setpoint,
-            jax.random.fold_in(jax.random.key(seed), number),
-            setpoints=kernel.setpoints(template, values, case.rollout.ticks),
-            configuration=(lambda plant: plant.qpos) if robot else None,
-        )
+    def make() -> Callable[..., Trajectory]:
+        template = kernel.template_of(case, setting, "metrics")
+
+        def simulated(values: dict[str, jax.Array], number: jax.Array) -> Trajectory:
+            prepared, state, setpoint = kernel.start(case, template, values)
+            return rollout.follow(
+                prepared,
+                case.drive,
+                case.rollout.ticks,
+                state,
+                setpoint,
+                jax.random.fold_in(jax.random.key(seed), number),
+                setpoints=kernel.setpoints(template, values, case.rollout.ticks),
+                configuration=(lambda plant: plant.qpos) if robot else None,
+            )
+
+        return jax.vmap(simulated)
 
     dtype = jnp.result_type(float)
     inputs = {name: jnp.asarray(value, dtype) for name, value in values.items()}
-    kept = jax.jit(jax.vmap(simulated))(inputs, jnp.asarray(numbers, jnp.uint32))
+    program = Program(make, None if case.engine == "warp" else ("follow", case, setting, seed))
+    kept = program(inputs, jnp.asarray(numbers, jnp.uint32))
     return jax.tree.map(np.asarray, kept)
 
 

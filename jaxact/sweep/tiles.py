@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
+from jaxact.programs import Program
 from jaxact.sweep import kernel
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.plans import Plan
@@ -18,27 +18,6 @@ from jaxact.sweep.specification import Setting
 
 # So that there is always a parameter with an axis for the samples.
 NEVER_SHARED = "kp"
-
-
-class Program:
-    """A function that is compiled for each shape of its inputs, when it is called or before."""
-
-    def __init__(self, function: Callable) -> None:
-        self._function = jax.jit(function)
-        self._compiled: dict[Any, Callable] = {}
-
-    def __call__(self, *inputs: Any) -> Any:
-        """Run it."""
-        return self._compiled.get(_shapes(inputs), self._function)(*inputs)
-
-    def prepare(self, *inputs: Any) -> None:
-        """Compile it for inputs like these; another thread may compile something else meanwhile."""
-        self._compiled[_shapes(inputs)] = self._function.lower(*inputs).compile()
-
-
-def _shapes(inputs: Any) -> Any:
-    leaves, structure = jax.tree.flatten(inputs)
-    return structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
 
 
 @functools.cache
@@ -52,6 +31,13 @@ def compiled(stage: str, case: Case, devices: int, setting: Setting, double: boo
         case, devices, setting: static.
         double: whether JAX computes in float64 at this moment; the model is loaded in it.
     """
+    # The kernels of MJX-Warp call this process.
+    name = None if case.engine == "warp" else (stage, case, devices, setting, double)
+    return Program(lambda: _sharded(stage, case, devices, setting), name, devices)
+
+
+def _sharded(stage: str, case: Case, devices: int, setting: Setting) -> Callable:
+    """A stage of the kernel on the tiles of devices; arguments as for `compiled`."""
     template = kernel.template_of(case, setting, stage)
     one = functools.partial(getattr(kernel, stage), case, template)
     mesh = Mesh(np.array(jax.local_devices()[:devices]), ("device",))
@@ -74,7 +60,7 @@ def compiled(stage: str, case: Case, devices: int, setting: Setting, double: boo
         )
         return parted(shared, *inputs)
 
-    return Program(sharded)
+    return sharded
 
 
 def tiled(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +11,12 @@ import numpy as np
 from jaxact import robot_loop
 from jaxact.drive import DriveOptions
 from jaxact.multiloop import Curves, Matrices, curves, multiloop
-from jaxact.robot_loop import PeriodMap
+from jaxact.programs import Program
 from jaxact.robot_margins import Robot, RobotMargins, robot_margins
 from jaxact.sweep import engines, kernel, outside, plans
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.samples import expand
-from jaxact.sweep.specification import Specification
+from jaxact.sweep.specification import Setting, Specification
 from jaxact.sweep.template import Template
 
 
@@ -62,7 +60,7 @@ def evaluate(specification: Specification) -> list[WholeRobot]:
         numbers = np.concatenate([batch[:n] for batch, n in plans.batches(plan, samples)])
         with jax.enable_x64(True):
             template = kernel.template_of(plan.case, specification.setting, "growth_rate")
-            compiled = _compiled(plan.case, template)
+            compiled = _compiled(plan.case, specification.setting, template)
         moved = outside.moved(plan.case, specification.setting, samples.take(numbers))
         for place, number in enumerate(numbers):
             values = {
@@ -78,7 +76,7 @@ def _options(case: Case) -> DriveOptions:
     return replace(case.drive, command_slots=case.drive.command_slots + 2)
 
 
-def _compiled(case: Case, template: Template) -> Callable[..., tuple[PeriodMap, Any, Any, Any]]:
+def _compiled(case: Case, setting: Setting, template: Template) -> Program:
     """From parameters and an extra delay to the loop's matrices, inertias and gains."""
     options = _options(case)
 
@@ -89,7 +87,7 @@ def _compiled(case: Case, template: Template) -> Callable[..., tuple[PeriodMap, 
         gains = loop.drive.controller
         return found, robot_loop.felt_inertias(loop.plant), gains.kp + like, gains.kd + like
 
-    return jax.jit(matrices)
+    return Program(lambda: matrices, ("matrices", case, setting))
 
 
 def _one(case: Case, template: Template, compiled, values: dict[str, float], moved) -> WholeRobot:

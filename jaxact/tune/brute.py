@@ -52,7 +52,7 @@ def brute_force(case: Case, timed: Any = None) -> Brute:
     bounds = joint.log_bounds(case.goal)
     low[0], high[0] = max(low[0], bounds[0, 0]), max(min(high[0], bounds[1, 0]), bounds[0, 0])
     centre, half = 0.5 * (low + high), 0.5 * (high - low)
-    smooth = joint.surrogate(joint.family(case.goal), timed)
+    smooth = joint.JointSurrogate(joint.family(case.goal), timed)
     tried = 0
     for _ in range(_REFINEMENTS + 1):
         axes = [np.linspace(c - h, c + h, _GRID) for c, h in zip(centre, half, strict=True)]

@@ -7,7 +7,7 @@ rounding. Derivatives are by the logarithms of the gains and by the members' par
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxact.frequency import JointLoop
 from jaxact.margins import margins
+from jaxact.programs import Program
 from jaxact.sampled import SampledLoop
 from jaxact.sampled_margins import sampled_margins
 from jaxact.tune.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
@@ -97,7 +98,7 @@ def evaluate(
 @functools.cache
 def _compiled(
     sampling: Sampling | None, steps: int, wanted: tuple[str, ...], timed: Any
-) -> Callable[[jax.Array], Any]:
+) -> Program:
     def logs(inputs: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         kp, kd = jnp.exp(inputs[0]), jnp.exp(inputs[1])
         found = _figures(kp, kd, inputs[2:], sampling, steps, wanted, timed)
@@ -112,7 +113,7 @@ def _compiled(
         basis = jnp.eye(_INPUTS, dtype=inputs.dtype)[:, :, None] * jnp.ones_like(inputs)[None]
         return stable, value, jax.vmap(push)(basis)
 
-    return jax.jit(both)
+    return Program(lambda: both, ("figures", sampling, steps, wanted, timed))
 
 
 def _figures(

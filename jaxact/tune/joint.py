@@ -6,7 +6,6 @@ one joint with bounds that differ, as along a Pareto front.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,7 +18,7 @@ from jaxact.tune import figures as _figures
 from jaxact.tune.ensemble import PARAMETERS, Ensemble
 from jaxact.tune.figures import Exact
 from jaxact.tune.goal import Goal, tail_weights
-from jaxact.tune.objective import Smooth, Surrogate, combine
+from jaxact.tune.objective import Smooth, combine
 from jaxact.tune.polish import Problem, Rows
 from jaxact.tune.spectrum import Spectrum, log_figures, single_precision, tabulate
 
@@ -137,17 +136,22 @@ def family(goal: Goal) -> Goal:
     return replace(goal, **bounds, min_kp=0.0, max_kp=np.inf, risk=risk)
 
 
-@functools.cache
-def surrogate(goal: Goal, timed: Any = None) -> Surrogate:
+@dataclass(frozen=True)
+class JointSurrogate:
     """The smooth problem of a goal; its numbers come with the data, so that they may vary.
 
     goal: objective, kind of risk, and which constraints there are; see `family`
     timed: `jaxact.tune.response.Timed` for an objective in simulated time
     """
-    rows = tuple((figure, sign) for _, figure, sign, _ in goal.rows)
-    names = tuple(sorted({name for name, _ in rows} | {goal.figure}))
 
-    def smooth(x: jax.Array, data: Table, sharpness: jax.Array) -> Smooth:
+    goal: Goal
+    timed: Any = None
+
+    def __call__(self, x: jax.Array, data: Table, sharpness: jax.Array) -> Smooth:
+        """See `jaxact.tune.objective.Surrogate`."""
+        goal, timed = self.goal, self.timed
+        rows = tuple((figure, sign) for _, figure, sign, _ in goal.rows)
+        names = tuple(sorted({name for name, _ in rows} | {goal.figure}))
         # Beyond a bound nothing changes any more.
         x = jnp.clip(x, data.low, data.high)
         kp, kd = jnp.exp(x[0]), jnp.exp(x[1])
@@ -164,8 +168,6 @@ def surrogate(goal: Goal, timed: Any = None) -> Surrogate:
         objective = goal.figure, goal.sense
         tail = None if goal.tail == 0.0 else data.tail
         return combine(found, stable, rows, data.log_bounds, objective, tail, sharpness)
-
-    return smooth
 
 
 def exact(cases: Sequence[Case], x: np.ndarray, timed: Any = None) -> Exact:

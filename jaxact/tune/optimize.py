@@ -7,8 +7,9 @@ the next ones are shorter.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from functools import partial
 from typing import Any
 
@@ -16,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from jaxact.programs import Program
 from jaxact.tune.objective import Surrogate, forward_gradient, loss
 
 # Up to this many gains are differentiated forwards: as many passes, no memory.
@@ -69,22 +71,32 @@ def adam(steps: int) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate, b1=0.85, b2=0.95))
 
 
-@partial(jax.jit, static_argnums=(0, 4))
 def descend(
     surrogate: Surrogate, data: Any, starts: jax.Array, slower: jax.Array, how: Descent
 ) -> Descended:
     """Descend from all starts of all cases.
 
-    surrogate: static; smooth objective of one point of one case
+    surrogate: static; smooth objective of one point of one case; one that is a dataclass says all
+        that it computes in its `repr`
     data: of the cases, each leaf with a leading axis (cases,)
     starts: log-gains, shape (cases, starts, d)
     slower: added to log-gains that are unstable, until they are not, shape (d,)
     how: static
     """
-    each_start = jax.vmap(
-        lambda start, data: _from_one(surrogate, data, start, slower, how), (0, None)
-    )
-    return jax.vmap(each_start)(starts, data)
+    return _descent(surrogate, how)(data, starts, slower)
+
+
+@functools.lru_cache(maxsize=32)
+def _descent(surrogate: Surrogate, how: Descent) -> Program:
+    def every(data: Any, starts: jax.Array, slower: jax.Array) -> Descended:
+        each_start = jax.vmap(
+            lambda start, data: _from_one(surrogate, data, start, slower, how), (0, None)
+        )
+        return jax.vmap(each_start)(starts, data)
+
+    # A function's name does not tell what it computes.
+    told = is_dataclass(surrogate) and how.chain is None
+    return Program(lambda: every, ("descent", surrogate, how) if told else None)
 
 
 def _from_one(

@@ -6,10 +6,10 @@ control rate it is sampled at a tenth of the shortest lag, so that the hold hard
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ from jaxact.drive import Drive
 from jaxact.drive_options import DriveOptions
 from jaxact.loop import Loop
 from jaxact.plants import Mass
+from jaxact.programs import Program
 from jaxact.sensor import Sensor
 from jaxact.tune.ensemble import PARAMETERS, Ensemble, Sampling
 from jaxact.tune.goal import Goal
@@ -145,11 +146,11 @@ def step_responses(
     plant = np.stack([getattr(members, name) for name in PARAMETERS])
     with jax.enable_x64(True):
         gains = (jnp.full(len(members), gain) for gain in (kp, kd))
-        errors = _errors(how, *gains, jnp.asarray(plant))
+        errors = _errors(how)(*gains, jnp.asarray(plant))
     return how.period * np.arange(how.ticks), 1.0 + np.asarray(errors)
 
 
-@partial(jax.jit, static_argnums=0)
-def _errors(how: Timed, kp: jax.Array, kd: jax.Array, plant: jax.Array) -> jax.Array:
-    """Errors of a flat batch of loops, shape (n, ticks); plant: shape (4, n)."""
-    return jax.vmap(how.errors, (0, 0, 1))(kp, kd, plant)
+@functools.lru_cache(maxsize=16)
+def _errors(how: Timed) -> Program:
+    """From kp, kd (n,) and plants (4, n): errors of a flat batch of loops, shape (n, ticks)."""
+    return Program(lambda: jax.vmap(how.errors, (0, 0, 1)), ("errors", how))

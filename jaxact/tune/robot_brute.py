@@ -40,7 +40,7 @@ def brute_force(case: RobotCase, centre: np.ndarray) -> Found:
     data = robot_smooth.data(
         table, case.groups, case.goal, case.low, case.high, table.angle.shape[1]
     )
-    smooth = robot_smooth.surrogate(robot_smooth.family(case.goal), len(table.loops))
+    smooth = robot_smooth.RobotSurrogate(robot_smooth.family(case.goal), len(table.loops))
     offsets = np.array(list(itertools.product(np.linspace(-1.0, 1.0, _GRID[size]), repeat=size)))
     middle, width, tried = centre, _WIDTH, 0
     best = Found(centre, -np.inf, np.inf, 0, 0)

@@ -24,6 +24,7 @@ from jaxact import robot_loop
 from jaxact.drive import Drive
 from jaxact.errors import UserError
 from jaxact.multiloop import joined
+from jaxact.programs import Program
 from jaxact.sweep import kernel, outside, plans, robots
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.parameters import base
@@ -227,14 +228,17 @@ def _opener(
     """See `Situation.opened`; compiled once for all members."""
     linearised = _linearised(case, setting, nominal, keys)
 
-    @jax.jit
-    def compiled(row: jax.Array, moved: tuple[jax.Array, jax.Array] | None):
+    def matrices(row: jax.Array, moved: tuple[jax.Array, jax.Array] | None):
         values = {name: jnp.asarray(value) for name, value in nominal.items()}
         values |= {key: row[place] for place, key in enumerate(keys)}
         loop = kernel.linear_loop(case, template, values, moved)
         found = robot_loop.open_map(loop, case.drive)
         seen = jnp.stack([found.positions, found.velocities], axis=1)
         return found.A, found.B, seen, robot_loop.felt_inertias(loop.plant)
+
+    compiled = Program(
+        lambda: matrices, ("open loop", case, setting, sorted(nominal.items()), keys)
+    )
 
     def opened(row: np.ndarray) -> Opened:
         with jax.enable_x64(True):

@@ -111,7 +111,7 @@ def hardest(case: RobotCase, x: np.ndarray) -> RobotCase:
 
 def descended(case: RobotCase, first: np.ndarray, how: Descent) -> Descended:
     """Where the descent leads from several log-gains, shape (starts, 2 g), for a few loops."""
-    smooth = robot_smooth.surrogate(robot_smooth.family(case.goal), len(case.table.loops))
+    smooth = robot_smooth.RobotSurrogate(robot_smooth.family(case.goal), len(case.table.loops))
     data = robot_smooth.data(case.table, case.groups, case.goal, case.low, case.high)
     one = jax.tree.map(lambda leaf: leaf[None], data)
     still = np.zeros(first.shape[1], np.float32)

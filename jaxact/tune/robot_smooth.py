@@ -10,7 +10,6 @@ comes out steers the descent; nothing is certified with it.
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,7 +19,7 @@ import numpy as np
 
 from jaxact.tune.goal import Goal
 from jaxact.tune.groups import Groups
-from jaxact.tune.objective import Smooth, Surrogate, combine
+from jaxact.tune.objective import Smooth, combine
 from jaxact.tune.robot_figures import SHIFTS, Table
 from jaxact.tune.spectrum import softmax
 
@@ -87,29 +86,31 @@ def family(goal: Goal) -> Goal:
                    max_kp=np.inf)  # fmt: skip
 
 
-@functools.cache
-def surrogate(goal: Goal, loops: int) -> Surrogate:
+@dataclass(frozen=True)
+class RobotSurrogate:
     """The smooth problem of a goal; its bounds come with the data.
 
     goal: objective and which constraints there are
     loops: l of the data
     """
-    rows = tuple((figure, sign) for _, figure, sign, _ in goal.rows)
-    names = tuple(sorted({name for name, _ in rows} | {goal.figure} - {"kp"}))
 
-    def smooth(x: jax.Array, case: Data, sharpness: jax.Array) -> Smooth:
+    goal: Goal
+    loops: int
+
+    def __call__(self, x: jax.Array, case: Data, sharpness: jax.Array) -> Smooth:
         """Smoothed objective and bounds at the logarithms of the gains."""
+        goal = self.goal
+        rows = tuple((figure, sign) for _, figure, sign, _ in goal.rows)
+        names = tuple(sorted({name for name, _ in rows} | {goal.figure} - {"kp"}))
         # Beyond a bound nothing changes any more.
         x = jnp.clip(x, case.low, case.high)
         logs = x.reshape(2, -1)
         gains = jnp.exp(logs @ case.spread.T)
-        found, stable = _log_figures(gains, case, names, sharpness, loops)
+        found, stable = _log_figures(gains, case, names, sharpness, self.loops)
         if goal.figure == "kp":
             found = found | {"kp": (logs[0] @ case.share)[None]}
         objective = goal.figure, goal.sense
         return combine(found, stable, rows, case.log_bounds, objective, None, sharpness)
-
-    return smooth
 
 
 def _log_figures(

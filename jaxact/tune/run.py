@@ -126,7 +126,7 @@ def tune_all(
     first = np.stack([joint.starts(case, starts) for case in cases])
     if rescued is not None:
         first = np.concatenate([first, rescued[:, None]], axis=1)
-    smooth = joint.surrogate(joint.family(cases[0].goal), timed)
+    smooth = joint.JointSurrogate(joint.family(cases[0].goal), timed)
     slower = np.asarray(SLOWER, np.float32)
     paths = descend(smooth, joint.table(cases), np.asarray(first, np.float32), slower, how)
     paths = jax.tree.map(np.asarray, paths)

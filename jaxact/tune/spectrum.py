@@ -8,14 +8,15 @@ are interpolated. What comes out steers the descent; nothing is certified with i
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, fields
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxact.frequency import JointLoop, servo_denominator
+from jaxact.programs import Program
 from jaxact.pulse import plant_response, pulse_transfer
 from jaxact.sampled import SampledLoop
 from jaxact.tune.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
@@ -26,7 +27,7 @@ _LOW, _HIGH = 1e-3, 40.0
 _TINY = 1e-30
 
 
-@partial(
+@functools.partial(
     jax.tree_util.register_dataclass,
     data_fields=["frequency", "position", "velocity", "mass", "period"],
     meta_fields=[],
@@ -80,15 +81,13 @@ def _sampled(members: Ensemble, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     assert members.sampling is not None
     with jax.enable_x64(True):
         plants = tuple(jnp.asarray(getattr(members, name)) for name in PARAMETERS)
-        both = _pulse_responses(members.sampling, plants, jnp.asarray(w))
+        both = _pulse_responses(members.sampling)(plants, jnp.asarray(w))
     return np.asarray(both[0]), np.asarray(both[1])
 
 
-@partial(jax.jit, static_argnums=0)
-def _pulse_responses(
-    sampling: Sampling, plants: tuple[jax.Array, ...], w: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Gp and Gv of the sampled plants, shape (n, points); plants: parameters, shape (n,) each."""
+@functools.cache
+def _pulse_responses(sampling: Sampling) -> Program:
+    """From parameters of plants, (n,) each, and frequencies: Gp and Gv, shape (n, points)."""
 
     def one(plant: tuple[jax.Array, ...], w: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Gp and Gv of one plant at its own frequencies."""
@@ -105,7 +104,7 @@ def _pulse_responses(
         hold = jax.lax.complex(jnp.cos(lag), -jnp.sin(lag))
         return plant_response(transfer, u, s, hold)
 
-    return jax.vmap(one)(plants, w)
+    return Program(lambda: jax.vmap(one), ("pulse responses", sampling))
 
 
 def single_precision(spectrum: Spectrum) -> Spectrum:

@@ -21,6 +21,7 @@ from jaxact import rollout as _rollout
 from jaxact.errors import UserError
 from jaxact.metrics import Metrics
 from jaxact.plants import posture as _posture
+from jaxact.programs import Program
 from jaxact.status import Verdict
 from jaxact.sweep import engines as _engines
 from jaxact.sweep import kernel, outside, plans, robots, spectra
@@ -306,26 +307,30 @@ def _in_mjx(plan: Plan, asked: Specification, values: Columns, numbers, growth):
 
 
 @functools.lru_cache(maxsize=8)
-def _compiled(case: kernel.Case, setting: Setting, double: bool) -> Callable:
+def _compiled(case: kernel.Case, setting: Setting, double: bool) -> Program:
     """A batch of rollouts in MJX; `double`: the precision that JAX has at this moment."""
-    template = kernel.template_of(case, setting, "metrics")
 
-    def one(values, growth_rate, seed, number):
-        """Metrics, largest distances and final configuration of one sample."""
-        key = jax.random.fold_in(jax.random.key(seed), number)
-        prepared, state, setpoint = kernel.start(case, template, values)
-        start, _ = prepared.plant.measure(state.plant)
-        end, running, envelopes = _rollout.run(
-            prepared, case.drive, case.rollout, state, setpoint, key,
-            setpoints=kernel.setpoints(template, values, case.rollout.ticks),
-        )  # fmt: skip
-        result = _metrics.finish(
-            running, envelopes, _metrics.reference(start, setpoint.position), growth_rate,
-            linear=False, period=prepared.drive.drive.control_period,
-            ticks=case.rollout.ticks, counted=case.rollout.ticks,
-            rest_amplitude=values["rest_amplitude"],
-        )  # fmt: skip
-        result = jax.tree.map(lambda leaf: jnp.nanmax(leaf) if leaf.ndim else leaf, result)
-        return result, running.farthest, end.plant.qpos
+    def make() -> Callable:
+        template = kernel.template_of(case, setting, "metrics")
 
-    return jax.jit(jax.vmap(one))
+        def one(values, growth_rate, seed, number):
+            """Metrics, largest distances and final configuration of one sample."""
+            key = jax.random.fold_in(jax.random.key(seed), number)
+            prepared, state, setpoint = kernel.start(case, template, values)
+            start, _ = prepared.plant.measure(state.plant)
+            end, running, envelopes = _rollout.run(
+                prepared, case.drive, case.rollout, state, setpoint, key,
+                setpoints=kernel.setpoints(template, values, case.rollout.ticks),
+            )  # fmt: skip
+            result = _metrics.finish(
+                running, envelopes, _metrics.reference(start, setpoint.position), growth_rate,
+                linear=False, period=prepared.drive.drive.control_period,
+                ticks=case.rollout.ticks, counted=case.rollout.ticks,
+                rest_amplitude=values["rest_amplitude"],
+            )  # fmt: skip
+            result = jax.tree.map(lambda leaf: jnp.nanmax(leaf) if leaf.ndim else leaf, result)
+            return result, running.farthest, end.plant.qpos
+
+        return jax.vmap(one)
+
+    return Program(make, ("excursions", case, setting, double))

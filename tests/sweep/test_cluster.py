@@ -58,8 +58,7 @@ def start(tmp_path_factory):
     (folder / "sweep.toml").write_text(SWEEP)
     environment = os.environ | {
         "PYTHONPATH": str(ROOT),
-        "JAX_COMPILATION_CACHE_DIR": str(folder / "cache"),
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAXACT_PROGRAMS": str(folder / "programs"),
         "TF_CPP_MIN_LOG_LEVEL": "3",
     }
 

@@ -79,13 +79,12 @@ class Sweeps:
 
 @pytest.fixture(scope="module")
 def sweeps(tmp_path_factory):
-    """Sweeps into folders; compiled kernels are kept from run to run."""
+    """Sweeps into folders; compiled programs are kept from run to run."""
     folder = tmp_path_factory.mktemp("kill")
     (folder / "sweep.toml").write_text(SWEEP)
     environment = os.environ | {
         "PYTHONPATH": str(ROOT),
-        "JAX_COMPILATION_CACHE_DIR": str(folder / "cache"),
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAXACT_PROGRAMS": str(folder / "programs"),
         "TF_CPP_MIN_LOG_LEVEL": "3",
     }
     with subprocess.Popen(

@@ -259,7 +259,7 @@ def test_smooth_peaks_become_the_exact_ones(arm, tuned):
     low, high = x - 5.0, x + 5.0
     case = RobotCase(table, groups, goal, low, high)
     data = robot_smooth.data(table, groups, goal, low, high, table.angle.shape[1])
-    surrogate = robot_smooth.surrogate(goal, len(table.loops))
+    surrogate = robot_smooth.RobotSurrogate(goal, len(table.loops))
     smooth = jax.jit(lambda x, sharpness: surrogate(x, data, sharpness))
     seen = smooth(np.float32(x), np.float32(1e4))
     over = robot_rows.excess(case, x).max()
