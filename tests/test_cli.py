@@ -273,11 +273,13 @@ def test_a_dry_run_of_a_hundred_million_loops_answers_at_once_and_writes_nothing
 
 def test_a_cache_that_cannot_be_written_is_one_line(small, tmp_path):
     (tmp_path / "file").write_text("")
-    for where in ("/proc/nowhere", str(tmp_path / "file")):
-        ran = jaxact("sweep", small, "--overwrite", cwd=tmp_path, XDG_CACHE_HOME=where)
+    for where, more in (("/proc/nowhere", ["--dry-run"]), (str(tmp_path / "file"), [])):
+        ran = jaxact("sweep", small, *more, cwd=tmp_path, XDG_CACHE_HOME=where)
         assert ran.returncode == 0, ran.stderr
         assert ran.stderr.count("\n") == 1 and f"{where}/jaxact: cannot be used" in ran.stderr
-    quiet = jaxact("sweep", small, "--overwrite", "--no-cache", cwd=tmp_path, XDG_CACHE_HOME=where)
+    assert (tmp_path / "results" / "small").is_dir()
+    more = ["--overwrite", "--no-cache", "--dry-run"]
+    quiet = jaxact("sweep", small, *more, cwd=tmp_path, XDG_CACHE_HOME=where)
     assert (quiet.returncode, quiet.stderr) == (0, "")
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.optimize
+from quickly import compiled_quickly as compiled_quickly
 from theory import figures, plant_values, response
 
 from jaxact.cli import paper as verb

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 from robots import HOPPER
 
 from jaxact.drive import Force

@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 KILLS = 25
 SWEEP = """
 engine = "mass"
-duration = 1.0
+duration = 60.0
 tile = 8
 [parameters]
 actuator = "starleth"
@@ -102,7 +102,7 @@ def _kill_at_a_random_moment(sweeps, out, chance):
     """While it starts, or soon after it has finished some more chunks."""
     before = _receipts(out)
     if chance.random() < 0.2:
-        time.sleep(chance.uniform(0.0, 1.5))
+        time.sleep(chance.uniform(0.0, 0.3))
     else:
         more = chance.choice([0, 1, 1, 2])
         while _receipts(out) < before + more and not sweeps.ends_within(0.002):
