@@ -33,6 +33,7 @@ is kept."""
 MOST = 2**30
 """Bytes of all programs that are kept; those that were not used for longest make room."""
 
+_ENDING = ".program"
 _DIGEST = 32  # bytes before the content of a file
 # What a program calls outside of it; only of these is it known how to start them.
 _CALL = re.compile(r'custom_call_target="([^"]*)"')
@@ -97,7 +98,7 @@ def _path(name: object, shapes: Any) -> Path | None:
     told = repr(facts)
     if "array(" in told:
         return None  # NumPy shortens long ones
-    return Path(folder) / hashlib.sha256(told.encode()).hexdigest()
+    return Path(folder) / (hashlib.sha256(told.encode()).hexdigest() + _ENDING)
 
 
 @functools.cache
@@ -154,7 +155,7 @@ def _keep(path: Path, compiled: Any) -> None:
             return
         content = zlib.compress(pickle.dumps((calls, parts)), level=1)
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=".")
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=_ENDING)
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(hashlib.sha256(content).digest() + content)
@@ -167,7 +168,8 @@ def _keep(path: Path, compiled: Any) -> None:
 
 
 def _make_room(folder: Path) -> None:
-    kept = [(file.stat(), file) for file in folder.iterdir()]
+    """Delete programs, and nothing else that somebody may keep in the folder."""
+    kept = [(file.stat(), file) for file in folder.glob(f"*{_ENDING}")]
     size = 0
     for facts, file in sorted(kept, key=lambda one: -one[0].st_mtime):
         size += facts.st_size

@@ -187,10 +187,15 @@ def test_programs_that_were_not_used_for_longest_make_room(folder, monkeypatch):
         _counted(name)[0](X)
         newest = max(folder.iterdir(), key=lambda file: file.stat().st_mtime)
         os.utime(newest, (number, number))
-    monkeypatch.setattr(programs, "MOST", sum(f.stat().st_size for f in folder.iterdir()) + 10)
+    (folder / "somebody's").write_bytes(bytes(10**6))
+    os.utime(folder / "somebody's", (0, 0))
+    monkeypatch.setattr(
+        programs, "MOST", sum(f.stat().st_size for f in folder.glob("*.program")) + 10
+    )
     _counted("a")[0](X)  # is the newest now
     _counted("d")[0](X)
-    assert len(list(folder.iterdir())) == 3
+    assert (folder / "somebody's").exists()
+    assert len(list(folder.iterdir())) == 1 + 3
     for name, expected in {"a": 0, "c": 0, "d": 0, "b": 1}.items():
         program, made = _counted(name)
         program(X)

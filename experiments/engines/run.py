@@ -22,6 +22,7 @@ import parity
 from maps import Comparison
 from parity import Parity
 
+from jaxact.errors import UserError
 from jaxact.plot.look import display_name, quantity
 
 OUT = cases.HERE.parent.parent / "results" / "engines"
@@ -29,13 +30,21 @@ PRECISIONS = ("float64", "float32")
 
 
 def main() -> int:
-    """Compare, write and print; 1 if the engines do not agree as they should."""
+    """Compare, write and print; 1 if the engines disagree, 2 after saying what is wrong."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=OUT, help="folder of the results")
     parser.add_argument("--number", type=int, help="gains along each axis of a map")
     parser.add_argument("--free", nargs="*", default=cases.FREE, choices=cases.FREE)
     parser.add_argument("--standing", nargs="*", default=cases.STANDING, choices=cases.STANDING)
     options = parser.parse_args()
+    try:
+        return _run(options)
+    except UserError as error:
+        print(f"run.py: {error}", file=sys.stderr)
+        return 2
+
+
+def _run(options: argparse.Namespace) -> int:
     motions = [parity.compare(name, p) for name in options.free for p in PRECISIONS]
     found: list[Comparison] = []
     for name in options.standing:

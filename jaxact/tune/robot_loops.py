@@ -229,6 +229,7 @@ def _opener(
     linearised = _linearised(case, setting, nominal, keys)
 
     def matrices(row: jax.Array, moved: tuple[jax.Array, jax.Array] | None):
+        """A, B, what controllers measure, and inertias of one member."""
         values = {name: jnp.asarray(value) for name, value in nominal.items()}
         values |= {key: row[place] for place, key in enumerate(keys)}
         loop = kernel.linear_loop(case, template, values, moved)

@@ -311,6 +311,7 @@ def _compiled(case: kernel.Case, setting: Setting, double: bool) -> Program:
     """A batch of rollouts in MJX; `double`: the precision that JAX has at this moment."""
 
     def make() -> Callable:
+        """The function, traced only where its program is not kept."""
         template = kernel.template_of(case, setting, "metrics")
 
         def one(values, growth_rate, seed, number):
