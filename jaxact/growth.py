@@ -32,6 +32,9 @@ from jaxact.controller import Setpoint
 from jaxact.drive import DriveOptions
 from jaxact.loop import LoopState, Prepared
 
+# Dimensions of a stacked Krylov space beyond those of the plant's states.
+_SPARE = 8
+
 
 @dataclass(frozen=True)
 class GrowthOptions:
@@ -48,9 +51,10 @@ class GrowthOptions:
         squarings: of the small matrix; the last one looks 2^squarings blocks ahead.
         dense: write the propagation of one period out as a matrix first. Cheaper where one period
             of the plant costs more than the product of a matrix and a vector.
-        stacked: keep the Krylov space in one array: for spaces of many dimensions, as the many slow
-            modes of a robot ask for. Otherwise each number of the small matrix is a variable of its
-            own, which vector units like better.
+        stacked: keep the Krylov space in one array, and give it at least as many dimensions as the
+            plant has states: for robots, whose many slow modes a smaller space cannot tell apart.
+            Otherwise each number of the small matrix is a variable of its own, which vector units
+            like better.
     """
 
     block: int = 4
@@ -153,12 +157,6 @@ def _dense(vector: list[jax.Array], apply: Callable, block: int) -> Propagation:
     return [flat], repeated
 
 
-def _flat(vector: list[jax.Array], apply: Callable) -> Propagation:
-    """The same map on a single flat vector."""
-    flat, unravel = ravel_pytree(vector)
-    return [flat], lambda parts: [ravel_pytree(apply(unravel(parts[0])))[0]]
-
-
 def _perturbation(state: LoopState, prepared: Prepared) -> list[jax.Array]:
     """A perturbation that moves every joint's position and velocity and nothing else.
 
@@ -218,12 +216,9 @@ def _space(
     blocks = measure.settle // 16 if whole else measure.settle
     periods = 1 if measure.dense else block
     start, apply = propagation(prepared, options, state, setpoint, periods)
-    if measure.dense or measure.stacked:
-        tangent = [ravel_pytree(tangent)[0]]
     if measure.dense:
+        tangent = [ravel_pytree(tangent)[0]]
         start, apply = _dense(start, apply, block)
-    elif measure.stacked:
-        start, apply = _flat(start, apply)
 
     def settle(carry, _: None):
         vector, squares = carry
@@ -292,14 +287,56 @@ def growth_rate(
     Returns:
         [1/s], shape ().
     """
-    space = _space(prepared, options, state, setpoint, measure)
+    control_period = prepared.drive.drive.control_period
     if measure.stacked:
-        stacked = _krylov.arnoldi(
-            lambda vector: space.apply([vector])[0], space.start[0], space.dimension
-        )
-        log_radius = _krylov.log_radius(stacked, measure.squarings)
-    else:
-        kept = functools.partial(_loop.stage, options)
-        small = _krylov.hessenberg(space.apply, space.start, space.dimension, space.whole, kept)
-        log_radius = _characteristic.log_spectral_radius(small, measure.squarings, kept)
-    return log_radius / (space.block * prepared.drive.drive.control_period)
+        return _stacked(prepared, options, state, setpoint, measure) / control_period
+    space = _space(prepared, options, state, setpoint, measure)
+    kept = functools.partial(_loop.stage, options)
+    small = _krylov.hessenberg(space.apply, space.start, space.dimension, space.whole, kept)
+    log_radius = _characteristic.log_spectral_radius(small, measure.squarings, kept)
+    return log_radius / (space.block * control_period)
+
+
+def _stacked(
+    prepared: Prepared,
+    options: DriveOptions,
+    state: LoopState,
+    setpoint: Setpoint,
+    measure: GrowthOptions,
+) -> jax.Array:
+    """Logarithm of the largest eigenvalue's size over a control period, of many slow modes."""
+    tangent, _ = ravel_pytree(_perturbation(aligned(state), prepared))
+    parts, apply = propagation(prepared, options, state, setpoint, 1)
+    _, unravel = ravel_pytree(parts)
+    settling = measure.settle * measure.block
+
+    def once(vector: jax.Array) -> jax.Array:
+        return ravel_pytree(apply(unravel(vector)))[0]
+
+    def settle(carry, _: None):
+        vector, squares, log_size = carry
+        image = once(vector)
+        size = jnp.linalg.norm(image)
+        vector = image * _krylov.inverse(size)
+        log_size = log_size + jnp.log(jnp.maximum(size, jnp.finfo(size.dtype).tiny))
+        return (vector, squares + vector * vector, log_size), None
+
+    start = tangent * _krylov.inverse(jnp.linalg.norm(tangent))
+    carry = start, jnp.zeros_like(start), jnp.zeros((), start.dtype)
+    (settled, squares, log_size), _ = jax.lax.scan(settle, carry, None, length=settling)
+    # Positions, velocities and forces have different units; their size along the way is the scale.
+    scale = jnp.where(squares > 0.0, jnp.sqrt(squares / settling), 1.0)
+    # Without its usual growth, a long block of a violent loop would overflow.
+    usual = log_size / settling
+    relief = jnp.exp(-usual)
+
+    def block(vector: jax.Array) -> jax.Array:
+        def relieved(image: jax.Array, _: None) -> tuple[jax.Array, None]:
+            return once(image) * relief, None
+
+        return jax.lax.scan(relieved, vector * scale, None, length=measure.block)[0] / scale
+
+    slow = sum(leaf.size for leaf in jax.tree.leaves(state.plant))
+    dimension = min(max(measure.dimension, slow + _SPARE), start.size)
+    matrix = _krylov.arnoldi(block, settled / scale, dimension)
+    return usual + _krylov.log_radius(matrix, measure.squarings) / measure.block

@@ -1,6 +1,5 @@
 """The experiment that holds MJX against C MuJoCo: its specifications, and that it runs."""
 
-import importlib
 import json
 import os
 import subprocess
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from experiment_modules import imported
 from quickly import ENVIRONMENT
 
 from jaxact.sweep.samples import expand
@@ -19,12 +19,8 @@ FOLDER = ROOT / "experiments" / "engines"
 
 @pytest.fixture(scope="module")
 def cases():
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield importlib.import_module("cases")
-    finally:
-        sys.path.remove(str(FOLDER))
-        sys.modules.pop("cases")
+    with imported(FOLDER, "cases") as (cases,):
+        yield cases
 
 
 def test_every_specification_is_one_and_has_every_drive(cases):

@@ -1,7 +1,6 @@
 """The experiment on the quadruped: its gains, its critical gain scales, and that it runs."""
 
 import dataclasses
-import importlib
 import json
 import os
 import subprocess
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import quickly
+from experiment_modules import imported
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact import linearize
@@ -23,11 +23,8 @@ FOLDER = ROOT / "experiments" / "quadruped"
 @pytest.fixture(scope="module")
 def experiment():
     """Its modules `cases` and `gains`."""
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield importlib.import_module("cases"), importlib.import_module("gains")
-    finally:
-        sys.path.remove(str(FOLDER))
+    with imported(FOLDER, "cases", "gains") as modules:
+        yield modules
 
 
 def _radius(linear, kp, kd):

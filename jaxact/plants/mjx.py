@@ -6,12 +6,8 @@ the motor's torque. Actuators that are not driven do what they do in the model.
 
 from __future__ import annotations
 
-import contextlib
 import copy
-import io
-import sys
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,32 +19,18 @@ import numpy as np
 
 from jaxact.drive import Force
 from jaxact.errors import UserError
+from jaxact.plants import mjx_step as _mjx_step
 from jaxact.plants import model as _model
 from jaxact.plants import posture as _posture
 from jaxact.plants import variation as _variation
 from jaxact.plants.linear import hermite
+from jaxact.plants.mjx_step import mjx as mjx
 from jaxact.plants.model import Joint, Robot
 from jaxact.plants.posture import Posture
 from jaxact.plants.variation import Variation
 
 SLIDE = Path(__file__).with_name("slide.xml")
 """The first model: one slide joint with a motor, the mass of the study's loop."""
-
-
-@contextlib.contextmanager
-def _without_warp_notice() -> Iterator[None]:
-    """MJX prints that the optional Warp is missing; keep that, and only that, off the screen."""
-    captured = io.StringIO()
-    with contextlib.redirect_stdout(captured):
-        yield
-    for line in captured.getvalue().splitlines():
-        if not line.startswith(("Failed to import warp", "Failed to import mujoco_warp")):
-            print(line, file=sys.stdout)
-
-
-with _without_warp_notice():
-    from mujoco import mjx
-    from mujoco.mjx._src import solver as solver
 
 
 def put_model(model: mujoco.MjModel) -> tuple[mjx.Model, list[str]]:
@@ -178,17 +160,16 @@ class MjxPlant:
 
     def advance(self, state: MjxState, force: Force) -> MjxState:
         """One MJX step under the mean force, with the model's own integrator."""
-        # MJX multiplies matrices by vectors as NumPy allows; a user may have forbidden that.
-        with jax.numpy_rank_promotion("allow"):
-            data = self._stepped(self.loaded(state, force))
+        data = self._stepped(self.loaded(state, force))
         return MjxState(data.qpos, data.qvel, data.act, data.qacc_warmstart, data.time)
 
     def _stepped(self, data: Any) -> Any:
         if self.impl == "warp":
             from jaxact.plants import warp  # starts from this module's MJX
 
-            return warp.step(self.model, data)
-        return mjx.step(self.model, data)
+            with jax.numpy_rank_promotion("allow"):
+                return warp.step(self.model, data)
+        return _mjx_step.step(self.model, data)
 
     def loaded(self, state: MjxState, force: Force) -> Any:
         """MJX's data with a state and what acts on it filled in."""

@@ -27,7 +27,9 @@ import jax
 
 from jaxact.drive import Force
 from jaxact.errors import UserError
-from jaxact.plants.mjx import MjxPlant, MjxState, mjx, solver
+from jaxact.plants import mjx_step as _mjx_step
+from jaxact.plants.mjx import MjxPlant, MjxState
+from jaxact.plants.mjx_step import mjx, solver
 from jaxact.plants.tangent import displaced
 
 _DATA = ("model", "data", "mass", "variation", "push")
@@ -39,19 +41,8 @@ class SmoothPlant(MjxPlant):
 
     def advance(self, state: MjxState, force: Force) -> MjxState:
         """One MJX step under the mean force; the same values as `MjxPlant.advance`."""
-        model = self.model
-        # MJX multiplies matrices by vectors as NumPy allows; a user may have forbidden that.
-        with jax.numpy_rank_promotion("allow"):
-            data = self.loaded(state, force)
-            data = mjx.fwd_velocity(model, mjx.fwd_position(model, data))
-            data = mjx.fwd_acceleration(model, mjx.fwd_actuation(model, data))
-            if data._impl.efc_J.size:
-                data = _solved(model, data)
-            else:
-                data = data.replace(qacc=data.qacc_smooth)
-            euler = model.opt.integrator == mjx.IntegratorType.EULER
-            after = mjx.euler(model, data) if euler else mjx.implicit(model, data)
-        step = model.opt.timestep
+        after = _mjx_step.step(self.model, self.loaded(state, force), _solved)
+        step = self.model.opt.timestep
         # MJX has moved the configuration by the velocities at the end of the step.
         qpos = _valued(after.qpos, displaced(self.kinds, state.qpos, step * after.qvel))
         return MjxState(qpos, after.qvel, after.act, after.qacc_warmstart, after.time)
@@ -85,7 +76,7 @@ def _valued(value: Any, slope: Any) -> Any:
 
 def _solved(model: Any, data: Any) -> Any:
     """The data with accelerations and constraint forces, and their derivatives."""
-    found = mjx.solve(model, jax.lax.stop_gradient(data))
+    found = _mjx_step.solved(model, jax.lax.stop_gradient(data))
     newton = model.tree_replace({"opt.solver": mjx.SolverType.NEWTON})
     there = solver.Context.create(newton, data.replace(qacc=found.qacc))
     qacc = _valued(found.qacc, there.search)

@@ -33,9 +33,9 @@ MJX_STEP = 0.25e-3
 # rounds differently on one device and on two.
 _UNROLL = 4
 
-# A robot has many slow modes (contacts that creep), which one small Krylov space cannot tell apart.
-# Blocks of many periods tell them apart sooner; a start that has settled for long holds too few.
-_ROBOT_GROWTH = GrowthOptions(block=16, settle=16, dimension=32, squarings=18, stacked=True)
+# A robot has many slow modes (contacts that creep), which only blocks of many periods tell apart; a
+# start that has settled for long holds too few of them.
+_ROBOT_GROWTH = GrowthOptions(block=64, settle=4, dimension=32, squarings=18, stacked=True)
 # The control rate that the blocks of `GrowthOptions` are meant for [Hz].
 _USUAL_RATE = 1000.0
 
@@ -207,11 +207,12 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
 
 
 def _growth(usual: GrowthOptions, rate: float) -> GrowthOptions:
-    """The options with blocks that last as long at a higher control rate [Hz].
+    """The options with blocks that last as long at another control rate [Hz].
 
-    In a shorter block the slow modes hardly differ from each other.
+    In a shorter block the slow modes hardly differ from each other; in a longer one the fast ones
+    drown.
     """
-    return replace(usual, block=usual.block * max(1, round(rate / _USUAL_RATE)))
+    return replace(usual, block=max(4, round(usual.block * rate / _USUAL_RATE)))
 
 
 def batches(
