@@ -85,7 +85,9 @@ def _page(motions: Sequence[Parity], found: Sequence[Comparison]) -> str:
         "",
         "Verdicts of maps of gains with contacts, MJX in float32. At least "
         f"{maps.SHARE:.0%} of the loops must be stable in both or in neither; near the others "
-        "there must be a boundary: within 5 % in gain C MuJoCo itself must come to both verdicts.",
+        "there must be a boundary: within 5 % in gain C MuJoCo itself must come to both verdicts. "
+        "The motions are each engine's own; the growth rates that verdicts also ask for are those "
+        "of the robot linearised in C MuJoCo, for both.",
         "",
         "| robot | drive | gains | stable | agree | same in every word | differ far from it |",
         "|---|---|---|---|---|---|---|",

@@ -70,7 +70,11 @@ def _each(
     plan: Plan, specification: Specification, samples: Samples, numbers: np.ndarray
 ) -> np.ndarray:
     """Growth rates, every sample by itself."""
-    grow = tiles.compiled("growth_rate", plan.case, plan.devices, specification.setting, True)
+    case = plan.case
+    if specification.plant is not None:
+        # MJX's own derivatives are the same, and take as long to compile as its simulation.
+        case = replace(case, engine="mujoco")
+    grow = tiles.compiled("growth_rate", case, plan.devices, specification.setting, True)
     inputs: list[Any] = [*tiles.tiled(plan, samples, numbers, np.float64)]
     if plan.case.varied:
         from jaxact.sweep import outside  # imports MuJoCo
