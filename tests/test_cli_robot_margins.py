@@ -85,6 +85,16 @@ def test_the_gains_of_the_model_are_taken_and_everything_is_said(capsys):
     assert all(10.0 < joint["phase_margin"] < 180.0 for joint in row["joints"])  # degrees
 
 
+def test_derivatives_of_mjx_give_the_margins_of_differences_in_c(capsys):
+    asked = ("--model", "arm.xml", "--keyframe", "bent", "--actuator", "hyq", "--json", "--engine")
+    one, other = (json.loads(_said(capsys, *asked, engine)) for engine in ("mujoco", "mjx"))
+    assert (one["engine"], other["engine"]) == ("mujoco", "mjx")
+    assert one["growth_rate"] != other["growth_rate"]
+    for name in ("growth_rate", "gain_margin", "sensitivity_peak", "disk_margin"):
+        found = (row.get(name, row["all"].get(name)) for row in (one, other))
+        assert next(found) == pytest.approx(next(found), rel=1e-4), name
+
+
 def test_the_table_ranks_joints_and_names_the_mode(capsys):
     said = _said(capsys, "--model", "arm.xml", "--actuator", "hyq", "--delay", "0.001")
     assert "2 driven joints, control 1000 Hz, physics step 1 ms, mujoco, posture settled" in said

@@ -75,8 +75,6 @@ def test_the_same_loop_as_in_c(case, folder):
     assert np.ptp(one.position, axis=0).max() > 0.02
     np.testing.assert_allclose(other.position, one.position, rtol=0, atol=1e-4)
     np.testing.assert_allclose(other.force, one.force, rtol=0, atol=1e-2 * np.abs(one.force).max())
-    rates = [run.results["growth_rate"] for run in found.values()]
-    assert rates[0] == rates[1], "both are linearised in C"
 
 
 @needs_warp
@@ -118,7 +116,7 @@ def test_changes_of_the_model_differ_between_samples(folder):
     for engine in ("mujoco", "warp"):
         asked = _parsed(folder, HOME, DRIVE + "setpoint = 0.2", axes, engine=engine, duration=0.1)
         rows[engine] = _rows(asked)
-    for name in ("growth_rate", "peak_force", "integrated_squared_error"):
+    for name in ("peak_force", "integrated_squared_error"):
         one, other = rows["mujoco"][name], rows["warp"][name]
         assert np.unique(one).size > 20
         np.testing.assert_allclose(other, one, rtol=2e-3, err_msg=name)
