@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.cli._warnings import RESIDUAL
+
 if TYPE_CHECKING:
     from jaxact.robot_margins import Mode
     from jaxact.sweep.specification import Specification
@@ -16,8 +18,6 @@ if TYPE_CHECKING:
 
 # Joints of a mode that are named.
 _MOST_NAMED = 6
-# Acceleration left at a posture that is worth a warning [m/s^2 or rad/s^2].
-_RESIDUAL = 1e-2
 _WIDTH = 118
 
 
@@ -114,7 +114,7 @@ def _head(specification: Specification, label: str, found: WholeRobot) -> str:
             f"{found.neutral} neutral {directions} left out, in which a displaced robot just stays "
             "displaced"
         )
-    if found.residual > _RESIDUAL:
+    if found.residual > RESIDUAL:
         lines.append(
             f"warning: the posture is no equilibrium (accelerations up to {found.residual:.3g}); "
             "the figures are those of the linearisation there, which the robot leaves"

@@ -170,7 +170,7 @@ def run(
     named = _specifications(options, given, velocity)
     situations = [situation(one, name, spans) for name, one in named]
     for one in situations:
-        _warnings.overload(one.specification)
+        _warnings.posture(one.specification)
     first = situations[0]
     groups = group(options.groups.split(",") if options.groups else (), first.names)
     tuned = robot.tune(

@@ -14,6 +14,26 @@ def warn(text: str) -> None:
     print(f"jaxact: warning: {text}", file=sys.stderr)
 
 
+# Accelerations of a posture at rest are smaller [rad/s^2 or m/s^2].
+RESIDUAL = 1e-2
+
+
+def posture(specification: Specification) -> None:
+    """Warn of a robot whose joints are too weak for its posture, or that creeps; else nothing."""
+    if specification.plant is None:
+        return
+    overload(specification)
+    from jaxact.sweep import robots
+
+    found = robots.scene(specification.plant).posture
+    if found.settled and found.residual > RESIDUAL:
+        warn(
+            f"the robot still creeps after settling (accelerations up to {found.residual:.3g}); "
+            "small growth rates, and verdicts that follow from their sign, are those of its "
+            "creeping"
+        )
+
+
 def overload(specification: Specification) -> None:
     """Warn of a robot's posture that its joints are too weak to hold; nothing without a robot."""
     if specification.plant is None:

@@ -157,7 +157,7 @@ def main(
     specification = engines.resolved(specification)
     place = _place(single.names(specification), joint)
     run = single.simulate(specification)
-    _warnings.overload(specification)
+    _warnings.posture(specification)
     _write(run, specification, place, out, csv, npz)
     print(_json_text(run) if json else _table(run))
     if not json:

@@ -132,7 +132,7 @@ def main(
         from jaxact.sweep import fill, throughput
 
         how = dataclasses.replace(how, workers=functools.partial(fill.here, keep=throughput.keep))
-    _warnings.overload(asked)
+    _warnings.posture(asked)
     measure = not (dry_run or no_cache)
     if asked.engine == "auto":
         asked = _settled(asked, folder, how, measure=measure and workers == "local", quiet=quiet)
