@@ -43,6 +43,8 @@ class Simulations:
         posture: to start from.
         step: physics step [s].
         number: of simulations.
+        same: a label for each; those of one label start and are driven alike, and are computed
+            once, shape (number,); None if all differ.
         fields: of the model that differ between simulations, by name, shape (number, ...).
         impulse: on a body, or None.
         threads: used for stepping; 0 for one on each core that this process may use.
@@ -58,24 +60,28 @@ class Simulations:
         step: float,
         number: int,
         *,
+        same: np.ndarray | None = None,
         fields: Mapping[str, np.ndarray] | None = None,
         impulse: Impulse | None = None,
         threads: int = 0,
     ) -> None:
         demand(robot, "mujoco")
         self.model = stepped(robot.model, step)
-        self._batch = Batch(self.model, number, threads or min(number, _cores()))
+        # Of all that are asked for those that are computed, and where of these each one is.
+        self._first, self._back = _distinct(number, same)
+        computed = np.arange(number)[self._first].size
+        self._batch = Batch(self.model, computed, threads or min(computed, _cores()))
         for name, values in (fields or {}).items():
-            self._batch.expand(name)[:] = values
+            self._batch.expand(name)[:] = values[self._first]
         self._posture, self._impulse = posture, impulse
         self._step, self._steps = step, 0
         joints = robot.joints
-        self._qpos = [joint.qpos for joint in joints]
+        self._places = [joint.qpos for joint in joints]
         self._dofs = [joint.dof for joint in joints]
         self._actuators = [joint.index for joint in joints]
         self._low = np.array([joint.force_low for joint in joints])
         self._high = np.array([joint.force_high for joint in joints])
-        self.qpos, self.qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
         self._pushed = self._batch.bind("xfrc_applied")
 
@@ -87,9 +93,9 @@ class Simulations:
             velocity: per second, shape (number, joints).
         """
         self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
-        self.qpos[:], self.qvel[:] = self._posture.qpos, self._posture.qvel
-        self.qpos[:, self._qpos] = position
-        self.qvel[:, self._dofs] = velocity
+        self._qpos[:], self._qvel[:] = self._posture.qpos, self._posture.qvel
+        self._qpos[:, self._places] = position[self._first]
+        self._qvel[:, self._dofs] = velocity[self._first]
         self._ctrl[:] = self._posture.ctrl
         if self.model.na:
             self._batch.bind("act")[:] = self._posture.act
@@ -97,22 +103,27 @@ class Simulations:
 
     def measure(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities of the driven joints, copies of shape (number, joints)."""
-        return self.qpos[:, self._qpos], self.qvel[:, self._dofs]
+        position, velocity = self._qpos[:, self._places], self._qvel[:, self._dofs]
+        return position[self._back], velocity[self._back]
+
+    def configuration(self) -> np.ndarray:
+        """Of the whole robot, as MuJoCo orders it, a copy of shape (number, nq)."""
+        return self._qpos.copy()[self._back]
 
     def advance(self, force: np.ndarray) -> None:
         """One physics step under these mean joint forces [N or N m], shape (number, joints).
 
         A simulation that MuJoCo gives up keeps its state, which is not a number from then on.
         """
-        self._ctrl[:, self._actuators] = np.clip(force, self._low, self._high)
+        self._ctrl[:, self._actuators] = np.clip(force[self._first], self._low, self._high)
         if self._impulse is not None:
             self._push(self._impulse)
         try:
             with silenced():
                 self._batch.step()
         except SimulationError as error:
-            self.qpos[error.ids] = np.nan
-            self.qvel[error.ids] = np.nan
+            self._qpos[error.ids] = np.nan
+            self._qvel[error.ids] = np.nan
         self._steps += 1
 
     def _push(self, impulse: Impulse) -> None:
@@ -121,6 +132,17 @@ class Simulations:
         overlap = min(now + self._step, end) - max(now, impulse.start)
         share = max(overlap, 0.0) / self._step
         self._pushed[:, impulse.body, :3] = share * impulse.force
+
+
+def _distinct(
+    number: int, same: np.ndarray | None
+) -> tuple[np.ndarray | slice, np.ndarray | slice]:
+    """First of each kind, and the kind of each; slices where all differ, which copy nothing."""
+    if same is not None:
+        kinds, first, back = np.unique(same, return_index=True, return_inverse=True)
+        if kinds.size < number:
+            return first, back
+    return slice(None), slice(None)
 
 
 def _cores() -> int:

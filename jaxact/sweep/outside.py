@@ -153,7 +153,7 @@ def metrics(
         values: of the samples, shape (n,) each.
         growth_rate: [1/s], shape (n,).
         seed: of the sweep.
-        numbers: of the samples, shape (n,).
+        numbers: of the samples, shape (n,); one that occurs several times is simulated once.
         watch: makes the observer that `jaxact.batch_rollout.evaluate` calls at every physics step.
     """
     made = template(case, setting)
@@ -172,6 +172,7 @@ def metrics(
         scene.posture,
         case.step,
         len(numbers),
+        same=numbers,  # a batch is filled up with one of its samples
         fields=fields,
         impulse=_impulse(setting, scene),
     )
@@ -263,7 +264,7 @@ def trajectories(
             held = np.asarray(setpoint.position), np.asarray(state.command)
             rows.append((held[0], position, velocity, held[1], delayed, np.asarray(force)))
             if place == 0:
-                configurations.append(simulations.qpos.copy())
+                configurations.append(simulations.configuration())
 
         return observe
 

@@ -293,7 +293,7 @@ class _Farthest:
     def end(self) -> np.ndarray:
         """Final configurations, the last period taken in."""
         self._look()
-        return self._simulations.qpos.copy()
+        return self._simulations.configuration()
 
 
 def _in_mjx(plan: Plan, asked: Specification, values: Columns, numbers, growth):
