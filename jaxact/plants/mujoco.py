@@ -115,7 +115,8 @@ class Simulations:
 
         A simulation that MuJoCo gives up keeps its state, which is not a number from then on.
         """
-        self._ctrl[:, self._actuators] = np.clip(force[self._first], self._low, self._high)
+        limited = np.minimum(np.maximum(force[self._first], self._low), self._high)
+        self._ctrl[:, self._actuators] = limited
         if self._impulse is not None:
             self._push(self._impulse)
         try:
