@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
+from benchmarks import lone
 from benchmarks.timing import Row, alternate
 from jaxact.drive import Force
 from jaxact.plants import mjx, posture
@@ -38,9 +38,9 @@ velocity_noise = 1e-3
 def rows(quick: bool) -> Iterator[Row]:
     """The lines of the table."""
     loops, duration = (64, 0.02) if quick else (512, 0.2)
-    asked = _specification("quadruped.xml", "mjx", duration, loops)
+    asked = specification("quadruped.xml", "mjx", duration, loops)
     samples = expand(asked)
-    ours, plan = _rollouts(asked, samples)
+    ours, plan = rollouts(asked, samples)
     yield Row(
         "MJX quadruped, 12 joints, full drive and metrics (noise, quantisation, three delays)",
         "the same MJX rollout with a bare PD command",
@@ -49,13 +49,10 @@ def rows(quick: bool) -> Iterator[Row]:
         "at least 0.91 (10 % more)",
         1 / 1.1,
     )
-    alone = _specification("quadruped_arm.xml", "mujoco", 0.2 if quick else 2.0, 1)
-    single, _ = _rollouts(alone, expand(alone))
-    seconds, _ = alternate(_on_one_core(single), lambda: 1.0, 3)
     yield Row(
         "a robot of 18 joints in C MuJoCo on one core, full drive, control at 1 kHz",
         "real time",
-        seconds,
+        lone.on_one_core(0.2 if quick else 2.0),
         1e-3,
         "control period",
         "at least 5",
@@ -63,23 +60,8 @@ def rows(quick: bool) -> Iterator[Row]:
     )
 
 
-def _on_one_core(function: Callable[[], float]) -> Callable[[], float]:
-    """The function run on a single core, where the system can say so."""
-    if not hasattr(os, "sched_setaffinity"):
-        return function
-    allowed = os.sched_getaffinity(0)
-
-    def run() -> float:
-        os.sched_setaffinity(0, {min(allowed)})
-        try:
-            return function()
-        finally:
-            os.sched_setaffinity(0, allowed)
-
-    return run
-
-
-def _specification(model: str, engine: str, duration: float, loops: int) -> Specification:
+def specification(model: str, engine: str, duration: float, loops: int) -> Specification:
+    """A sweep over the gains of one of the quadruped's models under the full drive."""
     text = f"""
     engine = "{engine}"
     duration = {duration}
@@ -98,7 +80,7 @@ def _specification(model: str, engine: str, duration: float, loops: int) -> Spec
     return reading.parse(text, MODELS)
 
 
-def _rollouts(asked: Specification, samples: Samples) -> tuple[Callable[[], float], plans.Plan]:
+def rollouts(asked: Specification, samples: Samples) -> tuple[Callable[[], float], plans.Plan]:
     """The rollouts with their metrics, growth rates given; units: control periods of one loop."""
     asked = engines.resolved(asked)
     (plan,) = plans.groups(asked, samples)
@@ -114,7 +96,7 @@ def _rollouts(asked: Specification, samples: Samples) -> tuple[Callable[[], floa
 
 
 def _bare(samples: Samples, plan: plans.Plan) -> Callable[[], float]:
-    """MJX with a PD command and nothing else, in the same tiles; units as `_rollouts`."""
+    """MJX with a PD command and nothing else, in the same tiles; units as `rollouts`."""
     robot = models.read(MODELS / "quadruped.xml", keyframe="stand")
     start = posture.settled(robot)
     plant = mjx.place(robot, start).prepare(jnp.asarray(1e-3, jnp.float32))

@@ -24,13 +24,15 @@ from jaxact.controller import Setpoint
 from jaxact.drive import Coefficients, DriveOptions, DriveState
 from jaxact.loop import Output
 from jaxact.metrics import SEGMENTS, Envelope, Metrics, Period, Reference, Running
-from jaxact.packing import pack, unpack
+from jaxact.packing import Packed, pack, unpack
 from jaxact.plants.linear import hermite
 from jaxact.plants.mujoco import Simulations
+from jaxact.plants.silence import silenced
 from jaxact.programs import Program
 from jaxact.sensor import Draws
+from jaxact.single_kernel import single_kernel
 
-Pair = tuple[Any, Any]  # arrays of either kind: NumPy's where C has just written them
+Pair = tuple[Any, Any]
 
 
 @dataclass(frozen=True)
@@ -40,8 +42,11 @@ class BatchState:
     Attributes:
         drive: its state.
         running, envelope: accumulators of the metrics.
+        ticks: that have been, whole.
         late: measurement captured in this period, position and velocity; None without delay.
         before: position and velocity at the beginning of the period.
+        latest: the same at the beginning of the physics step; None without delayed measurement.
+        setpoint: of the period.
         command: issued at the beginning of the period [N or N m].
         peak_force, square_force: of the period's physics steps so far.
     """
@@ -49,8 +54,11 @@ class BatchState:
     drive: DriveState
     running: Running
     envelope: Envelope
+    ticks: jax.Array
     late: Pair | None
     before: Pair
+    latest: Pair | None
+    setpoint: Setpoint
     command: jax.Array
     peak_force: jax.Array
     square_force: jax.Array
@@ -58,6 +66,30 @@ class BatchState:
 
 jax.tree_util.register_dataclass(
     BatchState, data_fields=[item.name for item in fields(BatchState)], meta_fields=[]
+)
+
+
+@dataclass(frozen=True)
+class _Fixed:
+    """What stays the same during the rollout of a loop.
+
+    Attributes:
+        coefficients: from `jaxact.drive.prepare`.
+        setpoint: constant setpoint.
+        reference: of the metrics.
+        active_ticks: integrals stop after this many.
+        key: words of the random key; a key of its own type takes longer to hand over.
+    """
+
+    coefficients: Coefficients
+    setpoint: Setpoint
+    reference: Reference
+    active_ticks: jax.Array
+    key: jax.Array
+
+
+jax.tree_util.register_dataclass(
+    _Fixed, data_fields=[item.name for item in fields(_Fixed)], meta_fields=[]
 )
 
 
@@ -87,6 +119,8 @@ def _begin(coefficients, options, state: BatchState, now: Pair, setpoint: Setpoi
         drive=drive,
         late=late,
         before=now,
+        latest=late,
+        setpoint=setpoint,
         command=command,
         peak_force=zero,
         square_force=zero,
@@ -94,21 +128,26 @@ def _begin(coefficients, options, state: BatchState, now: Pair, setpoint: Setpoi
     return _actuated(coefficients, options, state, 0, now[1])
 
 
-def _captured(coefficients: Coefficients, state: BatchState, place: int, ends: Pair):
-    """The measurement, if it falls into this physics step; `ends` are its two states."""
+def _captured(coefficients: Coefficients, state: BatchState, place: int, now: Pair):
+    """The measurement, if it falls into the physics step that has led to `now`."""
     capture = coefficients.capture
-    if capture is None or state.late is None:
+    if capture is None or state.late is None or state.latest is None:
         return state
-    before, after = ((end[0], end[1]) for end in ends)
-    position, velocity = hermite(before, after, capture.offset, coefficients.step)
+    position, velocity = hermite(state.latest, now, capture.offset, coefficients.step)
     here = capture.here[place] > 0.0
     late = jnp.where(here, position, state.late[0]), jnp.where(here, velocity, state.late[1])
-    return replace(state, late=late)
+    return replace(state, late=late, latest=now)
 
 
-def _end(coefficients, options, state: BatchState, now: Pair, reference: Reference, count, weight):
+def _end(
+    fixed: _Fixed, options: DriveOptions, state: BatchState, now: Pair, masked: bool
+) -> BatchState:
     """What the period was, taken into the metrics."""
-    drive = state.drive
+    drive, ticks = state.drive, state.ticks + 1
+    count = ticks.astype(now[0].dtype)
+    weight = (ticks <= fixed.active_ticks).astype(count.dtype) if masked else None
+    # The last wish, which differs from the reference where the setpoint moves.
+    reference = replace(fixed.reference, target=state.setpoint.position)
     if state.late is not None:
         drive = _drive.capture(drive, *state.late)
     output = Output(
@@ -124,33 +163,10 @@ def _end(coefficients, options, state: BatchState, now: Pair, reference: Referen
     return replace(
         state,
         drive=drive,
+        ticks=ticks,
         running=_metrics.update(state.running, periods),
         envelope=_metrics.update_envelope(state.envelope, periods),
     )
-
-
-@dataclass(frozen=True)
-class _Fixed:
-    """What stays the same during the rollout of a loop.
-
-    Attributes:
-        coefficients: from `jaxact.drive.prepare`.
-        setpoint: constant setpoint.
-        reference: of the metrics.
-        active_ticks: integrals stop after this many.
-        key: of the random numbers.
-    """
-
-    coefficients: Coefficients
-    setpoint: Setpoint
-    reference: Reference
-    active_ticks: jax.Array
-    key: jax.Array
-
-
-jax.tree_util.register_dataclass(
-    _Fixed, data_fields=[item.name for item in fields(_Fixed)], meta_fields=[]
-)
 
 
 @dataclass(frozen=True)
@@ -168,54 +184,55 @@ def _stages(options: DriveOptions, masked: bool) -> _Stages:
     """The functions between which the physics runs; batched over loops.
 
     `first` begins a rollout, `turn` ends a period and begins the next one, `middle` is the force of
-    a later physics step of a period, `last` ends a rollout.
+    a later physics step of a period, `last` ends a rollout. Each takes what `_seen` gives: of what
+    a call costs, most is for the arrays that are handed over.
     """
     final = options.substeps - 1
 
-    def begin(fixed: _Fixed, state, now, given, number):
+    def begin(fixed: _Fixed, state: BatchState, seen: jax.Array):
         draws = Draws()
         if options.random:
-            draws = _sensor.draw(options.sensor, fixed.key, number, now[0])
-        setpoint = fixed.setpoint if given is None else Setpoint(*given)
-        return _begin(fixed.coefficients, options, state, (now[0], now[1]), setpoint, draws)
-
-    def end(fixed: _Fixed, state, ends, given, number):
-        state = _captured(fixed.coefficients, state, final, ends)
-        count = number.astype(ends[1].dtype)
-        weight = None if not masked else (number <= fixed.active_ticks).astype(count.dtype)
-        aim = fixed.reference if given is None else replace(fixed.reference, target=given[0])
-        period = fixed.coefficients, options, state, (ends[1][0], ends[1][1])
-        return _end(*period, aim, count, weight)
-
-    def first(fixed, state, now, given, number):
-        state, force = begin(unpack(fixed), unpack(state), now, given, number)
+            key = jax.random.wrap_key_data(fixed.key)
+            draws = _sensor.draw(options.sensor, key, state.ticks, seen[0])
+        setpoint = fixed.setpoint if len(seen) == 2 else Setpoint(*seen[2:])
+        state, force = _begin(fixed.coefficients, options, state, _now(seen), setpoint, draws)
         return pack(state), force
 
-    def turn(fixed, state, ends, ended, begun, number):
+    def end(fixed: _Fixed, state: BatchState, seen: jax.Array) -> BatchState:
+        state = _captured(fixed.coefficients, state, final, _now(seen))
+        return _end(fixed, options, state, _now(seen), masked)
+
+    def first(fixed, state, seen):
+        return begin(unpack(fixed), unpack(state), seen)
+
+    def turn(fixed, state, seen):
         fixed = unpack(fixed)
-        state = end(fixed, unpack(state), ends, ended, number)
-        state, force = begin(fixed, state, ends[1], begun, number)
-        return pack(state), force
+        return begin(fixed, end(fixed, unpack(state), seen), seen)
 
-    def middle(fixed, state, ends, place):
+    def middle(fixed, state, seen, place):
         coefficients = unpack(fixed).coefficients
-        state = _captured(coefficients, unpack(state), place - 1, ends)
-        state, force = _actuated(coefficients, options, state, place, ends[1][1])
+        state = _captured(coefficients, unpack(state), place - 1, _now(seen))
+        state, force = _actuated(coefficients, options, state, place, seen[1])
         return pack(state), force
 
-    def last(fixed, state, ends, ended, number):
-        return pack(end(unpack(fixed), unpack(state), ends, ended, number))
+    def last(fixed, state, seen):
+        return pack(end(unpack(fixed), unpack(state), seen))
 
-    def program(stage: Callable, *axes: int | None, **static: int) -> Program:
+    def program(stage: Callable, **static: int) -> Program:
         name = (stage.__name__, options, masked, static)
-        return Program(lambda: jax.vmap(functools.partial(stage, **static), axes), name)
+        batched = jax.vmap(functools.partial(stage, **static))
+        return Program(lambda: single_kernel(batched), name)
 
     return _Stages(
-        first=program(first, 0, 0, 0, 0, None),
-        turn=program(turn, 0, 0, 0, 0, 0, None),
-        middle=tuple(program(middle, 0, 0, 0, place=place) for place in range(1, options.substeps)),
-        last=program(last, 0, 0, 0, 0, None),
+        first=program(first),
+        turn=program(turn),
+        middle=tuple(program(middle, place=place) for place in range(1, options.substeps)),
+        last=program(last),
     )
+
+
+def _now(seen: jax.Array) -> Pair:
+    return seen[0], seen[1]
 
 
 _packed = Program(lambda: jax.vmap(pack), "pack")
@@ -237,7 +254,7 @@ def evaluate(
     masked: bool,
     rest_amplitude: jax.Array,
     setpoints: Setpoint | None = None,
-    observe: Callable[[int, Setpoint, BatchState, jax.Array], None] | None = None,
+    observe: Callable[[int, BatchState, jax.Array], None] | None = None,
 ) -> Metrics:
     """Metrics of a batch of loops; every leaf has a leading axis for the loops.
 
@@ -255,63 +272,79 @@ def evaluate(
         rest_amplitude: a motion smaller than this counts as at rest [m or rad], shape (loops,).
         setpoints: one for every tick instead, leaves (loops, ticks, joints).
         observe: called before each physics step with the number of the step in its period, the
-            setpoint, the state of the loops, and the mean force on the joints.
+            state of the loops, and the mean force on the joints.
 
     Returns:
         See `jaxact.metrics.Metrics`; shape (loops,) or (loops, joints).
     """
     stages = _stages(options, masked)
-    simulations.start(*start)
+    aims = None if setpoints is None else _rows(setpoints)
     dtype = np.dtype(jnp.result_type(float))
-    now = _pair(start, dtype)
-    like = jnp.asarray(now[:, 0])
-    reference = jax.vmap(_metrics.reference)(like, jnp.broadcast_to(setpoint.position, like.shape))
-    fixed = _packed(_Fixed(coefficients, setpoint, reference, active_ticks, keys))
-    zero = jnp.zeros_like(like)
-    held = _packed(
-        BatchState(
-            drive=state,
-            running=_metrics.init(like),
-            envelope=_metrics.init_envelope(like),
-            late=None,
-            before=(like, jnp.asarray(now[:, 1])),
-            command=zero,
-            peak_force=zero,
-            square_force=zero,
-        )
-    )
-    rows = None if setpoints is None else _rows(setpoints)
-    envelopes = []
-    wanted = None if rows is None else rows[0]
-    held, force = stages.first(fixed, held, now, wanted, np.int32(0))
-    middle = [stage.compiled(fixed, held, (now, now)) for stage in stages.middle]
-    turn = stages.turn.compiled(fixed, held, (now, now), wanted, wanted, np.int32(0))
-    for number in range(1, ticks + 1):
-        for place in range(options.substeps):
-            if observe is not None:
-                given = setpoint if wanted is None else Setpoint(*np.moveaxis(wanted, 1, 0))
-                observe(place, given, _unpacked(held), force)
-            before = now
-            simulations.advance(np.asarray(force, float))
-            now = _pair(simulations.measure(), dtype)
-            ends = before, now
-            if place + 1 < options.substeps:
-                held, force = middle[place](fixed, held, ends)
-        count = np.int32(number)
-        if number == ticks:
-            held = stages.last(fixed, held, ends, wanted, count)
-        else:
-            following = None if rows is None else rows[number]
-            held, force = turn(fixed, held, ends, wanted, following, count)
-            wanted = following
-        if number % (ticks // SEGMENTS) == 0:
-            whole = _unpacked(held)
-            envelopes.append(whole.envelope)
-            held = _packed(replace(whole, envelope=_metrics.init_envelope(like)))
+    with silenced():
+        simulations.start(*start)
+        seen = _seen(simulations, dtype, None if aims is None else aims[0])
+        fixed = _fixed(coefficients, setpoint, active_ticks, keys, seen)
+        held, force = stages.first(fixed, _packed(_before(state, setpoint, seen)), seen)
+        middle = [stage.compiled(fixed, held, seen) for stage in stages.middle]
+        turn = stages.turn.compiled(fixed, held, seen)
+        envelopes = []
+        for number in range(1, ticks + 1):
+            for place in range(options.substeps):
+                if observe is not None:
+                    observe(place, _unpacked(held), force)
+                simulations.advance(np.asarray(force, float))
+                aim = None if aims is None else aims[min(number, ticks - 1)]
+                seen = _seen(simulations, dtype, aim)
+                if place + 1 < options.substeps:
+                    held, force = middle[place](fixed, held, seen)
+            if number < ticks:
+                held, force = turn(fixed, held, seen)
+            else:
+                held = stages.last(fixed, held, seen)
+            if number % (ticks // SEGMENTS) == 0:
+                whole = _unpacked(held)
+                envelopes.append(whole.envelope)
+                fresh = _metrics.init_envelope(whole.command)
+                held = _packed(replace(whole, envelope=fresh))
     period = jnp.asarray(coefficients.drive.control_period)
-    counted = active_ticks if masked else jnp.full(period.shape, float(ticks), like.dtype)
+    counted = active_ticks if masked else jnp.full(period.shape, float(ticks), dtype)
+    reference = _unpacked(fixed).reference
     return _finish(ticks)(
         _unpacked(held).running, envelopes, reference, growth_rate, period, counted, rest_amplitude
+    )
+
+
+def _fixed(
+    coefficients: Coefficients,
+    setpoint: Setpoint,
+    active_ticks: jax.Array,
+    keys: jax.Array,
+    seen: np.ndarray,
+) -> Packed:
+    """What stays the same, packed, of loops that start as `_seen`."""
+    position = jnp.asarray(seen[:, 0])
+    target = jnp.broadcast_to(setpoint.position, position.shape)
+    reference = jax.vmap(_metrics.reference)(position, target)
+    words = jax.random.key_data(keys)
+    return _packed(_Fixed(coefficients, setpoint, reference, active_ticks, words))
+
+
+def _before(drive: DriveState, setpoint: Setpoint, seen: np.ndarray) -> BatchState:
+    """What loops that start as `_seen` carry into their first period."""
+    position, velocity = (jnp.asarray(seen[:, place]) for place in range(2))
+    zero = jnp.zeros_like(position)
+    return BatchState(
+        drive=drive,
+        running=_metrics.init(position),
+        envelope=_metrics.init_envelope(position),
+        ticks=jnp.zeros(len(seen), jnp.int32),
+        late=None,
+        before=(position, velocity),
+        latest=None,
+        setpoint=jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, zero.shape), setpoint),
+        command=zero,
+        peak_force=zero,
+        square_force=zero,
     )
 
 
@@ -335,15 +368,24 @@ def _finish(ticks: int) -> Program:
     return Program(lambda: jax.vmap(finished), ("finish", ticks))
 
 
-def _pair(state: tuple[np.ndarray, np.ndarray], dtype: np.dtype) -> np.ndarray:
-    """Joint positions and velocities in a precision, what is beyond it at its end.
+def _seen(simulations: Simulations, dtype: np.dtype, aim: np.ndarray | None) -> np.ndarray:
+    """What the drive is told of a moment: joint positions and velocities, and a setpoint.
+
+    Args:
+        simulations: of the plants.
+        dtype: of the result; what is beyond its range is put at its end.
+        aim: position, velocity, and force of the setpoint, (loops, 3, joints); None if constant.
 
     Returns:
-        shape (loops, 2, joints).
+        Shape (loops, 2 or 5, joints).
     """
     most = float(np.finfo(dtype).max)
+    state = simulations.measure()
     # `np.clip` does the same, and takes longer than all the rest for a few loops.
-    return np.minimum(np.maximum(np.stack(state, axis=1), -most), most).astype(dtype)
+    np.minimum(np.maximum(state, -most, out=state), most, out=state)
+    if aim is not None:
+        return np.concatenate([state, aim], axis=1, dtype=dtype)
+    return state.astype(dtype)
 
 
 def _rows(setpoints: Setpoint) -> np.ndarray:

@@ -28,7 +28,7 @@ ANALYSIS = (
 )  # fmt: skip
 LAYERS = (
     ("errors", "status"),
-    ("delay", "held", "characteristic", "krylov", "packing", "programs"),
+    ("delay", "held", "characteristic", "krylov", "packing", "programs", "single_kernel"),
     ("actuator", "sensor", "controller"),
     ("drive_options",),
     ("drive",),

@@ -5,6 +5,10 @@ from __future__ import annotations
 import os
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from jaxact.sweep.specification import Specification
 
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
 POOL = "NPROC"
@@ -30,6 +34,18 @@ def prepare(*, all_cores: bool = False) -> None:
         os.environ[POOL] = "8"
     if all_cores and DEVICE_COUNT not in os.environ and _OLD_DEVICE_COUNT not in flags:
         os.environ[DEVICE_COUNT] = str(cores())
+
+
+def call_at_once(specification: Specification) -> None:
+    """Have programs of one device run where they are called, if C MuJoCo waits for each of them.
+
+    To be called before JAX starts its devices. Otherwise another thread runs them, and to wake it
+    takes longer than the drive of a few loops. Programs of all devices are started as before.
+    """
+    if specification.plant is not None and specification.engine in ("auto", "mujoco"):
+        import jax
+
+        jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
 def _may_run_dry() -> bool:

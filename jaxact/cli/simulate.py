@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
-from jaxact.cli import _files, _loops, _single, _warnings
+from jaxact.cli import _files, _loops, _single, _warnings, _xla
 from jaxact.errors import UserError
 from jaxact.sweep.parameters import PARAMETERS
 
@@ -152,6 +152,7 @@ def main(
     plant = {name: str(value) for name, value in plant.items() if value is not None}
     specification = _single.specification(spec, set, asked, plant, _loops.given(parameters))
 
+    _xla.call_at_once(specification)
     from jaxact.sweep import engines, single
 
     specification = engines.resolved(specification)

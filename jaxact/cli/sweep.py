@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from jaxact.cli import _cache, _progress, _warnings
+from jaxact.cli import _cache, _progress, _warnings, _xla
 from jaxact.cli._signals import Terminated
 from jaxact.errors import UserError
 
@@ -123,6 +123,7 @@ def main(
     budget = None if memory is None else _memory.read_size(memory)
     folder = _place.at(out if out is not None else Path("results") / specification.stem)
     _cache.prepare(wanted=not no_cache)
+    _xla.call_at_once(asked)
     from jaxact.sweep.conduct import How
 
     how = How(resume=resume, overwrite=overwrite)

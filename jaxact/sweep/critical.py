@@ -102,7 +102,7 @@ def _motion(specification: Specification, plan, samples: Samples, batch):
     kept: list[np.ndarray] = []
 
     def watch(simulations, _coefficients):
-        return lambda *_: kept.append(simulations.measure()[1])
+        return lambda *_: kept.append(simulations.measure()[:, 1])
 
     with jax.enable_x64(True):
         outside.metrics(

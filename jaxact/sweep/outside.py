@@ -35,7 +35,7 @@ from jaxact.sweep.robots import Scene
 from jaxact.sweep.specification import Setting
 from jaxact.sweep.template import Template
 
-Observer = Callable[[int, Setpoint, BatchState, jax.Array], None]
+Observer = Callable[[int, BatchState, jax.Array], None]
 
 
 @functools.lru_cache(maxsize=4)
@@ -256,12 +256,12 @@ def trajectories(
     def watch(simulations: Simulations, coefficients: Coefficients) -> Observer:
         older_share = np.asarray(coefficients.older_share)
 
-        def observe(place: int, setpoint: Setpoint, state: BatchState, force: jax.Array) -> None:
-            position, velocity = simulations.measure()
+        def observe(place: int, state: BatchState, force: jax.Array) -> None:
+            position, velocity = np.moveaxis(simulations.measure(), 1, 0)
             share = older_share[:, place]
             older, newer = np.asarray(state.drive.older), np.asarray(state.drive.newer)
             delayed = share * older + (1.0 - share) * newer
-            held = np.asarray(setpoint.position), np.asarray(state.command)
+            held = np.asarray(state.setpoint.position), np.asarray(state.command)
             rows.append((held[0], position, velocity, held[1], delayed, np.asarray(force)))
             if place == 0:
                 configurations.append(simulations.configuration())

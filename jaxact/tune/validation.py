@@ -276,17 +276,17 @@ class _Farthest:
         """An observer of these simulations, see `jaxact.batch_rollout.evaluate`."""
         self._simulations, self._setpoint, self.distance = simulations, None, 0.0
 
-        def observe(place, setpoint, _state, _force):
+        def observe(place, state, _force):
             if place == 0:
                 self._look()
-                self._setpoint = setpoint.position
+                self._setpoint = state.setpoint.position
 
         return observe
 
     def _look(self) -> None:
         """Take in where a control period has led."""
         if self._setpoint is not None:
-            off = np.abs(self._simulations.measure()[0] - np.asarray(self._setpoint))
+            off = np.abs(self._simulations.measure()[:, 0] - np.asarray(self._setpoint))
             # What is not a number does not replace what came before.
             self.distance = np.fmax(self.distance, off)
 

@@ -309,9 +309,10 @@ def _simulated(specification, kp, kd):
     squares = []
 
     def watch(simulations, _coefficients):
-        def observe(place, setpoint, _state, _force):
+        def observe(place, state, _force):
             if place == 0:
-                squares.append((simulations.measure()[0] - np.asarray(setpoint.position)) ** 2)
+                off = simulations.measure()[:, 0] - np.asarray(state.setpoint.position)
+                squares.append(off**2)
 
         return observe
 

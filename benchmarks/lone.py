@@ -1,0 +1,56 @@
+"""One robot by itself against real time, in a process that has a single core."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import time
+
+from jaxact.cli import _xla
+
+_REPEATS = 5
+
+
+def on_one_core(duration: float) -> float:
+    """Median seconds per control period of 1 ms, after a first rollout.
+
+    The process is confined to a core before JAX starts its threads, where the system can do that.
+
+    Args:
+        duration: of a rollout [s].
+    """
+    command = [sys.executable, "-m", "benchmarks.lone", str(duration)]
+    if not hasattr(os, "sched_setaffinity"):
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        return float(done.stdout)
+    allowed = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(allowed)})
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+    finally:
+        os.sched_setaffinity(0, allowed)
+    return float(done.stdout)
+
+
+def _main() -> None:
+    _xla.prepare(all_cores=True)
+
+    from benchmarks import robots
+    from jaxact.sweep.samples import expand
+
+    asked = robots.specification("quadruped_arm.xml", "mujoco", float(sys.argv[1]), 1)
+    _xla.call_at_once(asked)
+    rollout, _ = robots.rollouts(asked, expand(asked))
+    rollout()
+    seconds = []
+    for _ in range(_REPEATS):
+        start = time.perf_counter()
+        units = rollout()
+        seconds.append((time.perf_counter() - start) / units)
+    print(statistics.median(seconds))
+
+
+if __name__ == "__main__":
+    _main()
