@@ -2,6 +2,7 @@
 
 run        step response with metrics accumulated on the way, no trajectory kept
 trajectory the physics steps of one loop, for plots and files
+figures    the metrics of a loop whose trajectory was kept
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from jaxact import sensor as _sensor
 from jaxact.controller import Setpoint
 from jaxact.drive import DriveOptions
 from jaxact.growth import GrowthOptions
-from jaxact.loop import Loop, LoopState, Prepared
-from jaxact.metrics import SEGMENTS, Metrics, Period
+from jaxact.loop import Loop, LoopState, Output, Prepared
+from jaxact.metrics import SEGMENTS, Metrics, Period, Reference
 from jaxact.sensor import Draws
 
 # Iterations of the compiled loop between two looks at whether to stop, at least.
@@ -142,6 +143,20 @@ def _until_lost(stretch: Callable, carry: Any, inputs: Any) -> tuple[Any, None]:
     return jax.lax.while_loop(going, go, (jnp.int32(0), carry))[1], None
 
 
+def _period(
+    output: Output,
+    reference: Reference,
+    number: jax.Array,
+    given: Setpoint | None,
+    active_ticks: jax.Array | None,
+) -> Period:
+    """A control period as the metrics take it; `number` of its tick, `given` where it moves."""
+    count = (number + 1).astype(reference.start.dtype)
+    weight = None if active_ticks is None else (count <= active_ticks).astype(count.dtype)
+    aim = reference if given is None else replace(reference, target=given.position)
+    return Period(output, aim, count, weight)
+
+
 def run(
     prepared: Prepared,
     options: DriveOptions,
@@ -186,10 +201,7 @@ def run(
         number, draws, given = inputs
         wanted = setpoint if given is None else given
         state, (output, _) = _loop.step(prepared, options, state, wanted, draws)
-        count = (number + 1).astype(start.dtype)
-        weight = None if active_ticks is None else (count <= active_ticks).astype(start.dtype)
-        aim = reference if given is None else replace(reference, target=given.position)
-        return _loop.stage(options, state), Period(output, aim, count, weight)
+        return _loop.stage(options, state), _period(output, reference, number, given, active_ticks)
 
     def ticks(carry, inputs):
         state, running, envelope = carry
@@ -304,7 +316,7 @@ def trajectory(
     """
     prepared = _loop.prepare(loop, options)
     state = _loop.init(prepared, options, position, velocity)
-    return follow(prepared, options, ticks, state, setpoint, key, setpoints=setpoints)
+    return follow(prepared, options, ticks, state, setpoint, key, setpoints=setpoints)[0]
 
 
 def follow(
@@ -317,7 +329,7 @@ def follow(
     *,
     setpoints: Setpoint | None = None,
     configuration: Callable[[Any], jax.Array] | None = None,
-) -> Trajectory:
+) -> tuple[Trajectory, Output]:
     """Simulate a loop from a state and keep every physics step.
 
     Args:
@@ -327,7 +339,7 @@ def follow(
         configuration: static; what to keep of the plant's state at every control tick.
 
     Returns:
-        The trajectory.
+        The trajectory, and what `figures` needs of it, leaves of shape (ticks, joints).
     """
     start, _ = prepared.plant.measure(state.plant)
     step = prepared.drive.step
@@ -344,10 +356,61 @@ def follow(
         delayed = share * older + (1.0 - share) * newer
         held = jnp.broadcast_to(given.position, shape), jnp.broadcast_to(output.command, shape)
         row = (held[0], record.position, record.velocity, held[1], delayed, record.force)
-        return state, (row, kept)
+        return state, (row, kept, output)
 
     draws = _draws(options, key, numbers, start)
-    _, (rows, kept) = jax.lax.scan(tick, state, (setpoints, draws), length=ticks)
+    _, (rows, kept, outputs) = jax.lax.scan(tick, state, (setpoints, draws), length=ticks)
     rows = [row.reshape((ticks * options.substeps, *start.shape)) for row in rows]
     time = step * jnp.arange(ticks * options.substeps)
-    return Trajectory(time, *rows, configuration=kept)
+    return Trajectory(time, *rows, configuration=kept), outputs
+
+
+def figures(
+    outputs: Output,
+    start: jax.Array,
+    setpoint: Setpoint,
+    growth_rate: jax.Array,
+    *,
+    linear: bool,
+    period: jax.Array,
+    active_ticks: jax.Array | None = None,
+    setpoints: Setpoint | None = None,
+    rest_amplitude: jax.Array | float = 0.0,
+) -> Metrics:
+    """Metrics of a loop that was followed, those that `evaluate` gives.
+
+    Args:
+        outputs: from `follow`, a multiple of `jaxact.metrics.SEGMENTS` of them.
+        start: joint positions before the first tick [m or rad], shape (joints,).
+        setpoint, active_ticks, setpoints: as for `run`.
+        growth_rate: [1/s], shape ().
+        linear: static; whether the loop is linear and deterministic.
+        period: control period [s].
+        rest_amplitude: a motion smaller than this counts as at rest [m or rad].
+    """
+    reference = _metrics.reference(start, jnp.broadcast_to(setpoint.position, start.shape))
+    ticks = outputs.position.shape[0]
+
+    def tick(carry, inputs):
+        running, envelope = carry
+        periods = [_period(inputs[0], reference, *inputs[1:], active_ticks)]
+        running = _metrics.update(running, periods)
+        return (running, _metrics.update_envelope(envelope, periods)), None
+
+    def segment(running, inputs):
+        inner = running, _metrics.init_envelope(start)
+        return jax.lax.scan(tick, inner, inputs)[0]
+
+    rows = outputs, jnp.arange(ticks, dtype=jnp.int32), setpoints
+    running, envelopes = jax.lax.scan(segment, _metrics.init(start), _parted(rows, SEGMENTS))
+    return _metrics.finish(
+        running,
+        envelopes,
+        reference,
+        growth_rate,
+        linear=linear,
+        period=period,
+        ticks=ticks,
+        counted=ticks if active_ticks is None else active_ticks,
+        rest_amplitude=rest_amplitude,
+    )

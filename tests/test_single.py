@@ -1,12 +1,14 @@
 """A single loop with its trajectory: against scipy, and against the figures of the same rollout."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 from synthetic_store import radius
 
 from jaxact.errors import UserError
-from jaxact.sweep import reading, single
+from jaxact.sweep import execute, reading, single
 from jaxact.sweep.samples import expand
 
 BASE = """
@@ -35,6 +37,29 @@ def test_trajectory_agrees_with_its_figures():
     assert path.position.max() / 0.1 - 1.0 == pytest.approx(run.results["overshoot"], rel=1e-9)
     effort = (path.command**2).sum() / 500.0
     assert effort == pytest.approx(run.results["control_effort"], rel=1e-9)
+
+
+SWEPT = {
+    "noise at rates of which one takes longer": (
+        BASE.replace("delay", "position_noise = 1e-4\ndelay"),
+        "feedforward = [0.0]",
+        "control_rate = [500, 310]",
+    ),
+    "a mass whose gains are too high": (BASE, "feedforward = [0.0]", "kp = [300, 9000]"),
+}
+
+
+@pytest.mark.parametrize("case", SWEPT)
+def test_figures_are_those_of_a_sweep(case):
+    """Kept rows, taken in at the end, against what a sweep takes in on the way."""
+    text, old, new = SWEPT[case]
+    asked = dataclasses.replace(_specification(text.replace(old, new)), engine="mass")
+    samples = expand(asked)
+    want = execute.run(asked, samples)
+    for number, run in enumerate(single.simulate_all(asked, samples)):
+        for name, array in want.items():
+            np.testing.assert_allclose(run.results[name], array[number], rtol=1e-7, err_msg=name)
+    assert len({float(rate) for rate in want["growth_rate"]}) == 2
 
 
 def test_growth_rate_is_that_of_the_exact_matrix():

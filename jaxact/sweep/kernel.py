@@ -25,7 +25,7 @@ from jaxact.growth import GrowthOptions
 from jaxact.loop import Loop, LoopState, Prepared
 from jaxact.metrics import Metrics
 from jaxact.plants import Mass
-from jaxact.rollout import RolloutOptions
+from jaxact.rollout import RolloutOptions, Trajectory
 from jaxact.sensor import Sensor
 from jaxact.sweep import template as _template
 from jaxact.sweep.specification import Setting
@@ -281,9 +281,6 @@ def metrics(
     """
     key = jax.random.fold_in(jax.random.key(seed), number)
     prepared, state, setpoint = start(case, template, values)
-    active = None
-    if case.masked:
-        active = jnp.ceil(case.duration * values["control_rate"] - 1e-4)
     result = _rollout.evaluate(
         prepared,
         case.drive,
@@ -292,10 +289,60 @@ def metrics(
         setpoint,
         key,
         growth_rate=growth_rate.astype(prepared.drive.step.dtype),
-        active_ticks=active,
+        active_ticks=_active_ticks(case, values),
         setpoints=setpoints(template, values, case.rollout.ticks),
         rest_amplitude=values["rest_amplitude"],
     )
-    # A loop with several joints is as good as its worst one; joints that have no such figure
-    # (NaN) do not hide the others'.
+    return _worst(result)
+
+
+def followed(
+    case: Case,
+    template: Template,
+    values: Values,
+    growth_rate: jax.Array,
+    seed: jax.Array,
+    number: jax.Array,
+) -> tuple[Metrics, Trajectory]:
+    """What `metrics` gives, and the trajectory that it is of; arguments as there."""
+    key = jax.random.fold_in(jax.random.key(seed), number)
+    prepared, state, setpoint = start(case, template, values)
+    moving = setpoints(template, values, case.rollout.ticks)
+    begin, _ = prepared.plant.measure(state.plant)
+    trajectory, outputs = _rollout.follow(
+        prepared,
+        case.drive,
+        case.rollout.ticks,
+        state,
+        setpoint,
+        key,
+        setpoints=moving,
+        configuration=None if template.scene is None else lambda plant: plant.qpos,
+    )
+    result = _rollout.figures(
+        outputs,
+        begin,
+        setpoint,
+        growth_rate.astype(begin.dtype),
+        linear=case.drive.linear and case.rollout.linear_plant,
+        period=prepared.drive.drive.control_period,
+        active_ticks=_active_ticks(case, values),
+        setpoints=moving,
+        rest_amplitude=values["rest_amplitude"],
+    )
+    return _worst(result), trajectory
+
+
+def _active_ticks(case: Case, values: Values) -> jax.Array | None:
+    """Ticks of the sample's duration, where samples differ in it."""
+    if not case.masked:
+        return None
+    return jnp.ceil(case.duration * values["control_rate"] - 1e-4)
+
+
+def _worst(result: Metrics) -> Metrics:
+    """A loop with several joints is as good as its worst one.
+
+    Joints that have no such figure (NaN) do not hide the others'.
+    """
     return jax.tree.map(lambda leaf: jnp.nanmax(leaf) if leaf.ndim else leaf, result)

@@ -235,20 +235,22 @@ def _prepare(case: Case, setting: Setting) -> Program:
     return Program(lambda: jax.vmap(one, in_axes=(0, None, 0)), ("start", case, setting))
 
 
-def trajectories(
+def followed(
     case: Case,
     setting: Setting,
     values: Mapping[str, np.ndarray],
+    growth_rate: np.ndarray,
     seed: int,
     numbers: np.ndarray,
-) -> Trajectory:
-    """Every physics step of a few samples; see `jaxact.rollout.follow`.
+) -> tuple[Metrics, Trajectory]:
+    """Metrics of a few samples, and every physics step; see `jaxact.rollout.follow`.
 
     Args:
-        case, setting, values, seed, numbers: as for `metrics`.
+        case, setting, values, growth_rate, seed, numbers: as for `metrics`.
 
     Returns:
-        NumPy arrays with a leading axis for the loops, the configuration at every control tick.
+        The metrics; and NumPy arrays with a leading axis for the loops, the configuration at every
+        control tick.
     """
     rows: list[tuple[np.ndarray, ...]] = []
     configurations: list[np.ndarray] = []
@@ -268,11 +270,10 @@ def trajectories(
 
         return observe
 
-    growth_rate = np.zeros(len(numbers))
-    metrics(case, setting, values, growth_rate, seed, numbers, watch=watch)
+    result = metrics(case, setting, values, growth_rate, seed, numbers, watch=watch)
     names = ("setpoint", "position", "velocity", "command", "delayed_command", "force")
     columns = zip(names, zip(*rows, strict=True), strict=True)
     arrays: dict[str, Any] = {name: np.stack(column, axis=1) for name, column in columns}
     arrays["time"] = np.broadcast_to(case.step * np.arange(len(rows)), (len(numbers), len(rows)))
     arrays["configuration"] = np.stack(configurations, axis=1)
-    return Trajectory(**arrays)
+    return result, Trajectory(**arrays)

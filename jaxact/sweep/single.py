@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -11,17 +12,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact import rollout
 from jaxact.errors import UserError
+from jaxact.metrics import Metrics
 from jaxact.programs import Program
 from jaxact.rollout import Trajectory
-from jaxact.sweep import execute, kernel, plans
+from jaxact.sweep import kernel, plans, spectra
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Specification
 
 # Physics steps whose trajectory is kept; each is seven numbers a joint.
 MOST_STEPS = 5_000_000
+
+_NAMES = tuple(Metrics.__dataclass_fields__)
 
 
 @dataclass(frozen=True)
@@ -88,73 +91,68 @@ def simulate_all(specification: Specification, samples: Samples) -> list[Single]
             f" up to {MOST_STEPS:,} can be kept"
         )
     joints = _joints(one)
-    results = execute.run(one, samples)
     found: dict[int, Single] = {}
     for plan in groups:
-        members = np.concatenate([batch[:n] for batch, n in plans.batches(plan, samples)])
-        values = samples.take(members)
-        kept = _trajectories(specification, plan.case, values, members)
-        for place, number in enumerate(members):
-            found[int(number)] = Single(
-                trajectory=jax.tree.map(lambda leaf, place=place: leaf[place], kept),
-                results={name: float(array[number]) for name, array in results.items()},
-                values={name: float(array[place]) for name, array in values.items()},
-                joints=joints,
-            )
+        for batch, count in plans.batches(plan, samples):
+            growth = spectra.growth_batch(plan, one, samples, batch)
+            values = samples.take(batch)
+            figures, kept = _followed(one, plan.case, values, growth, samples.first + batch)
+            rows = {name: np.asarray(getattr(figures, name)) for name in _NAMES}
+            rows |= {"growth_rate": growth}  # before any rounding
+            for place, number in enumerate(batch[:count].tolist()):
+                found[number] = Single(
+                    trajectory=jax.tree.map(lambda leaf, place=place: leaf[place], kept),
+                    results={name: float(row[place]) for name, row in rows.items()},
+                    values={name: float(array[place]) for name, array in values.items()},
+                    joints=joints,
+                )
     return [found[number] for number in range(len(samples))]
 
 
-def _trajectories(
-    specification: Specification, case: Case, values: dict[str, np.ndarray], numbers: np.ndarray
-) -> Trajectory:
-    """Trajectories with a leading axis for the loops, time (loops, steps)."""
+def _followed(
+    specification: Specification,
+    case: Case,
+    values: dict[str, np.ndarray],
+    growth: np.ndarray,
+    numbers: np.ndarray,
+) -> tuple[Metrics, Trajectory]:
+    """Figures and trajectories, time (loops, steps), of samples with these growth rates [1/s]."""
     double = specification.precision == "float64"
-    # Never one alone, as in `jaxact.sweep.execute`.
-    twice = np.resize(np.arange(len(numbers)), max(2, len(numbers)))
-    values = {name: array[twice] for name, array in values.items()}
     with jax.enable_x64(True) if double else nullcontext():
-        kept = _simulated(specification, case, values, numbers[twice])
+        figures, kept = _simulated(specification, case, values, growth, numbers)
     rows = {
         name: getattr(kept, name).reshape((*kept.time.shape, -1))
         for name in Trajectory.__dataclass_fields__
         if name not in ("time", "configuration")
     }
-    return Trajectory(time=kept.time, **rows, configuration=kept.configuration)
+    return figures, Trajectory(time=kept.time, **rows, configuration=kept.configuration)
 
 
 def _simulated(
-    specification: Specification, case: Case, values: dict[str, np.ndarray], numbers: np.ndarray
-) -> Trajectory:
+    specification: Specification,
+    case: Case,
+    values: dict[str, np.ndarray],
+    growth: np.ndarray,
+    numbers: np.ndarray,
+) -> tuple[Metrics, Trajectory]:
     setting, seed = specification.setting, specification.seed
     if case.engine == "mujoco":
         from jaxact.sweep import outside  # imports MuJoCo
 
-        return outside.trajectories(case, setting, values, seed, numbers)
-    robot = setting.plant is not None
+        return outside.followed(case, setting, values, growth, seed, numbers)
 
-    def make() -> Callable[..., Trajectory]:
+    def make() -> Callable[..., tuple[Metrics, Trajectory]]:
         template = kernel.template_of(case, setting, "metrics")
-
-        def simulated(values: dict[str, jax.Array], number: jax.Array) -> Trajectory:
-            prepared, state, setpoint = kernel.start(case, template, values)
-            return rollout.follow(
-                prepared,
-                case.drive,
-                case.rollout.ticks,
-                state,
-                setpoint,
-                jax.random.fold_in(jax.random.key(seed), number),
-                setpoints=kernel.setpoints(template, values, case.rollout.ticks),
-                configuration=(lambda plant: plant.qpos) if robot else None,
-            )
-
-        return jax.vmap(simulated)
+        one = functools.partial(kernel.followed, case, template)
+        return jax.vmap(one, in_axes=(0, 0, None, 0))
 
     dtype = jnp.result_type(float)
     inputs = {name: jnp.asarray(value, dtype) for name, value in values.items()}
-    program = Program(make, None if case.engine == "warp" else ("follow", case, setting, seed))
-    kept = program(inputs, jnp.asarray(numbers, jnp.uint32))
-    return jax.tree.map(np.asarray, kept)
+    program = Program(make, None if case.engine == "warp" else ("followed", case, setting))
+    found = program(
+        inputs, jnp.asarray(growth, dtype), np.uint32(seed), jnp.asarray(numbers, jnp.uint32)
+    )
+    return jax.tree.map(np.asarray, found)
 
 
 def names(specification: Specification) -> tuple[str, ...]:

@@ -54,7 +54,7 @@ def _rows(asked):
 PUSH = '[push]\nbody = "box"\nimpulse = [0, 0, 30.0]\ntime = 0.01\nduration = 0.0125\n'
 HOME = 'model = "pendulum.xml"\nkeyframe = "home"'
 CASES = {
-    "pendulum": (HOME, "setpoint = 0.2"),
+    "pendulum": (HOME + '\n[motion]\nkind = "sine"\nfrequency = 9.0\n', "setpoint = 0.2"),
     "hopper": ('model = "hopper.xml"\n' + PUSH, "kp = 60\nkd = 2\nsetpoint = 0.1"),
 }
 
@@ -73,6 +73,10 @@ def test_both_engines_simulate_the_same_loop(case, folder):
         one, other = (getattr(run.trajectory, name) for run in found.values())
         np.testing.assert_allclose(one, other, atol=1e-6 * max(1.0, np.abs(one).max()))
     assert np.ptp(found["mjx"].trajectory.position, axis=0).max() > 0.02
+    # One takes its figures from the rows that it kept, the other on the way.
+    figures = found["mujoco"].results
+    assert found["mjx"].results == pytest.approx(figures, rel=1e-4, nan_ok=True)
+    assert figures["integrated_squared_error"] > 0.0 and figures["peak_force"] > 0.0
 
 
 def test_gains_of_the_model_are_the_default_and_patterns_override_them(folder):
