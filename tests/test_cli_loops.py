@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
+from jaxact.cli._loops import loop_name
 from jaxact.cli.main import main
+from jaxact.sweep import reading
 
 CASES = {
     case["name"]: case
@@ -40,6 +42,21 @@ def _mistake(capsys, *arguments):
     assert said.out == "" and said.err.startswith("jaxact: ") and said.err.count("\n") == 1
     assert not list(Path().iterdir())
     return said.err
+
+
+NAMES = {
+    "HyQ, delay 1.5 ms": {"delay": 0.001, "output_delay": 0.0005},
+    "HyQ, delays as each joint has them": {"delay": math.nan},
+    "ideal actuator, delay 0 ms": {"wn": math.inf, "zeta": math.nan},
+    "actuators as each joint has them, delay 0 ms": {"wn": math.nan},
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_loop_is_called_by_what_is_known_of_it(name):
+    """A robot's model may say of each joint what one number cannot."""
+    specification = reading.parse('[parameters]\nactuator = "hyq"\n[axes]\nfeedforward = [0.0]\n')
+    assert loop_name(specification, specification.nominal | NAMES[name]) == name
 
 
 @pytest.mark.parametrize("actuator", ["ideal", "hyq", "starleth"])

@@ -260,16 +260,23 @@ def without_preset(preset: Any) -> dict[str, float]:
 
 
 def loop_name(specification: Specification, values: Mapping[str, float] | None = None) -> str:
-    """A single loop is called by its actuator and its delay: `HyQ, delay 1 ms`."""
+    """A single loop is called by its actuator and its delay: `HyQ, delay 1 ms`.
+
+    What a robot's model says of each joint has no value here.
+    """
     from jaxact.plot.look import quantity
 
     own = specification.nominal if values is None else values
     known = {preset: name for name, preset in PRESETS.items()}.get((own["wn"], own["zeta"]))
     if np.isinf(own["wn"]):
         actuator = "ideal actuator"
+    elif np.isnan(own["wn"] * own["zeta"]):
+        actuator = "actuators as each joint has them"
     elif known is not None:
         actuator = quantity(known)
     else:
         actuator = f"wn {quantity(own['wn'], 'rad/s')}, ζ {own['zeta']:g}"
     delay = own["delay"] + own["measurement_delay"] + own["output_delay"]
+    if np.isnan(delay):
+        return f"{actuator}, delays as each joint has them"
     return f"{actuator}, delay {quantity(delay, 's')}"
