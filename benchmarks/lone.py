@@ -22,15 +22,14 @@ def on_one_core(duration: float) -> float:
         duration: of a rollout [s].
     """
     command = [sys.executable, "-m", "benchmarks.lone", str(duration)]
-    if not hasattr(os, "sched_setaffinity"):
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        return float(done.stdout)
-    allowed = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(allowed)})
+    allowed = os.sched_getaffinity(0) if hasattr(os, "sched_setaffinity") else None
+    if allowed is not None:
+        os.sched_setaffinity(0, {min(allowed)})  # which the process inherits
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
     finally:
-        os.sched_setaffinity(0, allowed)
+        if allowed is not None:
+            os.sched_setaffinity(0, allowed)
     return float(done.stdout)
 
 

@@ -19,7 +19,7 @@ from jaxact.rollout import Trajectory
 from jaxact.sweep import kernel, plans, spectra
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.samples import Samples
-from jaxact.sweep.specification import Specification
+from jaxact.sweep.specification import Setting, Specification
 
 # Physics steps whose trajectory is kept; each is seven numbers a joint.
 MOST_STEPS = 5_000_000
@@ -117,9 +117,15 @@ def _followed(
     numbers: np.ndarray,
 ) -> tuple[Metrics, Trajectory]:
     """Figures and trajectories, time (loops, steps), of samples with these growth rates [1/s]."""
+    loops = specification.setting, values, growth, specification.seed, numbers
     double = specification.precision == "float64"
     with jax.enable_x64(True) if double else nullcontext():
-        figures, kept = _simulated(specification, case, values, growth, numbers)
+        if case.engine == "mujoco":
+            from jaxact.sweep import outside  # imports MuJoCo
+
+            figures, kept = outside.followed(case, *loops)
+        else:
+            figures, kept = _in_jax(case, *loops)
     rows = {
         name: getattr(kept, name).reshape((*kept.time.shape, -1))
         for name in Trajectory.__dataclass_fields__
@@ -128,18 +134,15 @@ def _followed(
     return figures, Trajectory(time=kept.time, **rows, configuration=kept.configuration)
 
 
-def _simulated(
-    specification: Specification,
+def _in_jax(
     case: Case,
+    setting: Setting,
     values: dict[str, np.ndarray],
     growth: np.ndarray,
+    seed: int,
     numbers: np.ndarray,
 ) -> tuple[Metrics, Trajectory]:
-    setting, seed = specification.setting, specification.seed
-    if case.engine == "mujoco":
-        from jaxact.sweep import outside  # imports MuJoCo
-
-        return outside.followed(case, setting, values, growth, seed, numbers)
+    """The counterpart of `jaxact.sweep.outside.followed` for plants in JAX."""
 
     def make() -> Callable[..., tuple[Metrics, Trajectory]]:
         template = kernel.template_of(case, setting, "metrics")
