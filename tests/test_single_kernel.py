@@ -40,7 +40,7 @@ def test_derivatives_forward():
     assert float(value) == 9.0 and float(slope) == 6.0
 
 
-@pytest.mark.skipif(jax.__version_info__ < (0, 12), reason="older releases compile it in parts")
+@pytest.mark.skipif(jax.__version_info__ < (0, 12), reason="older releases must be told to")
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="of the CPU's compiler")
 def test_it_is_one_kernel():
     def started(function):

@@ -29,9 +29,11 @@ from jaxact.sweep.specification import Specification
 # Physics step of the MJX plant where none is given [s].
 MJX_STEP = 0.25e-3
 
-# Control periods of the mass plant in one iteration of the compiled loop. With 5 of them JAX 0.10
-# rounds differently on one device and on two.
+# Control periods of the mass plant in one iteration of the compiled loop.
 _UNROLL = 4
+# The same with JAX 0.10, which fuses several of them in spite of the stages between, and computes
+# the same numbers over and over.
+_OLD_UNROLL = 1
 
 # A robot has many slow modes (contacts that creep), which only blocks of many periods tell apart; a
 # start that has settled for long holds too few of them.
@@ -183,6 +185,7 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
     )
     if specification.engine == "mass" and jax.default_backend() == "cpu":
         options = replace(options, staged=True)
+    unroll = _OLD_UNROLL if engines.old_jax() else _UNROLL
     ticks = _rollout.whole_ticks(specification.duration, 1.0 / fastest)
     varied = {base(axis.name) for axis in specification.axes}
     varied |= {base(name) for name in specification.parameters}
@@ -192,7 +195,7 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
         drive=options,
         rollout=RolloutOptions(
             ticks=ticks,
-            unroll=_UNROLL if mass else 1,
+            unroll=unroll if mass else 1,
             linear_plant=mass or not robot,
             stops=specification.engine != "mujoco",
         ),
