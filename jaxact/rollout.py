@@ -19,15 +19,14 @@ from jaxact import growth as _growth
 from jaxact import loop as _loop
 from jaxact import metrics as _metrics
 from jaxact import sensor as _sensor
+from jaxact import stopping
 from jaxact.controller import Setpoint
 from jaxact.drive import DriveOptions
 from jaxact.growth import GrowthOptions
 from jaxact.loop import Loop, LoopState, Output, Prepared
 from jaxact.metrics import SEGMENTS, Metrics, Period, Reference
 from jaxact.sensor import Draws
-
-# Iterations of the compiled loop between two looks at whether to stop, at least.
-_STRETCH = 16
+from jaxact.stopping import parted
 
 
 @dataclass(frozen=True)
@@ -95,54 +94,6 @@ def _draws(
     return jax.vmap(lambda number: _sensor.draw(options.sensor, key, number, like))(numbers)
 
 
-def _together(length: int, most: int) -> int:
-    """Largest number of ticks, not above `most`, that divides a segment."""
-    return next(count for count in range(most, 0, -1) if length % count == 0)
-
-
-def _stretch(length: int, together: int) -> int:
-    """Ticks after which a rollout looks whether to stop: enough that looking costs nothing."""
-    iterations = length // together
-    fewest = min(iterations, _STRETCH)
-    return together * next(n for n in range(fewest, iterations + 1) if iterations % n == 0)
-
-
-@jax.custom_batching.custom_vmap
-def _anywhere(flags: jax.Array) -> jax.Array:
-    """Whether a flag is set in any loop of a batch: the same for all of them, shape ()."""
-    return jnp.any(flags)
-
-
-@_anywhere.def_vmap
-def _anywhere_in_batch(size: int, batched: list[bool], flags: jax.Array) -> tuple[jax.Array, bool]:
-    del size, batched
-    return _anywhere(jnp.any(flags, axis=0)), False
-
-
-def _parted(rows: Any, count: int) -> Any:
-    """The first axis of every leaf cut into so many equal parts."""
-    return jax.tree.map(lambda row: row.reshape((count, -1, *row.shape[1:])), rows)
-
-
-def _until_lost(stretch: Callable, carry: Any, inputs: Any) -> tuple[Any, None]:
-    """As `jax.lax.scan` of a stretch, which ends once no loop of the batch has figures to find.
-
-    A sum that is not finite never is again, and none of the figures that are drawn from it.
-    """
-    count = jax.tree.leaves(inputs)[0].shape[0]
-
-    def going(at):
-        place, (_, running, _) = at
-        return (place < count) & _anywhere(jnp.isfinite(running.squared_error))
-
-    def go(at):
-        place, carry = at
-        carry, _ = stretch(carry, jax.tree.map(lambda rows: rows[place], inputs))
-        return place + 1, carry
-
-    return jax.lax.while_loop(going, go, (jnp.int32(0), carry))[1], None
-
-
 def _period(
     output: Output,
     reference: Reference,
@@ -194,8 +145,8 @@ def run(
     reference = _metrics.reference(start, jnp.broadcast_to(setpoint.position, start.shape))
     length = rollout.ticks // SEGMENTS
 
-    together = _together(length, rollout.unroll)
-    span = _stretch(length, together) if rollout.stops else length
+    together = stopping.together(length, rollout.unroll)
+    span = stopping.stretch(length, together) if rollout.stops else length
 
     def tick(state, inputs):
         number, draws, given = inputs
@@ -217,20 +168,20 @@ def run(
         first, given = inputs
         numbers = first + jnp.arange(span, dtype=jnp.int32)
         inputs = numbers, _draws(options, key, numbers, start), given
-        return jax.lax.scan(ticks, carry, _parted(inputs, span // together))[0], None
+        return jax.lax.scan(ticks, carry, parted(inputs, span // together))[0], None
 
     def segment(carry, inputs):
         first, given = inputs
         state, running = carry
         inner = state, running, _metrics.init_envelope(start)
         firsts = first + span * jnp.arange(length // span, dtype=jnp.int32)
-        over = _until_lost if rollout.stops else jax.lax.scan
-        (state, running, envelope), _ = over(stretch, inner, (firsts, _parted(given, len(firsts))))
+        over = stopping.until_lost if rollout.stops else jax.lax.scan
+        (state, running, envelope), _ = over(stretch, inner, (firsts, parted(given, len(firsts))))
         return (state, running), envelope
 
     carry = state, _metrics.init(start)
     firsts = length * jnp.arange(SEGMENTS, dtype=jnp.int32)
-    parts = _parted(setpoints, SEGMENTS)
+    parts = parted(setpoints, SEGMENTS)
     (state, running), envelopes = jax.lax.scan(segment, carry, (firsts, parts))
     return state, running, envelopes
 
@@ -402,7 +353,7 @@ def figures(
         return jax.lax.scan(tick, inner, inputs)[0]
 
     rows = outputs, jnp.arange(ticks, dtype=jnp.int32), setpoints
-    running, envelopes = jax.lax.scan(segment, _metrics.init(start), _parted(rows, SEGMENTS))
+    running, envelopes = jax.lax.scan(segment, _metrics.init(start), parted(rows, SEGMENTS))
     return _metrics.finish(
         running,
         envelopes,
