@@ -161,6 +161,8 @@ def linearise(plant: MjxPlant, force: np.ndarray, step: float) -> Linearisation 
             return None
         residual = float(np.max(np.abs(np.asarray(after - before)), initial=0.0)) / step
     size = plant.data.qvel.shape[0]
+    if plant.corrected:
+        A, B = synchronised(A, B, size, step)
     return _reduced(A, B, selectors(plant), size, step, residual)
 
 
@@ -221,9 +223,30 @@ def _runge_kutta(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray
     return np.eye(len(F)) + F @ total, total @ G
 
 
-def linear_c(robot: Robot, posture: Posture, step: float) -> Linearisation:
-    """As `linearise`, of the robot in C MuJoCo."""
+def synchronised(
+    A: np.ndarray, B: np.ndarray, size: int, step: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """A and B where positions are taken half a physics step earlier, see `MjxPlant.corrected`.
+
+    Args:
+        A, B: of shape (n, n) and (n, joints), as MuJoCo steps.
+        size: number of degrees of freedom.
+        step: physics step [s].
+    """
+    earlier, later = np.eye(len(A)), np.eye(len(A))
+    displacements, velocities = np.arange(size), np.arange(size, 2 * size)
+    earlier[displacements, velocities] = -0.5 * step
+    later[displacements, velocities] = 0.5 * step
+    return earlier @ A @ later, earlier @ B
+
+
+def linear_c(
+    robot: Robot, posture: Posture, step: float, *, corrected: bool = False
+) -> Linearisation:
+    """As `linearise`, of the robot in C MuJoCo; `corrected` as `MjxPlant.corrected`."""
     A, B, residual = linearise_c(robot, posture, step)
+    if corrected:
+        A, B = synchronised(A, B, robot.model.nv, step)
     return _reduced(A, B, _selectors(robot), robot.model.nv, step, residual)
 
 

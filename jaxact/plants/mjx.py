@@ -95,6 +95,11 @@ class MjxPlant:
         payload_body: the body that carries a payload; static.
         kinds: MuJoCo's type of every joint; static.
         impl: what simulates it: "jax", or "warp" (forward only, float32); static.
+        corrected: whether the joints' positions are taken half a physics step earlier; static.
+            MuJoCo's integrators but RK4 move a position with the velocity at the end of the step,
+            which puts it ahead of the velocity by half a step. Without that lead, a free joint
+            moves exactly under a force that is constant over each step; see Hairer, Lubich and
+            Wanner, Geometric Numerical Integration, section I.1.4.
     """
 
     model: Any
@@ -110,6 +115,7 @@ class MjxPlant:
     payload_body: int
     kinds: tuple[int, ...]
     impl: str = "jax"
+    corrected: bool = False
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -146,8 +152,9 @@ class MjxPlant:
         """State of the start posture with the driven joints placed, [m or rad] and per second."""
         data = self.data
         joints = (len(self.dofs),)
+        ahead = position + self._lead(velocity)
         return MjxState(
-            qpos=data.qpos.at[np.array(self.qpos)].set(jnp.broadcast_to(position, joints)),
+            qpos=data.qpos.at[np.array(self.qpos)].set(jnp.broadcast_to(ahead, joints)),
             qvel=data.qvel.at[np.array(self.dofs)].set(jnp.broadcast_to(velocity, joints)),
             act=data.act,
             warmstart=data.qacc_warmstart,
@@ -156,7 +163,12 @@ class MjxPlant:
 
     def measure(self, state: MjxState) -> tuple[jax.Array, jax.Array]:
         """Positions [m or rad] and velocities of the driven joints, shape (joints,)."""
-        return state.qpos[np.array(self.qpos)], state.qvel[np.array(self.dofs)]
+        velocity = state.qvel[np.array(self.dofs)]
+        return state.qpos[np.array(self.qpos)] - self._lead(velocity), velocity
+
+    def _lead(self, velocity: jax.Array) -> jax.Array | float:
+        """By what the positions are ahead of the velocities [m or rad], if it is corrected for."""
+        return 0.5 * self.model.opt.timestep * velocity if self.corrected else 0.0
 
     def advance(self, state: MjxState, force: Force) -> MjxState:
         """One MJX step under the mean force, with the model's own integrator."""
@@ -221,6 +233,7 @@ jax.tree_util.register_dataclass(
     data_fields=["model", "data", "mass", "variation", "push"],
     meta_fields=[
         "qpos", "dofs", "actuators", "limits", "bodies", "payload_body", "kinds", "impl",
+        "corrected",
     ],
 )  # fmt: skip
 

@@ -46,6 +46,8 @@ class Simulations:
             once, shape (number,); None if all differ.
         fields: of the model that differ between simulations, by name, shape (number, ...).
         impulse: on a body, or None.
+        corrected: whether the joints' positions are taken half a physics step earlier, see
+            `jaxact.plants.mjx.MjxPlant`.
         threads: used for stepping; 0 for one on each core that this process may use.
 
     Raises:
@@ -62,6 +64,7 @@ class Simulations:
         same: np.ndarray | None = None,
         fields: Mapping[str, np.ndarray] | None = None,
         impulse: Impulse | None = None,
+        corrected: bool = False,
         threads: int = 0,
     ) -> None:
         demand(robot, "mujoco")
@@ -74,6 +77,7 @@ class Simulations:
             self._batch.expand(name)[:] = values[self._first]
         self._posture, self._impulse = posture, impulse
         self._step, self._steps = step, 0
+        self._lead = 0.5 * step if corrected else 0.0
         joints = robot.joints
         self._places = _together([joint.qpos for joint in joints])
         self._dofs = _together([joint.dof for joint in joints])
@@ -93,7 +97,8 @@ class Simulations:
         """
         self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         self._qpos[:], self._qvel[:] = self._posture.qpos, self._posture.qvel
-        self._qpos[:, self._places] = position[self._first]
+        ahead = position + self._lead * velocity
+        self._qpos[:, self._places] = ahead[self._first]
         self._qvel[:, self._dofs] = velocity[self._first]
         self._ctrl[:] = self._posture.ctrl
         if self.model.na:
@@ -102,9 +107,11 @@ class Simulations:
 
     def measure(self) -> np.ndarray:
         """Positions and velocities of the driven joints, a copy of shape (number, 2, joints)."""
-        position = self._qpos[:, self._places]
+        position, velocity = self._qpos[:, self._places], self._qvel[:, self._dofs]
         found = np.empty((len(position), 2, position.shape[1]))
-        found[:, 0], found[:, 1] = position, self._qvel[:, self._dofs]
+        found[:, 0], found[:, 1] = position, velocity
+        if self._lead:
+            found[:, 0] -= self._lead * velocity
         return found[self._back]
 
     def configuration(self) -> np.ndarray:

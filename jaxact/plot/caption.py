@@ -57,6 +57,8 @@ def simulated(results: xr.Dataset) -> str:
     ]
     if "physics_step" in specification:
         words.insert(3, f"physics step {look.quantity(specification['physics_step'], 's')}")
+    if specification.get("integrator_correction"):
+        words.insert(1, "its integrator corrected")
     return ", ".join(words) + "."
 
 

@@ -107,7 +107,7 @@ def template_of(case: Case, setting: Setting, stage: str) -> Template:
     `stage` is the kernel's name: growth rates of a robot need its linearised plant.
     """
     if setting.plant is None:
-        return _template.built_in(case.engine)
+        return _template.built_in(case.engine, corrected=setting.corrected)
     return _template.of_robot(
         setting,
         case.engine,
@@ -151,6 +151,8 @@ def occurring(setting: Setting, along: Mapping[str, np.ndarray]) -> Mapping[str,
     scene = robots.scene(setting.plant)
     given = {name for name, values in along.items() if not np.isnan(values).any()}
     robots.check(scene, setting.keys, given)
+    if setting.corrected:
+        robots.check_integrator(scene)
     return robots.spread(along, robots.brought(scene))
 
 

@@ -75,6 +75,8 @@ def _linear(case: Case, setting: Setting, row: tuple[float, ...]) -> tuple[np.nd
     model = _changed(case, scene, np.reshape(row, (len(case.varied), -1)))
     posture = _posture.under(scene.robot, model, scene.posture)
     A, B, _ = linearize.linearise_c(scene.robot, posture, case.step, model)
+    if setting.corrected:
+        A, B = linearize.synchronised(A, B, model.nv, case.step)
     basis = _basis(case, setting)
     return basis.T @ A @ basis, basis.T @ B
 
@@ -84,7 +86,9 @@ def _basis(case: Case, setting: Setting) -> np.ndarray:
     """The nominal plant's coordinates, see `jaxact.linearize.Linearisation`."""
     scene = template(case, setting).scene
     assert scene is not None
-    return linearize.linear_c(scene.robot, scene.posture, case.step).basis
+    return linearize.linear_c(
+        scene.robot, scene.posture, case.step, corrected=setting.corrected
+    ).basis
 
 
 def _at_joints(case: Case, setting: Setting, values: Mapping[str, np.ndarray], name: str):
@@ -175,6 +179,7 @@ def metrics(
         same=numbers,  # a batch is filled up with one of its samples
         fields=fields,
         impulse=_impulse(setting, scene),
+        corrected=setting.corrected,
     )
     coefficients, state, start, setpoint, setpoints, keys, active = prepared
     result = batch_rollout.evaluate(

@@ -173,6 +173,18 @@ def check(scene: Scene, keys: Sequence[str], given: set[str]) -> None:
             )
 
 
+def check_integrator(scene: Scene) -> None:
+    """The model's integrator has positions and velocities apart, so that it can be corrected for.
+
+    Raises:
+        UserError: otherwise.
+    """
+    if scene.robot.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        raise UserError(
+            "integrator_correction: the model integrates with RK4, which needs none; drop it"
+        )
+
+
 def each_joint(
     values: Mapping[str, Any], defaults: Mapping[str, np.ndarray], masks: Mapping[str, np.ndarray]
 ) -> dict[str, Any]:

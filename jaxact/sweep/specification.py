@@ -105,12 +105,14 @@ class Setting:
 
     plant, motion, push: as in the specification
     keys: of parameters for some joints, in order
+    corrected: whether MuJoCo's integrator is corrected for
     """
 
     plant: Plant | None
     motion: Motion | None
     push: Push | None
     keys: tuple[str, ...]
+    corrected: bool
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -124,6 +126,8 @@ class Specification:
     motion: of the setpoint, None for a step
     push: on a robot, None for none
     physics_step: step of the plant [s]; None: the control period for mass, 0.25 ms for mjx
+    integrator_correction: take back the half physics step by which MuJoCo's integrator has its
+        positions ahead of its velocities
     velocity: of the controller, "sampled" by a sensor or the "differenced" position
     duration: simulated time [s]
     precision: "float32" or "float64"
@@ -138,6 +142,7 @@ class Specification:
     description: Annotated[str, Field(max_length=1000)] = ""
     engine: Literal["mass", "mjx", "mujoco", "warp", "auto"] = "mass"
     physics_step: Annotated[float, Field(ge=1e-7, le=1.0, allow_inf_nan=False)] | None = None
+    integrator_correction: bool = False
     velocity: Literal["sampled", "differenced"] = "sampled"
     duration: Annotated[float, Field(gt=0.0, le=1e5, allow_inf_nan=False)] = 2.0
     precision: Literal["float32", "float64"] = "float32"
@@ -160,7 +165,7 @@ class Specification:
     def setting(self) -> Setting:
         """What all loops have in common beside their parameters."""
         keys = tuple(key for key in self.nominal if "@" in key)
-        return Setting(self.plant, self.motion, self.push, keys)
+        return Setting(self.plant, self.motion, self.push, keys, self.integrator_correction)
 
     @property
     def nominal(self) -> dict[str, float]:

@@ -49,13 +49,13 @@ class Template:
     scene: Scene | None = None
 
 
-def built_in(engine: str) -> Template:
+def built_in(engine: str, *, corrected: bool = False) -> Template:
     """The template of a built-in plant, in the precision that JAX has at this moment."""
     if engine == "mass":
         return Template()
     from jaxact.plants import mjx  # imports MuJoCo, which the mass plant does not need
 
-    return Template(plant=mjx.load())
+    return Template(plant=replace(mjx.load(), corrected=corrected))
 
 
 def of_robot(
@@ -95,7 +95,7 @@ def of_robot(
     if growth and plant is not None and not varied:
         found = linearize.linearise(replace(plant, push=None), scene.posture.force, step)
     if growth and found is None:
-        found = linearize.linear_c(scene.robot, scene.posture, step)
+        found = linearize.linear_c(scene.robot, scene.posture, step, corrected=setting.corrected)
     profile, track = motions.sampled(setting.motion, scene, period, ticks)
     return Template(
         plant=plant,
@@ -123,6 +123,7 @@ def _placed(setting: Setting, scene: Scene, varied: tuple[str, ...], impl: str) 
         dry_friction="joint_friction" in varied,
         impl=impl,
     )
+    plant = replace(plant, corrected=setting.corrected)
     push = setting.push
     if push is None:
         return plant
