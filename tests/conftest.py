@@ -20,6 +20,10 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
 
 import jax  # noqa: E402
 
+from jaxact.cli import _xla  # noqa: E402
+
+_xla.enlarge_pool()  # JAX reads it when it starts its devices
+
 # Tracing makes many objects and little garbage; looking for it often takes a tenth of the time.
 gc.set_threshold(50_000, 20, 100)
 

@@ -12,11 +12,26 @@ ENVIRONMENT = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
 @contextmanager
 def optimised_little():
     """What is compiled meanwhile is compiled quickly, and runs slowly."""
-    jax.config.update("jax_disable_most_optimizations", True)
+    with _optimisations(disabled=True):
+        yield
+
+
+@contextmanager
+def optimised_fully():
+    """What is compiled meanwhile is compiled as users have it, in a module that does not else."""
+    with _optimisations(disabled=False):
+        yield
+
+
+@contextmanager
+def _optimisations(*, disabled):
+    name = "jax_disable_most_optimizations"
+    before = jax.config.values[name]
+    jax.config.update(name, disabled)
     try:
         yield
     finally:
-        jax.config.update("jax_disable_most_optimizations", False)
+        jax.config.update(name, before)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import theory
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.boundary import BoundaryCurve, continuous_boundary, sampled_boundary
 from jaxact.gain_limits import continuous_limits, first_lobe, sampled_limits

@@ -24,9 +24,6 @@ def prepare(*, all_cores: bool = False) -> None:
 
     all_cores: one CPU device for each core this process may use, so that a sweep uses them all
 
-    JAX 0.10 can wait for ever for threads of its own pool, which has one for each core, when large
-    operations of several devices wait for each other; a larger pool does not run dry.
-
     XLA prefers 256-bit vectors by itself even where the CPU has 512-bit ones, which costs a sweep
     of the mass plant up to half its speed. Before JAX 0.12, it starts the operations of a loop one
     by one, unless the loop touches next to nothing, which costs a sweep four fifths of its speed.
@@ -38,10 +35,19 @@ def prepare(*, all_cores: bool = False) -> None:
         flags = f"{flags} {EXTRA}={_WHOLE_LOOPS}"
     if flags != given:
         os.environ["XLA_FLAGS"] = flags.strip()
-    if POOL not in os.environ and _may_run_dry():
-        os.environ[POOL] = "8"
+    enlarge_pool()
     if all_cores and DEVICE_COUNT not in os.environ and _OLD_DEVICE_COUNT not in flags:
         os.environ[DEVICE_COUNT] = str(cores())
+
+
+def enlarge_pool() -> None:
+    """Give JAX 0.10 more threads than cores, where those are few.
+
+    It can wait for ever for threads of its own pool, which has one for each core, when large
+    operations of several devices wait for each other; a larger pool does not run dry.
+    """
+    if POOL not in os.environ and _may_run_dry():
+        os.environ[POOL] = "8"
 
 
 def call_at_once(specification: Specification) -> None:

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from exact import growth_rate as exact_growth_rate
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact import drive as drives
 from jaxact import growth, loop, rollout

@@ -8,6 +8,7 @@ import optax
 import pytest
 import scipy.linalg
 import theory
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.frequency import JointLoop
 from jaxact.tune import figures, joint, noise, spectrum
