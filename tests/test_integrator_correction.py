@@ -144,8 +144,6 @@ def test_the_robot_itself_is_where_mujoco_has_it(tmp_path):
 
 
 def test_where_it_has_no_meaning_it_is_refused(tmp_path):
-    with pytest.raises(UserError, match="^integrator_correction: engine 'mass' is exact"):
-        reading.parse("integrator_correction = true\n[axes]\nkp = [1]")
     with pytest.raises(UserError, match="^integrator_correction = 3"):
         reading.parse("integrator_correction = 3\n[axes]\nkp = [1]")
     text = PENDULUM.replace("<option", '<option integrator="RK4"')

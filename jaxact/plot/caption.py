@@ -57,7 +57,7 @@ def simulated(results: xr.Dataset) -> str:
     ]
     if "physics_step" in specification:
         words.insert(3, f"physics step {look.quantity(specification['physics_step'], 's')}")
-    if specification.get("integrator_correction"):
+    if specification.get("integrator_correction") and specification["engine"] != "mass":
         words.insert(1, "its integrator corrected")
     return ", ".join(words) + "."
 

@@ -23,7 +23,6 @@ def check(specification: Specification) -> None:
     """Raise UserError if the parts of a specification do not fit each other."""
     axes = {axis.name: axis for axis in specification.axes}
     _check_robot_only(specification, axes)
-    _check_integrator(specification)
     _check_axes(specification, axes)
     _check_actuator(specification, axes)
     _check_torque_speed_line(specification, axes)
@@ -71,13 +70,6 @@ def _check_robot_only(specification: Specification, axes: dict[str, Axis]) -> No
     for name in ("motion", "push"):
         if getattr(specification, name) is not None:
             raise UserError(f"{name}: only for a robot; give one below [plant], or drop it")
-
-
-def _check_integrator(specification: Specification) -> None:
-    if specification.integrator_correction and specification.engine == "mass":
-        raise UserError(
-            "integrator_correction: engine 'mass' is exact and needs none; drop it, or choose 'mjx'"
-        )
 
 
 def _check_actuator(specification: Specification, axes: dict[str, Axis]) -> None:

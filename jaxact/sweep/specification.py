@@ -127,7 +127,7 @@ class Specification:
     push: on a robot, None for none
     physics_step: step of the plant [s]; None: the control period for mass, 0.25 ms for mjx
     integrator_correction: take back the half physics step by which MuJoCo's integrator has its
-        positions ahead of its velocities
+        positions ahead of its velocities; the mass is exact without it
     velocity: of the controller, "sampled" by a sensor or the "differenced" position
     duration: simulated time [s]
     precision: "float32" or "float64"
