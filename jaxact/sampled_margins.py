@@ -114,8 +114,12 @@ def sampled_margins(loop: SampledLoop, *, max_delay_steps: int) -> SampledMargin
         return _margins_of_one(SampledLoop(*row, *kind), max_delay_steps)
 
     flat = [v.reshape(-1) for v in values]
-    result = jax.lax.map(one, flat, batch_size=_TILE)
-    return jax.tree.map(lambda a: a.reshape(shape), result)
+    count = flat[0].shape[0]
+    # A last tile that is not full would be compiled by itself, which takes as long once more.
+    missing = -count % _TILE if count > _TILE else 0
+    full = [jnp.pad(v, (0, missing), mode="edge") for v in flat]
+    result = jax.lax.map(one, full, batch_size=_TILE)
+    return jax.tree.map(lambda a: a[:count].reshape(shape), result)
 
 
 def _margins_of_one(loop: SampledLoop, max_delay_steps: int) -> SampledMargins:
