@@ -18,6 +18,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxact.plants.mjx_small import written_out
+
+# Most degrees of freedom of a robot whose matrices are written out.
+_SMALL = 3
+
 
 @contextlib.contextmanager
 def _without_warp_notice() -> Iterator[None]:
@@ -69,11 +74,21 @@ def step(model: Any, data: Any, solve: Callable[[Any, Any], Any] = solved) -> An
     with jax.numpy_rank_promotion("allow"):
         if model.opt.integrator == mjx.IntegratorType.RK4:
             return mjx.step(model, data)
-        data = mjx.fwd_velocity(model, mjx.fwd_position(model, data))
-        data = mjx.fwd_acceleration(model, mjx.fwd_actuation(model, data))
+        small = model.nv <= _SMALL
+        data = (written_out(_unconstrained) if small else _unconstrained)(model, data)
         if data._impl.efc_J.size:
-            data = solve(model, data)
-        else:
-            data = data.replace(qacc=data.qacc_smooth)
-        euler = model.opt.integrator == mjx.IntegratorType.EULER
-        return mjx.euler(model, data) if euler else mjx.implicit(model, data)
+            return _integrated(model, solve(model, data))
+        data = data.replace(qacc=data.qacc_smooth)
+        return (written_out(_integrated) if small else _integrated)(model, data)
+
+
+def _unconstrained(model: Any, data: Any) -> Any:
+    """The data with all but the accelerations and forces of the constraints."""
+    data = mjx.fwd_velocity(model, mjx.fwd_position(model, data))
+    return mjx.fwd_acceleration(model, mjx.fwd_actuation(model, data))
+
+
+def _integrated(model: Any, data: Any) -> Any:
+    """The data one step later, from its accelerations."""
+    euler = model.opt.integrator == mjx.IntegratorType.EULER
+    return mjx.euler(model, data) if euler else mjx.implicit(model, data)
