@@ -154,7 +154,8 @@ def _paraboloid(x, data, sharpness):
 
 
 def _chain(steps):
-    rate = optax.cosine_decay_schedule(0.2, steps, alpha=0.005)
+    # Longer steps end up to 2.5 % away where rounding decides; with these, 0.4 % from 120 starts.
+    rate = optax.cosine_decay_schedule(0.05, steps, alpha=0.005)
     return optax.chain(optax.clip_by_global_norm(1.0), optax.rmsprop(rate, decay=0.95))
 
 
@@ -165,9 +166,8 @@ def test_any_number_of_gains_descends_with_any_chain(how):
     centre = jnp.linspace(-1.0, 1.0, 5)[None]
     starts = jnp.zeros((1, 3, 5)) + jnp.array([0.0, 1.0, 2.0])[None, :, None]
     found = descend(_paraboloid, centre, starts, jnp.full(5, -1.0), how)
-    # Near enough for the polish, whatever the chain. On the sphere's surface the last steps follow
-    # rounding: from 120 starts a thousandth apart, the worst end is 0.9 to 2.5 % from the optimum.
-    np.testing.assert_allclose(found.value, np.sqrt(5.0), rtol=3e-2)
+    # Near enough for the polish, whatever the chain.
+    np.testing.assert_allclose(found.value, np.sqrt(5.0), rtol=5e-3)
     assert np.all(np.asarray(found.violation) < 1e-3)
 
 
