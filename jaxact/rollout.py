@@ -25,7 +25,6 @@ from jaxact.drive import DriveOptions
 from jaxact.growth import GrowthOptions
 from jaxact.loop import Loop, LoopState, Output, Prepared
 from jaxact.metrics import SEGMENTS, Metrics, Period, Reference
-from jaxact.sensor import Draws
 from jaxact.stopping import parted
 
 
@@ -83,17 +82,6 @@ def whole_ticks(duration: float, control_period: float) -> int:
     return SEGMENTS * max(1, int(-(-(segment - 1e-9) // 1)))
 
 
-def _draws(
-    options: DriveOptions, key: jax.Array | None, numbers: jax.Array, like: jax.Array
-) -> Draws:
-    """Random numbers of many ticks."""
-    if not options.random:
-        return Draws()
-    if key is None:
-        raise ValueError("a drive with noise needs a random key")
-    return jax.vmap(lambda number: _sensor.draw(options.sensor, key, number, like))(numbers)
-
-
 def _period(
     output: Output,
     reference: Reference,
@@ -149,8 +137,9 @@ def run(
     span = stopping.stretch(length, together) if rollout.stops else length
 
     def tick(state, inputs):
-        number, draws, given = inputs
+        number, given = inputs
         wanted = setpoint if given is None else given
+        draws = _loop.stage(options, _sensor.draw(options.sensor, key, number, start))
         state, (output, _) = _loop.step(prepared, options, state, wanted, draws)
         return _loop.stage(options, state), _period(output, reference, number, given, active_ticks)
 
@@ -167,8 +156,7 @@ def run(
         """A number of ticks; `inputs` are those of the first one and the setpoints of all."""
         first, given = inputs
         numbers = first + jnp.arange(span, dtype=jnp.int32)
-        inputs = numbers, _draws(options, key, numbers, start), given
-        return jax.lax.scan(ticks, carry, parted(inputs, span // together))[0], None
+        return jax.lax.scan(ticks, carry, parted((numbers, given), span // together))[0], None
 
     def segment(carry, inputs):
         first, given = inputs
@@ -298,8 +286,9 @@ def follow(
     numbers = jnp.arange(ticks, dtype=jnp.int32)
 
     def tick(state, inputs):
-        given, draws = inputs
+        number, given = inputs
         given = setpoint if given is None else given
+        draws = _sensor.draw(options.sensor, key, number, start)
         kept = None if configuration is None else configuration(state.plant)
         state, (output, record) = _loop.step(prepared, options, state, given, draws)
         share = jnp.broadcast_to(prepared.drive.older_share, shape)
@@ -309,8 +298,7 @@ def follow(
         row = (held[0], record.position, record.velocity, held[1], delayed, record.force)
         return state, (row, kept, output)
 
-    draws = _draws(options, key, numbers, start)
-    _, (rows, kept, outputs) = jax.lax.scan(tick, state, (setpoints, draws), length=ticks)
+    _, (rows, kept, outputs) = jax.lax.scan(tick, state, (numbers, setpoints))
     rows = [row.reshape((ticks * options.substeps, *start.shape)) for row in rows]
     time = step * jnp.arange(ticks * options.substeps)
     return Trajectory(time, *rows, configuration=kept), outputs

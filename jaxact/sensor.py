@@ -15,6 +15,8 @@ from math import inf
 import jax
 import jax.numpy as jnp
 
+from jaxact import threefry
+
 
 @dataclass(frozen=True)
 class Sensor:
@@ -146,15 +148,15 @@ def init(
 
 @dataclass(frozen=True)
 class Draws:
-    """Standard normal numbers of one tick: for position and velocity, shape (2, joints).
+    """Standard normal numbers of one tick: pairs for position and velocity, shape (joints,) each.
 
     Attributes:
         noise: of the samples; None without noise.
         walk: of the biases; None where none walks.
     """
 
-    noise: jax.Array | None = None
-    walk: jax.Array | None = None
+    noise: tuple[jax.Array, jax.Array] | None = None
+    walk: tuple[jax.Array, jax.Array] | None = None
 
 
 jax.tree_util.register_dataclass(Draws, data_fields=["noise", "walk"], meta_fields=[])
@@ -173,25 +175,29 @@ def draw(
 ) -> Draws:
     """Random numbers of one tick; noise and walk have streams of their own.
 
-    Not part of `step`, so that a rollout can draw for many ticks at once, which is far cheaper.
     Each joint and tick is one count of a counter-based generator, whose two words are the numbers
     for position and velocity.
 
     Args:
         options: static.
         key: random key of this sample; needed only with noise or a walking bias.
-        number: of the tick, whole.
+        number: of the tick, whole, shape ().
         like: any joint quantity, shape (joints,).
 
-    Source: J. Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011.
+    Raises:
+        ValueError: there is no key, and one is needed.
     """
+    if not (options.noise or options.walk):
+        return Draws()
+    if key is None:
+        raise ValueError("a drive with noise needs a random key")
     size = max(1, like.size)
     counts = jnp.asarray(number, jnp.uint32) * size + jnp.arange(size, dtype=jnp.uint32)
 
-    def normal(source: int) -> jax.Array:
-        stream = jax.random.fold_in(key, source)
-        each = jax.vmap(lambda count: jax.random.key_data(jax.random.fold_in(stream, count)))
-        return _standard_normal(each(counts)[:, :2], like.dtype).T.reshape((2, *like.shape))
+    def normal(source: int) -> tuple[jax.Array, jax.Array]:
+        stream = jax.random.key_data(jax.random.fold_in(key, source))
+        first, second = threefry.words(stream, counts.reshape(like.shape))
+        return _standard_normal(first, like.dtype), _standard_normal(second, like.dtype)
 
     return Draws(normal(0) if options.noise else None, normal(1) if options.walk else None)
 
