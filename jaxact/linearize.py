@@ -59,8 +59,7 @@ class Linearisation:
 
 def _start(plant: MjxPlant) -> MjxState:
     """The start posture as it is."""
-    data = plant.data
-    return MjxState(data.qpos, data.qvel, data.act, data.qacc_warmstart, jnp.zeros_like(data.time))
+    return plant.state(plant.data.replace(time=jnp.zeros_like(plant.data.time)))
 
 
 def jacobians(plant: MjxPlant, force: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -88,7 +87,7 @@ def jacobians(plant: MjxPlant, force: jax.Array) -> tuple[jax.Array, jax.Array]:
             qpos=displaced(plant.kinds, start.qpos, deviation[:size]),
             qvel=start.qvel + turning + deviation[size : 2 * size],
             act=start.act + deviation[2 * size :],
-            warmstart=start.warmstart + nudge,
+            warmstart=None if start.warmstart is None else start.warmstart + nudge,
             time=start.time,
         )
         total = force + extra

@@ -50,15 +50,15 @@ class MjxState:
 
     Attributes:
         qpos, qvel, act: positions, velocities and actuator states as MuJoCo orders them.
-        warmstart: accelerations the constraint solver starts from.
-        time: [s].
+        warmstart: accelerations the constraint solver starts from; None without constraints.
+        time: [s]; None where nothing depends on it.
     """
 
     qpos: jax.Array
     qvel: jax.Array
     act: jax.Array
-    warmstart: jax.Array
-    time: jax.Array
+    warmstart: jax.Array | None
+    time: jax.Array | None
 
 
 @dataclass(frozen=True)
@@ -153,12 +153,24 @@ class MjxPlant:
         data = self.data
         joints = (len(self.dofs),)
         ahead = position + self._lead(velocity)
+        return self.state(
+            data.replace(
+                qpos=data.qpos.at[np.array(self.qpos)].set(jnp.broadcast_to(ahead, joints)),
+                qvel=data.qvel.at[np.array(self.dofs)].set(jnp.broadcast_to(velocity, joints)),
+                time=jnp.zeros_like(data.time),
+            )
+        )
+
+    def state(self, data: Any) -> MjxState:
+        """What is to be remembered of MJX's data between two steps."""
+        own = self.impl == "jax"
+        solves, timed = not own or _mjx_step.constrained(self.data), not own or self.push
         return MjxState(
-            qpos=data.qpos.at[np.array(self.qpos)].set(jnp.broadcast_to(ahead, joints)),
-            qvel=data.qvel.at[np.array(self.dofs)].set(jnp.broadcast_to(velocity, joints)),
-            act=data.act,
-            warmstart=data.qacc_warmstart,
-            time=jnp.zeros_like(data.time),
+            data.qpos,
+            data.qvel,
+            data.act,
+            data.qacc_warmstart if solves else None,
+            data.time if timed else None,
         )
 
     def measure(self, state: MjxState) -> tuple[jax.Array, jax.Array]:
@@ -172,8 +184,7 @@ class MjxPlant:
 
     def advance(self, state: MjxState, force: Force) -> MjxState:
         """One MJX step under the mean force, with the model's own integrator."""
-        data = self._stepped(self.loaded(state, force))
-        return MjxState(data.qpos, data.qvel, data.act, data.qacc_warmstart, data.time)
+        return self.state(self._stepped(self.loaded(state, force)))
 
     def _stepped(self, data: Any) -> Any:
         if self.impl == "warp":
@@ -193,10 +204,12 @@ class MjxPlant:
             qpos=state.qpos,
             qvel=state.qvel,
             act=state.act,
-            qacc_warmstart=state.warmstart,
-            time=state.time,
             ctrl=self.data.ctrl.at[np.array(self.actuators)].set(mean),
         )
+        if state.warmstart is not None:
+            data = data.replace(qacc_warmstart=state.warmstart)
+        if state.time is not None:
+            data = data.replace(time=state.time)
         if self.push is not None:
             data = data.replace(xfrc_applied=self._pushed(state.time))
         return data

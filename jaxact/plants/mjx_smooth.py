@@ -20,7 +20,7 @@ optima, Griewank & Walther, "Evaluating Derivatives", 2nd ed., section 15.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import jax
@@ -41,11 +41,12 @@ class SmoothPlant(MjxPlant):
 
     def advance(self, state: MjxState, force: Force) -> MjxState:
         """One MJX step under the mean force; the same values as `MjxPlant.advance`."""
-        after = _mjx_step.step(self.model, self.loaded(state, force), _solved)
+        data = _mjx_step.step(self.model, self.loaded(state, force), _solved)
+        after = self.state(data)
         step = self.model.opt.timestep
         # MJX has moved the configuration by the velocities at the end of the step.
         qpos = _valued(after.qpos, displaced(self.kinds, state.qpos, step * after.qvel))
-        return MjxState(qpos, after.qvel, after.act, after.qacc_warmstart, after.time)
+        return replace(after, qpos=qpos)
 
 
 jax.tree_util.register_dataclass(

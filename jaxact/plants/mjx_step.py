@@ -20,8 +20,12 @@ import jax.numpy as jnp
 
 from jaxact.plants.mjx_small import written_out
 
-# Most degrees of freedom of a robot whose matrices are written out.
-_SMALL = 3
+STATE = ("qpos", "qvel", "act", "qacc_warmstart", "time")
+"""What MJX integrates; everything else in its data follows from it."""
+
+# Most degrees of freedom of a robot whose step is written out, and most of them times the rows of
+# its constraints: beyond, compiling takes longer than without, and a step no less.
+_FREEDOMS, _PRODUCT = 7, 48
 
 
 @contextlib.contextmanager
@@ -63,7 +67,7 @@ def solved(model: Any, data: Any) -> Any:
 
 
 def step(model: Any, data: Any, solve: Callable[[Any, Any], Any] = solved) -> Any:
-    """The data one step later.
+    """The data given, with the state one step later.
 
     Args:
         model, data: of MJX's own implementation.
@@ -72,23 +76,31 @@ def step(model: Any, data: Any, solve: Callable[[Any, Any], Any] = solved) -> An
     """
     # MJX multiplies matrices by vectors as NumPy allows; a user may have forbidden that.
     with jax.numpy_rank_promotion("allow"):
-        if model.opt.integrator == mjx.IntegratorType.RK4:
-            return mjx.step(model, data)
-        small = model.nv <= _SMALL
-        data = (written_out(_unconstrained) if small else _unconstrained)(model, data)
-        if data._impl.efc_J.size:
-            return _integrated(model, solve(model, data))
-        data = data.replace(qacc=data.qacc_smooth)
-        return (written_out(_integrated) if small else _integrated)(model, data)
+
+        def whole(model: Any, data: Any) -> Any:
+            return _whole(model, data, solve)
+
+        return (written_out(whole) if _is_small(model, data) else whole)(model, data)
 
 
-def _unconstrained(model: Any, data: Any) -> Any:
-    """The data with all but the accelerations and forces of the constraints."""
-    data = mjx.fwd_velocity(model, mjx.fwd_position(model, data))
-    return mjx.fwd_acceleration(model, mjx.fwd_actuation(model, data))
+def _is_small(model: Any, data: Any) -> bool:
+    """Whether a robot's step is written out."""
+    return model.nv <= _FREEDOMS and model.nv * data._impl.efc_J.shape[0] <= _PRODUCT
 
 
-def _integrated(model: Any, data: Any) -> Any:
-    """The data one step later, from its accelerations."""
-    euler = model.opt.integrator == mjx.IntegratorType.EULER
-    return mjx.euler(model, data) if euler else mjx.implicit(model, data)
+def constrained(data: Any) -> bool:
+    """Whether a model in MJX's own implementation has contacts, limits or friction."""
+    return bool(data._impl.efc_J.size)
+
+
+def _whole(model: Any, given: Any, solve: Callable[[Any, Any], Any]) -> Any:
+    """The given data, with the state one step later."""
+    if model.opt.integrator == mjx.IntegratorType.RK4:
+        after = mjx.step(model, given)
+    else:
+        data = mjx.fwd_velocity(model, mjx.fwd_position(model, given))
+        data = mjx.fwd_acceleration(model, mjx.fwd_actuation(model, data))
+        data = solve(model, data) if constrained(data) else data.replace(qacc=data.qacc_smooth)
+        euler = model.opt.integrator == mjx.IntegratorType.EULER
+        after = mjx.euler(model, data) if euler else mjx.implicit(model, data)
+    return given.replace(**{name: getattr(after, name) for name in STATE})

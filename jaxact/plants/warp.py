@@ -25,6 +25,7 @@ import mujoco
 from jax.custom_batching import custom_vmap
 
 from jaxact.errors import UserError
+from jaxact.plants import mjx_step
 from jaxact.plants.mjx import mjx
 from jaxact.plants.warp_room import Room
 
@@ -120,8 +121,7 @@ def _put_model(model: mujoco.MjModel) -> tuple[Any, mujoco.MjModel]:
             raise NotImplementedError(str(error)) from error
 
 
-_STATE = ("qpos", "qvel", "act", "qacc_warmstart", "time")
-_GIVEN = (*_STATE, "ctrl", "xfrc_applied")
+_GIVEN = (*mjx_step.STATE, "ctrl", "xfrc_applied")
 
 
 def step(model: Any, data: Any) -> Any:
@@ -153,7 +153,7 @@ def _one(model: Any, template: Any, given: dict[str, jax.Array]) -> dict[str, ja
     # MJX multiplies matrices by vectors as NumPy allows; a user may have forbidden that.
     with jax.numpy_rank_promotion("allow"):
         data = mjx.step(model, template.replace(**given))
-    state = {name: getattr(data, name) for name in _STATE}
+    state = {name: getattr(data, name) for name in mjx_step.STATE}
     lost = jnp.where(data._impl.overflow & _lost() != 0, jnp.nan, 0.0).astype(data.qpos.dtype)
     return state | {"qpos": state["qpos"] + lost, "qvel": state["qvel"] + lost}
 

@@ -38,7 +38,7 @@ def _reached(plant, force, amounts):
         return plant.advance(state, Force(mean=mean, moment=mean, partial=None)), None
 
     data = plant.data
-    start = mjx.MjxState(data.qpos, data.qvel, data.act, data.qacc_warmstart, jnp.zeros(()))
+    start = plant.state(data)
     end, _ = jax.lax.scan(step, start, jnp.arange(STEPS))
     return jnp.concatenate([end.qpos, end.qvel])
 
