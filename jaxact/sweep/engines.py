@@ -26,8 +26,9 @@ _TILES = {
 }  # fmt: skip
 # The same for robots in MJX on a CPU: their states are far larger.
 _ROBOT_TILE = 32
-# Most degrees of freedom of a robot that MJX on a CPU simulates faster than C MuJoCo.
-_LIGHT = 2
+# Most degrees of freedom of a robot without constraints that MJX on a CPU simulates faster than C
+# MuJoCo: as many as `jaxact.plants.mjx_step` writes out.
+_LIGHT = 7
 # Physics steps that one call to a device simulates: about a second of work; of MJX-Warp on a CPU.
 _WORK = {"mass": 6e8, "mjx": 5e6, "mujoco": 2e5, "warp": 1e4}
 
@@ -102,16 +103,19 @@ def able(specification: Specification) -> tuple[Engine, ...]:
 
 
 def light(setting: Setting) -> bool:
-    """Whether a robot has so few degrees of freedom, and no contacts, that MJX is the faster one.
+    """Whether a robot has so few degrees of freedom, and no constraints, that MJX is the faster one.
 
-    On one core, with 2 hinges: MJX 0.8 us a step, C MuJoCo 3.2; with 6 hinges: 13 against 4.2.
+    On two cores, with 2 hinges: MJX 0.1 us a step, C MuJoCo 3.8; with 6 hinges: 0.75 against 2.75.
+    With limits or contacts it depends on the robot.
     """
     from jaxact.sweep import robots  # as above
 
     assert setting.plant is not None
     model = robots.scene(setting.plant).robot.model
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    return model.nv <= _LIGHT and int(touching.sum()) <= 1
+    held = model.jnt_limited.any() or model.tendon_limited.any() or model.neq
+    rubbing = model.dof_frictionloss.any() or model.tendon_frictionloss.any()
+    return model.nv <= _LIGHT and int(touching.sum()) <= 1 and not held and not rubbing
 
 
 def fewest(specification: Specification) -> int:
