@@ -99,12 +99,20 @@ for _class in (Actuator, Free, Response):
 
 def _series(x: jax.Array, zeta: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Power series of s/t, Is/t^2, Js/t^3 in x = wn t."""
-    older, newer = jnp.zeros_like(x), jnp.ones_like(x)
-    sums = [jnp.zeros_like(x) for _ in range(3)]
-    for order in range(1, _TERMS):
-        for depth in range(3):
-            sums[depth] = sums[depth] + newer / float(factorial(order + depth))
-        older, newer = newer * x, (-2.0 * zeta * newer - older) * x
+
+    def term(carry, shares):
+        older, newer, sums = carry
+        sums = [total + newer * share for total, share in zip(sums, shares, strict=True)]
+        return (newer * x, (-2.0 * zeta * newer - older) * x, sums), None
+
+    # As a loop: written out, it would be most of what is compiled of a short program.
+    zero = jnp.zeros_like(x)
+    shares = tuple(
+        jnp.asarray([1.0 / factorial(order + depth) for order in range(1, _TERMS)], x.dtype)
+        for depth in range(3)
+    )
+    carry = zero, jnp.ones_like(x), [zero] * 3
+    (_, _, sums), _ = jax.lax.scan(term, carry, shares)
     return sums[0], sums[1], sums[2]
 
 
@@ -200,9 +208,12 @@ def response(
     Source: sampling of systems with a delay, Astrom, Wittenmark, "Computer-Controlled Systems",
     3rd ed., section 2.3.
     """
-    whole = free_response(natural_frequency, damping_ratio, step)
     left = step - older_for
-    rest = free_response(natural_frequency, damping_ratio, left)
+    # Together, as a program with half as many operations is compiled in half the time.
+    over = jax.vmap(lambda time: free_response(natural_frequency, damping_ratio, time))(
+        jnp.stack(jnp.broadcast_arrays(step, left))
+    )
+    whole, rest = (jax.tree.map(lambda row, at=at: row[at], over) for at in (0, 1))
     half = 0.5 * step * step
     # Not a division of each: a compiler may or may not make these of it, and round otherwise.
     per_step, per_half = 1.0 / step, 1.0 / half

@@ -193,11 +193,12 @@ def prepare(drive: Drive, options: DriveOptions, shape: tuple[int, ...] = ()) ->
     step = period / options.substeps
     whole, switch = _delay.split(actuator.delay + drive.output_delay, period)
     switched = _delay.split(switch, step)
-    older_for = [_older_for(step, switched, i) for i in range(options.substeps)]
-    responses = [
-        _actuator.response(actuator.natural_frequency, actuator.damping_ratio, step, older)
-        for older in older_for
-    ]
+    older_for = jnp.stack([_older_for(step, switched, i) for i in range(options.substeps)])
+    responses = jax.vmap(
+        lambda older: _actuator.response(
+            actuator.natural_frequency, actuator.damping_ratio, step, older
+        )
+    )(older_for)
     measurement_at = capture = setpoint_at = share = None
     if options.measurement_slots:
         late, remainder = _delay.split(drive.sensor.delay, period)
@@ -213,8 +214,8 @@ def prepare(drive: Drive, options: DriveOptions, shape: tuple[int, ...] = ()) ->
     return Coefficients(
         drive=drive,
         step=step,
-        responses=jax.tree.map(lambda *leaves: jnp.stack(leaves), *responses),
-        older_share=jnp.stack(older_for) / step,
+        responses=responses,
+        older_share=older_for / step,
         command_at=_delay.weights(whole, options.command_slots),
         measurement_at=measurement_at,
         setpoint_at=setpoint_at,
