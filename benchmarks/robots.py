@@ -44,7 +44,7 @@ def rows(quick: bool) -> Iterator[Row]:
     yield Row(
         "MJX quadruped, 12 joints, full drive and metrics (noise, quantisation, three delays)",
         "the same MJX rollout with a bare PD command",
-        *alternate(ours, _bare(samples, plan), 9),  # some per cent are to be told from noise
+        *alternate(ours, bare(samples, plan), 9),  # some per cent are to be told from noise
         "physics step",
         "at least 0.91 (10 % more)",
         1 / 1.1,
@@ -95,7 +95,7 @@ def rollouts(asked: Specification, samples: Samples) -> tuple[Callable[[], float
     return run, plan
 
 
-def _bare(samples: Samples, plan: plans.Plan) -> Callable[[], float]:
+def bare(samples: Samples, plan: plans.Plan) -> Callable[[], float]:
     """MJX with a PD command and nothing else, in the same tiles; units as `rollouts`."""
     robot = models.read(MODELS / "quadruped.xml", keyframe="stand")
     start = posture.settled(robot)

@@ -58,6 +58,17 @@ def alternate(
     return statistics.median(seconds[0]), statistics.median(seconds[1])
 
 
+def seconds(function: Callable[[], object], repeats: int = 5) -> float:
+    """Median seconds of a call, after a first one that compiles and warms up."""
+    function()
+    taken = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        function()
+        taken.append(time.perf_counter() - start)
+    return statistics.median(taken)
+
+
 def machine() -> dict[str, str]:
     """The machine and the versions that the figures belong to."""
     import jax
