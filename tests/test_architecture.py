@@ -28,7 +28,8 @@ ANALYSIS = (
 )  # fmt: skip
 LAYERS = (
     ("errors", "status"),
-    ("delay", "held", "characteristic", "krylov", "packing", "programs", "single_kernel"),
+    ("delay", "held", "threefry", "characteristic", "krylov"),
+    ("packing", "programs", "single_kernel"),
     ("actuator", "sensor", "controller"),
     ("drive_options",),
     ("drive",),
@@ -60,6 +61,7 @@ SIMULATION = (
     "drive_history",
     "drive_options",
     "actuator",
+    "threefry",
 )
 
 

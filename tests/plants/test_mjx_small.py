@@ -101,7 +101,7 @@ def _loops(tree, b):
 
 
 @pytest.mark.parametrize("function", [_everything, _moves, _loops])
-@pytest.mark.parametrize("size", [1, 2, 3])
+@pytest.mark.parametrize("size", [1, 3])
 def test_values_and_derivatives_are_the_functions(function, size):
     with jax.enable_x64(True):
         a, b = (jnp.asarray(_RANDOM.normal(size=(4, size, size))) for _ in range(2))
@@ -184,9 +184,10 @@ _BALL = (
     '<equality><weld body1="b" body2="c"/></equality>'
 )
 ROBOTS = {
-    "free joints": _robot('integrator="implicitfast"', [_HINGE, _SLIDE, _HINGE]),
     "Runge-Kutta": _robot('integrator="RK4"', [_HINGE, _SLIDE]),
-    "limits, a tendon": _robot('solver="CG"', [_LIMITED, _LIMITED], more=_TENDON),
+    "limits, a tendon": _robot(
+        'solver="CG" integrator="implicitfast"', [_LIMITED, _LIMITED], more=_TENDON
+    ),
     "dry friction, a contact": _robot("", [_LIMITED + ' frictionloss="0.3"'], touch=""),
     "a ball, held": _robot("", [_SLIDE + ' stiffness="9"']).replace("</worldbody>", _BALL),
 }

@@ -11,6 +11,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.errors import UserError
 from jaxact.sweep import (
