@@ -31,6 +31,8 @@ _ROBOT_TILE = 32
 _LIGHT = 7
 # Physics steps that one call to a device simulates: about a second of work; of MJX-Warp on a CPU.
 _WORK = {"mass": 6e8, "mjx": 5e6, "mujoco": 2e5, "warp": 1e4}
+# The same for the single joint in MJX.
+_JOINT_WORK = 2e8
 
 
 def resolved(specification: Specification) -> Specification:
@@ -142,13 +144,18 @@ def usual_rate(case: Case) -> float:
     """Physics steps per second on one device, before anything was measured on a machine."""
     if case.engine == "warp" and jax.default_backend() != "cpu":
         return _WORK["mjx"]
-    return _WORK[case.engine]
+    return _work(case)
 
 
 def batch_size(case: Case, tile: int, devices: int) -> int:
     """Loops that make about a second of work, in whole tiles for every device."""
     per_tile = tile * case.rollout.ticks * case.drive.substeps
-    return max(1, int(_WORK[case.engine] / per_tile)) * tile * devices
+    return max(1, int(_work(case) / per_tile)) * tile * devices
+
+
+def _work(case: Case) -> float:
+    """Physics steps that one call to a device simulates."""
+    return _JOINT_WORK if case.engine == "mjx" and not case.model else _WORK[case.engine]
 
 
 def old_jax() -> bool:
