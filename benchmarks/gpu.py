@@ -136,12 +136,11 @@ def _quadruped(quick: bool) -> dict[str, Any]:
     tiles = (32,) if quick else (1024, 4096, 8192)
     rows = []
     for tile in tiles:
-        asked = dataclasses.replace(
-            robots.specification("quadruped.xml", "mjx", duration, loops), tile=tile
-        )
+        asked = robots.specification(robots.QUADRUPED, "mjx", duration, loops)
+        asked = dataclasses.replace(asked, tile=tile)
         samples = expand(asked)
         ours, plan = robots.rollouts(asked, samples)
-        full, bare = _each(ours), _each(robots.bare(samples, plan))
+        full, bare = _each(ours), _each(robots.bare(robots.QUADRUPED, samples, plan, own_step=True))
         rows.append({
             "tile": tile,
             "full_seconds_per_step": full,

@@ -39,7 +39,7 @@ def _main() -> None:
     from benchmarks import robots
     from jaxact.sweep.samples import expand
 
-    asked = robots.specification("quadruped_arm.xml", "mujoco", float(sys.argv[1]), 1)
+    asked = robots.specification(robots.WITH_ARM, "mujoco", float(sys.argv[1]), 1)
     _xla.call_at_once(asked)
     rollout, _ = robots.rollouts(asked, expand(asked))
     rollout()
