@@ -149,7 +149,7 @@ def _table(rows: list, machine: dict[str, str]) -> str:
     lines.append("|---|---|---|---|---|---|---|")
     for row in rows:
         ours, theirs = (f"{seconds * 1e9:,.3g} ns" for seconds in (row.ours, row.theirs))
-        met = "yes" if row.ratio >= row.wanted else "no"
+        met = ("yes" if row.ratio >= row.wanted else "no") if row.wanted else "-"
         lines.append(
             f"| {row.what} | {row.rival} | {ours} | {theirs} per {row.unit} "
             f"| {row.ratio:.3g} | {row.target} | {met} |"
