@@ -132,6 +132,7 @@ def _product(arithmetic: Arithmetic, inputs: Any, params: dict[str, Any], out: A
     (left_sum, right_sum), (left_batch, right_batch) = params["dimension_numbers"]
 
     def ordered(array: Array, summed: Sequence[int], batch: Sequence[int]) -> Array:
+        array = arithmetic.converted(array, out.dtype)
         free = [axis for axis in range(array.ndim) if axis not in (*summed, *batch)]
         turned = np.transpose(objects(array), (*batch, *free, *summed))
         sizes = [math.prod(array.shape[axis] for axis in axes) for axes in (batch, free, summed)]

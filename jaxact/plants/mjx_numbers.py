@@ -106,6 +106,19 @@ class Arithmetic:
             out[place] = self._one(primitive, params, settings, row, dtype)
         return settled(out.reshape(columns[0].shape), dtype)
 
+    def converted(self, array: Array, dtype: np.dtype) -> Array:
+        """The array with numbers of this type."""
+        if is_known(array):
+            return array.astype(dtype)
+        found = np.empty(array.size, object)
+        for place, number in enumerate(array.reshape(-1)):
+            if not isinstance(number, Number):
+                number = dtype.type(number)
+            elif number.traced.dtype != dtype:
+                number = Number(jax.lax.convert_element_type(number.traced, dtype))
+            found[place] = number
+        return found.reshape(array.shape)
+
     def add(self, x: Any, y: Any) -> Any:
         """The sum of two numbers of one type."""
         return self._with(jax.lax.add, "add", x, y)
