@@ -5,8 +5,9 @@ Graeffe's iteration, which squares the roots of a polynomial without knowing the
 
     log rho = log(max_i |c_i|^(1/i)) / 2^k   within log(n) / 2^k
 
-Far fewer operations than the powers of the matrix, and each of them on a number of its own, so that
-a batch of small matrices is a small matrix of batches, which is what vector units want.
+Where one or two roots are largest, as in nearly all loops, those of x^2 + c_1 x + c_2 have their
+size itself. Far fewer operations than the powers of the matrix, and each of them on a number of its
+own, so that a batch of small matrices is a small matrix of batches, which vector units want.
 
 Sources: R. Rehman and I. Ipsen, "La Budde's method for computing characteristic polynomials",
 arXiv:1104.3769 (2011), algorithm 2; V. Pan, "Solving a polynomial equation: some history and recent
@@ -117,12 +118,20 @@ def _scaled(coefficients: list[jax.Array]) -> tuple[list[jax.Array], jax.Array]:
     return _barrier(scaled), exponent
 
 
+def _log_of_two(first: jax.Array, second: jax.Array) -> jax.Array:
+    """Logarithm of the larger size of the roots of x^2 + first x + second, shape ()."""
+    squared = 0.25 * first * first - second
+    real = 0.5 * jnp.abs(first) + jnp.sqrt(jnp.maximum(squared, 0.0))
+    return jnp.where(squared < 0.0, 0.5 * jnp.log(jnp.abs(second)), jnp.log(real))
+
+
 def log_largest_root(coefficients: list[jax.Array], squarings: int) -> jax.Array:
     """Logarithm of the largest modulus of the roots of a polynomial.
 
     Args:
         coefficients: c_1 ... c_n of x^n + c_1 x^(n-1) + ... + c_n, each of shape ().
-        squarings: static; the error is at most log(n) / 2^squarings.
+        squarings: static; the error is at most about log(n) / 2^squarings, and far less where no
+            more than two roots are of the largest size.
 
     Returns:
         shape (); -inf where every root is 0, NaN where a coefficient is.
@@ -149,8 +158,10 @@ def log_largest_root(coefficients: list[jax.Array], squarings: int) -> jax.Array
     carry = coefficients, zero, zero + 1.0
     (last, total, weight), _ = jax.lax.scan(advance, carry, None, length=rounds)
     last, exponent = _scaled(last)
-    # Within a method's error of log(n) single precision is plenty, and far cheaper.
-    logs = [jnp.log(jnp.abs(c).astype(jnp.float32)) / k for k, c in enumerate(last, start=1)]
+    # Divided by 2^squarings, single precision is plenty, and far cheaper.
+    first, *others = (c.astype(jnp.float32) for c in last)
+    logs = [_log_of_two(first, others[0] if others else jnp.zeros_like(first))]
+    logs += [jnp.log(jnp.abs(c)) / k for k, c in enumerate(others[1:], start=3)]
     bound = functools.reduce(jnp.maximum, logs).astype(total.dtype)
     return math.log(2.0) * (total + weight * exponent) + weight * bound
 
