@@ -38,7 +38,7 @@ class Size:
 
 
 FULL = Size()
-QUICK = Size(("three",), 9, 3, rollout=0.6, points=4, rounds=2, duration=0.6)
+QUICK = Size(("three",), 9, 3, rollout=0.3, points=3, rounds=1, duration=0.45)
 
 
 @dataclass(frozen=True)
