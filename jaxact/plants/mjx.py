@@ -163,8 +163,9 @@ class MjxPlant:
 
     def state(self, data: Any) -> MjxState:
         """What is to be remembered of MJX's data between two steps."""
-        own = self.impl == "jax"
-        solves, timed = not own or _mjx_step.constrained(self.data), not own or self.push
+        warp = self.impl == "warp"
+        solves = warp or _mjx_step.constrained(self.data)
+        timed = warp or self.push is not None
         return MjxState(
             data.qpos,
             data.qvel,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import jax
@@ -110,7 +110,7 @@ def combined(
     return None if rule is None else rule(arithmetic, inputs, params, out)
 
 
-def _reduction(operation: Callable[[Arithmetic], Callable[[Any, Any], Any]], start: Any) -> Rule:
+def _reduction(operation: str, start: Any) -> Rule:
     def reduced(arithmetic: Arithmetic, inputs: Any, params: dict[str, Any], out: Any) -> Any:
         axes = tuple(int(axis) for axis in params["axes"])
         length = math.prod(inputs[0].shape[axis] for axis in axes)
@@ -121,7 +121,11 @@ def _reduction(operation: Callable[[Arithmetic], Callable[[Any, Any], Any]], sta
         found = np.empty(out.shape, object)
         for at in np.ndindex(out.shape):
             numbers = list(rows[at])
-            found[at] = reduce(operation(arithmetic), numbers) if numbers else out.dtype.type(start)
+            found[at] = (
+                reduce(partial(arithmetic.of, operation), numbers)
+                if numbers
+                else out.dtype.type(start)
+            )
         return [settled(found, out.dtype)]
 
     return reduced
@@ -143,8 +147,8 @@ def _product(arithmetic: Arithmetic, inputs: Any, params: dict[str, Any], out: A
     found = np.empty((left.shape[0], left.shape[1], right.shape[1]), object)
     zero = out.dtype.type(0)
     for b, i, j in np.ndindex(found.shape):
-        terms = map(arithmetic.multiply, left[b, i], right[b, j])
-        found[b, i, j] = reduce(arithmetic.add, terms, zero)
+        terms = (arithmetic.of("mul", x, y) for x, y in zip(left[b, i], right[b, j], strict=True))
+        found[b, i, j] = reduce(partial(arithmetic.of, "add"), terms, zero)
     return [settled(found.reshape(out.shape), out.dtype)]
 
 
@@ -159,11 +163,13 @@ def _cholesky(arithmetic: Arithmetic, inputs: Any, params: dict[str, Any], out: 
             for j in range(i + 1):
                 rest = matrix[i, j]
                 for k in range(j):
-                    term = arithmetic.multiply(rows[i, k], rows[j, k])
-                    rest = arithmetic.subtract(rest, term)
+                    term = arithmetic.of("mul", rows[i, k], rows[j, k])
+                    rest = arithmetic.of("sub", rest, term)
                 divided = i != j
                 rows[i, j] = (
-                    arithmetic.divide(rest, rows[j, j]) if divided else arithmetic.root(rest)
+                    arithmetic.of("div", rest, rows[j, j])
+                    if divided
+                    else arithmetic.of("sqrt", rest)
                 )
     return [settled(found, out.dtype)]
 
@@ -184,10 +190,10 @@ def _solved(arithmetic: Arithmetic, inputs: Any, params: dict[str, Any], out: An
         for place, i in enumerate(order):
             rest = given[i, column]
             for j in order[:place]:
-                term = arithmetic.multiply(matrix[i, j], solution[j, column])
-                rest = arithmetic.subtract(rest, term)
+                term = arithmetic.of("mul", matrix[i, j], solution[j, column])
+                rest = arithmetic.of("sub", rest, term)
             if not params["unit_diagonal"]:
-                rest = arithmetic.divide(rest, matrix[i, i])
+                rest = arithmetic.of("div", rest, matrix[i, i])
             solution[i, column] = rest
     found = found if params["left_side"] else np.swapaxes(found, -1, -2)
     return [settled(found, out.dtype)]
@@ -274,8 +280,8 @@ def _filling(given: Any, dtype: np.dtype) -> Any:
     return dtype.type(True) if dtype.kind == "b" else np.iinfo(dtype).min
 
 
-def _scattered(operation: Callable[[Arithmetic], Callable[[Any, Any], Any]]) -> Rule:
-    """As one of JAX's scatters, to known indices."""
+def _scattered(operation: str | None) -> Rule:
+    """As one of JAX's scatters, to known indices; without an operation, what was there is lost."""
 
     def scattered(arithmetic: Arithmetic, inputs: Any, params: dict[str, Any], out: Any) -> Any:
         array, starts, updates = inputs
@@ -301,7 +307,8 @@ def _scattered(operation: Callable[[Arithmetic], Callable[[Any, Any], Any]]) -> 
         found, updates = objects(array).copy(), objects(updates)
         for at, place in places:
             if place is not None:
-                found[place] = operation(arithmetic)(found[place], updates[at])
+                new = updates[at]
+                found[place] = arithmetic.of(operation, found[place], new) if operation else new
         return [settled(found, out.dtype)]
 
     return scattered
@@ -334,19 +341,19 @@ def _within(full: Sequence[int], starts: Sequence[Any], sizes: Sequence[int]) ->
 
 
 _RULES: dict[str, Rule] = {
-    "reduce_sum": _reduction(lambda arithmetic: arithmetic.add, 0),
-    "reduce_prod": _reduction(lambda arithmetic: arithmetic.multiply, 1),
-    "reduce_max": _reduction(lambda arithmetic: arithmetic.higher, None),
-    "reduce_min": _reduction(lambda arithmetic: arithmetic.lower, None),
-    "reduce_and": _reduction(lambda arithmetic: arithmetic.both, True),
-    "reduce_or": _reduction(lambda arithmetic: arithmetic.either, False),
+    "reduce_sum": _reduction("add", 0),
+    "reduce_prod": _reduction("mul", 1),
+    "reduce_max": _reduction("max", None),
+    "reduce_min": _reduction("min", None),
+    "reduce_and": _reduction("and", True),
+    "reduce_or": _reduction("or", False),
     "dot_general": _product,
     "cholesky": _cholesky,
     "triangular_solve": _solved,
     "gather": _gathered,
-    "scatter": _scattered(lambda arithmetic: lambda old, new: new),
-    "scatter-add": _scattered(lambda arithmetic: arithmetic.add),
-    "scatter-mul": _scattered(lambda arithmetic: arithmetic.multiply),
+    "scatter": _scattered(None),
+    "scatter-add": _scattered("add"),
+    "scatter-mul": _scattered("mul"),
     "dynamic_slice": _window,
     "dynamic_update_slice": _with_window,
 }

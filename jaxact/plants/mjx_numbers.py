@@ -55,6 +55,14 @@ _KNOWN: dict[str, Callable[..., Any]] = {
 }  # fmt: skip
 
 
+# What those are for traced numbers that sums, products and factors are made of.
+_TRACED: dict[str, Callable[..., Any]] = {
+    "add": jax.lax.add, "sub": jax.lax.sub, "mul": jax.lax.mul, "div": jax.lax.div,
+    "sqrt": jax.lax.sqrt, "max": jax.lax.max, "min": jax.lax.min,
+    "and": jax.lax.bitwise_and, "or": jax.lax.bitwise_or,
+}  # fmt: skip
+
+
 def each_by_itself(name: str) -> bool:
     """Whether an operation does the same to every number of its arrays, and is known here."""
     return name in _KNOWN
@@ -119,47 +127,12 @@ class Arithmetic:
             found[place] = number
         return found.reshape(array.shape)
 
-    def add(self, x: Any, y: Any) -> Any:
-        """The sum of two numbers of one type."""
-        return self._with(jax.lax.add, "add", x, y)
-
-    def subtract(self, x: Any, y: Any) -> Any:
-        """The difference of two numbers of one type."""
-        return self._with(jax.lax.sub, "sub", x, y)
-
-    def multiply(self, x: Any, y: Any) -> Any:
-        """The product of two numbers of one type."""
-        return self._with(jax.lax.mul, "mul", x, y)
-
-    def divide(self, x: Any, y: Any) -> Any:
-        """The quotient of two floating-point numbers of one type."""
-        return self._with(jax.lax.div, "div", x, y)
-
-    def root(self, x: Any) -> Any:
-        """The square root of a number."""
-        return self._with(jax.lax.sqrt, "sqrt", x)
-
-    def higher(self, x: Any, y: Any) -> Any:
-        """The larger of two numbers of one type."""
-        return self._with(jax.lax.max, "max", x, y)
-
-    def lower(self, x: Any, y: Any) -> Any:
-        """The smaller of two numbers of one type."""
-        return self._with(jax.lax.min, "min", x, y)
-
-    def both(self, x: Any, y: Any) -> Any:
-        """Bit by bit, whether both are set."""
-        return self._with(jax.lax.bitwise_and, "and", x, y)
-
-    def either(self, x: Any, y: Any) -> Any:
-        """Bit by bit, whether one is set."""
-        return self._with(jax.lax.bitwise_or, "or", x, y)
-
-    def _with(self, traced: Callable[..., Any], name: str, *row: Any) -> Any:
+    def of(self, name: str, *row: Any) -> Any:
+        """An operation of `_TRACED` on numbers of one type; so is its result."""
         if not any(isinstance(number, Number) for number in row):
             with np.errstate(all="ignore"):
                 return row[0].dtype.type(_KNOWN[name](*row))
-        return self._traced(name, "", row, lambda *values: traced(*values))
+        return self._traced(name, "", row, _TRACED[name])
 
     def _one(
         self, primitive: Any, params: dict[str, Any], settings: str, row: Sequence[Any], dtype: Any
