@@ -47,3 +47,24 @@ HOPPER = """
   <actuator><motor name="lift" joint="lift"/></actuator>
 </mujoco>
 """
+
+# A trunk that slides on a rail, held up by one driven leg whose foot stands on the ground.
+MONOPED = """
+<mujoco>
+  <option timestep="0.001"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 0.1"/>
+    <body name="trunk" pos="0 0 0.3">
+      <joint name="rail" type="slide" axis="0 0 1"/>
+      <geom type="sphere" size="0.05" mass="5" contype="0" conaffinity="0"/>
+      <body name="leg">
+        <joint name="hip" axis="0 1 0"/>
+        <geom type="capsule" fromto="0 0 0 0.1 0 -0.28" size="0.01" mass="0.8" contype="0"
+              conaffinity="0"/>
+        <geom type="sphere" size="0.02" pos="0.1 0 -0.28" mass="0.1"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="hip"/></actuator>
+</mujoco>
+"""

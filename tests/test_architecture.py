@@ -237,7 +237,7 @@ def test_readme_commands_run(commands, tmp_path):
     smaller = ["--set", "axes.kp.num=6", "--set", "axes.kd.num=6"]
     for words in commands:
         if "--width" in words:
-            words[words.index("--width") + 1] = "0.1"
+            words[words.index("--width") + 1] = "0.2"
         ran = subprocess.run(
             [sys.executable, "-m", "jaxact", *words, *smaller * (words[0] == "sweep")],
             capture_output=True, text=True, cwd=tmp_path,

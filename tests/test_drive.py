@@ -1,5 +1,6 @@
 """The design's invariants of the drive, on the exact mass."""
 
+import functools
 from dataclasses import replace
 
 import jax
@@ -22,7 +23,14 @@ BASE = Drive(Controller(400.0, 20.0), Actuator(300.0, 0.6, 2.3e-3))
 
 
 _trajectory = jax.jit(rollout.trajectory, static_argnums=(1, 2))
-_growth_rate = jax.jit(growth.growth_rate, static_argnums=(1, 4))
+
+
+@functools.partial(jax.jit, static_argnums=1)
+def _growth_rate(drive, options):
+    prepared = loop.prepare(Loop(Mass(0.7), drive), options)
+    state = loop.init(prepared, options, 0.0, 0.0)
+    dense = growth.GrowthOptions(dense=True, dimension=12)
+    return growth.growth_rate(prepared, options, state, Setpoint(0.0), dense)
 
 
 def with_delays(command=0.0, measurement=0.0, output=0.0, setpoint=0.0, base=BASE):
@@ -52,17 +60,13 @@ def simulate(drive, *, mass=0.7, ticks=200, substeps=1, key=None, slots=None, **
 )
 def test_only_the_sum_of_the_three_delays_matters_for_stability(shares, total, setpoint, substeps):
     weight = np.array(shares) + 1e-9
-    parts = total * weight / weight.sum()
+    parts = map(float, total * weight / weight.sum())
     with jax.enable_x64(True):
         rates = []
         # lines long enough for every example, so that it compiles once
         options = DriveOptions(substeps, command_slots=9, measurement_slots=9, setpoint_slots=7)
         for drive in (with_delays(*parts, setpoint), with_delays(total)):
-            prepared = loop.prepare(Loop(Mass(0.7), drive), options)
-            state = loop.init(prepared, options, 0.0, 0.0)
-            dense = growth.GrowthOptions(dense=True, dimension=12)
-            rate = _growth_rate(prepared, options, state, Setpoint(0.0), dense)
-            rates.append(float(rate))
+            rates.append(float(_growth_rate(drive, options)))
     assert rates[0] == pytest.approx(rates[1], rel=1e-6, abs=1e-2)
 
 

@@ -109,9 +109,14 @@ def _loop(robot, start, linear):
         rest = jnp.asarray(start.joints(robot))
     else:
         plant, rest = linear.plant, jnp.zeros(2)
-    prepared = loops.prepare(Loop(plant, servo), options)
-    force = jnp.asarray(start.force) if linear is None else 0.0
-    state = loops.init(prepared, options, rest, jnp.zeros(2), command=force)
+    force = jnp.asarray(start.force) if linear is None else jnp.zeros(2)
+
+    @jax.jit
+    def begun(loop):
+        prepared = loops.prepare(loop, options)
+        return prepared, loops.init(prepared, options, rest, jnp.zeros(2), command=force)
+
+    prepared, state = begun(Loop(plant, servo))
     return prepared, options, state, Setpoint(rest, force=force)
 
 
@@ -134,7 +139,7 @@ def test_the_closed_loop_equals_its_central_differences(pendulum):
         size = 1e-6
         columns = [
             (advance(flat + size * unit) - advance(flat - size * unit)) / (2 * size)
-            for unit in jnp.eye(flat.size)
+            for unit in np.eye(flat.size)
         ]
         difference = np.stack(columns, axis=1)
         exact = np.asarray(jax.jacfwd(advance)(flat))
@@ -154,7 +159,11 @@ def test_growth_rate_of_the_linear_plant_is_the_spectral_radius(pendulum):
         linear = linearize.linear_c(robot, start, STEP)
         prepared, options, state, setpoint = _loop(robot, start, linear)
         measure = growth.GrowthOptions(dimension=24, stacked=True)
-        rate = float(growth.growth_rate(prepared, options, state, setpoint, measure))
+        rate = float(
+            jax.jit(growth.growth_rate, static_argnums=(1, 4))(
+                prepared, options, state, setpoint, measure
+            )
+        )
         flat, advance = _period(prepared, options, state, setpoint)
         radius = np.abs(np.linalg.eigvals(np.asarray(jax.jacfwd(advance)(flat)))).max()
     assert rate == pytest.approx(np.log(radius) / (2 * STEP), abs=0.02)

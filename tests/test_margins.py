@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import theory
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from quickly import compiled_quickly as compiled_quickly
 
@@ -365,22 +365,24 @@ def test_fields_broadcast_and_transformations_compose():
     np.testing.assert_allclose(single.gain_margin, whole.gain_margin[2, 1], rtol=1e-11)
 
 
+@settings(max_examples=12)
 @given(
     seed=st.integers(0, 10_000),
     time=st.floats(0.1, 10.0),
     weight=st.floats(0.1, 10.0),
 )
 def test_scaling_mass_and_gains_or_time_changes_no_ratio(seed, time, weight):
-    values = theory.random_loops(1, seed)
+    values = theory.random_loops(CHUNK // 2, seed)
     kp, kd, mass, wn, zeta, delay = values
     changed = np.array(
         [kp * weight / time**2, kd * weight / time, mass * weight, wn / time, zeta, delay * time]
     )
-    plain, other = evaluate(values), evaluate(changed)
+    both = evaluate(np.concatenate([values, changed], axis=1))
+    plain, other = (jax.tree.map(lambda a, i=i: np.split(a, 2)[i], both) for i in range(2))
     for name in ("gain_margin", "phase_margin", "sensitivity_peak", "disk_margin"):
         np.testing.assert_allclose(getattr(other, name), getattr(plain, name), rtol=1e-7)
     np.testing.assert_allclose(other.delay_margin, plain.delay_margin * time, rtol=1e-7)
-    assert other.unstable_roots == plain.unstable_roots
+    np.testing.assert_array_equal(other.unstable_roots, plain.unstable_roots)
 
 
 def test_a_fast_actuator_approaches_the_ideal_one():

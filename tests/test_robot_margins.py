@@ -411,12 +411,18 @@ def test_the_period_map_is_the_propagation_of_the_simulated_loop(robot, delay, d
         loop = _loop_of(robot, delay, velocity_filter=jnp.array([400.0, np.inf]))
         static = options(loop.drive, substeps=SUBSTEPS, differenced=differenced)
         found = jax.jit(lambda loop: robot_loop.period_map(loop, static))(loop)
-        prepared = _loop.prepare(loop, static)
-        rest = jnp.zeros(2)
-        state = _loop.init(prepared, static, rest, rest)
-        start, apply = growth.propagation(prepared, static, state, Setpoint(rest), 1)
-        flat, unravel = ravel_pytree(start)
-        columns = jax.vmap(lambda unit: ravel_pytree(apply(unravel(unit)))[0])(jnp.eye(flat.size))
+
+        @jax.jit
+        def propagated(loop):
+            prepared = _loop.prepare(loop, static)
+            rest = jnp.zeros(2)
+            state = _loop.init(prepared, static, rest, rest)
+            start, apply = growth.propagation(prepared, static, state, Setpoint(rest), 1)
+            flat, unravel = ravel_pytree(start)
+            one = lambda unit: ravel_pytree(apply(unravel(unit)))[0]  # noqa: E731
+            return state, jax.vmap(one)(jnp.eye(flat.size))
+
+        state, columns = propagated(loop)
         whole, merge = growth.split(growth.aligned(state))
         places, back = ravel_pytree(whole)
         numbered = merge(back(jnp.arange(places.size, dtype=places.dtype)))

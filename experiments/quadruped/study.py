@@ -25,6 +25,7 @@ class Size:
     map_scales, map_delays: points of the map
     rollout: of critical gain scales [s]
     points, rounds: of the search for them in rollouts
+    linear_points, linear_rounds: of the search for them by the growth rate
     duration: of the rollouts with push and errors [s]; None: as specified
     """
 
@@ -34,11 +35,16 @@ class Size:
     rollout: float = 4.0
     points: int = 6
     rounds: int = 3
+    linear_points: int = 16
+    linear_rounds: int = 3
     duration: float | None = None
 
 
 FULL = Size()
-QUICK = Size(("three",), 9, 3, rollout=0.3, points=3, rounds=1, duration=0.45)
+QUICK = Size(
+    ("three",), 5, 2, rollout=0.3, points=3, rounds=1, linear_points=4, linear_rounds=1,
+    duration=0.45,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -139,8 +145,9 @@ def _critical(smooth: Specification, size: Size) -> tuple[Critical, ...]:
     def decays(columns):
         return critical.growth_rates(smooth, columns) < 0.0
 
-    topples = critical.edge(decays, columns, LOWEST, HIGHEST)
-    linear = critical.edge(decays, columns, HIGHEST, LOWEST)
+    search = {"points": size.linear_points, "rounds": size.linear_rounds}
+    topples = critical.edge(decays, columns, LOWEST, HIGHEST, **search)
+    linear = critical.edge(decays, columns, HIGHEST, LOWEST, **search)
     rollouts = np.full(len(drives), np.nan)
     there = np.flatnonzero(np.isfinite(linear))
     if there.size:

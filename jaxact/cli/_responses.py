@@ -21,6 +21,10 @@ MOST_CURVES = 12
 _POINTS = 4000
 # Frequencies reach at most this far above the lowest one of a picture.
 _DECADES = 1e6
+# Numbers of loops and delays in control periods are rounded up to multiples of these: a program
+# that is kept then serves the next command too, and computing takes far less than compiling.
+_FEW, _MANY = 16, 64
+_STEPS = 16
 
 
 def margins(loops: Loops) -> dict[str, np.ndarray]:
@@ -31,9 +35,9 @@ def margins(loops: Loops) -> dict[str, np.ndarray]:
     import jax
 
     with jax.enable_x64(True):
-        found, root = _compiled()(_joint_loop(loops.values))
-        arrays = {field.name: np.asarray(getattr(found, field.name)) for field in fields(found)}
-        arrays["spectral_abscissa"] = np.asarray(root).real
+        found, root = _compiled()(_joint_loop(_filled_up(loops.values, len(loops))))
+        arrays = _arrays(found, len(loops))
+        arrays["spectral_abscissa"] = np.asarray(root).real[: len(loops)]
     return _in_degrees(arrays)
 
 
@@ -48,12 +52,29 @@ def sampled_margins(loops: Loops, velocity: str) -> dict[str, np.ndarray]:
 
     values = loops.values
     steps = int(np.floor(_total_delay(values) * values["control_rate"] + 1e-9).max())
+    filled = _filled_up(values, len(loops))
     with jax.enable_x64(True):
-        found = _compiled_sampled(steps)(_sampled_loop(values, velocity))
-        arrays = {field.name: np.asarray(getattr(found, field.name)) for field in fields(found)}
+        found = _compiled_sampled(_rounded_up(steps, _STEPS))(_sampled_loop(filled, velocity))
+        arrays = _arrays(found, len(loops))
     with np.errstate(divide="ignore"):
         arrays["spectral_abscissa"] = np.log(arrays["spectral_radius"]) * values["control_rate"]
     return _in_degrees(arrays)
+
+
+def _rounded_up(number: int, unit: int) -> int:
+    """To a multiple of the unit, which is at least 1 unit."""
+    return unit * max(1, -(-number // unit))
+
+
+def _filled_up(values: Mapping[str, np.ndarray], number: int) -> dict[str, np.ndarray]:
+    """Parameters of the loops, the last of which is repeated up to a round number of loops."""
+    more = _rounded_up(number, _FEW if number <= _FEW else _MANY) - number
+    return {name: np.pad(array, (0, more), "edge") for name, array in values.items()}
+
+
+def _arrays(found: Any, number: int) -> dict[str, np.ndarray]:
+    """The figures of the first loops, by name; shape (number,) each."""
+    return {one.name: np.asarray(getattr(found, one.name))[:number] for one in fields(found)}
 
 
 @functools.cache
@@ -72,6 +93,22 @@ def _compiled_sampled(steps: int) -> Program:
 
     function = functools.partial(margins_of, max_delay_steps=steps)
     return Program(lambda: function, ("sampled margins", steps))
+
+
+@functools.cache
+def _compiled_response() -> Program:
+    from jaxact.frequency import loop_response, phase
+    from jaxact.programs import Program
+
+    return Program(lambda: lambda loop, w: (loop_response(loop, w), phase(loop, w)), "response")
+
+
+@functools.cache
+def _compiled_sampled_response() -> Program:
+    from jaxact.programs import Program
+    from jaxact.sampled_search import sampled_response
+
+    return Program(lambda: sampled_response, "sampled response")
 
 
 def responses(loops: Loops, *, sampled: bool, velocity: str) -> list[LoopResponse]:
@@ -164,19 +201,17 @@ def _frequencies(values: Mapping[str, float]) -> np.ndarray:
 def _continuous(loops: Loops, found: dict[str, np.ndarray], index: int) -> LoopResponse:
     import jax
 
-    from jaxact.frequency import loop_response, phase
     from jaxact.plot.response import LoopResponse
 
     values = loops.one(index)
     w = _frequencies(values)
     with jax.enable_x64(True):
-        loop = _joint_loop(values)
-        open_loop, turned = np.asarray(loop_response(loop, w)), np.asarray(phase(loop, w))
+        open_loop, turned = _compiled_response()(_joint_loop(values), w)
     return LoopResponse(
         label=_without_rate(loops.labels[index]),
         frequency=w,
-        open_loop=open_loop,
-        phase=np.degrees(turned) - 180.0,
+        open_loop=np.asarray(open_loop),
+        phase=np.degrees(np.asarray(turned)) - 180.0,
         margins=_finite(found, index),
         stable=bool(found["stable"][index]),
     )
@@ -187,14 +222,15 @@ def _sampled(loops: Loops, found: dict[str, np.ndarray], index: int, velocity: s
 
     from jaxact.plot.look import quantity
     from jaxact.plot.response import LoopResponse
-    from jaxact.sampled_search import sampled_response
 
     values = loops.one(index)
     nyquist = math.pi * values["control_rate"]
-    w = _frequencies(values)
-    w = np.append(w[w < nyquist], nyquist)
+    # One program serves all rates: what is above half of it is computed there, and left out.
+    w = np.append(np.minimum(_frequencies(values), nyquist), nyquist)
     with jax.enable_x64(True):
-        open_loop = np.asarray(sampled_response(_sampled_loop(values, velocity), w))
+        found_there = _compiled_sampled_response()(_sampled_loop(values, velocity), w)
+    shown = np.append(w[:-1] < nyquist, True)
+    w, open_loop = w[shown], np.asarray(found_there)[shown]
     turned = np.degrees(np.unwrap(np.angle(open_loop)))
     rate = quantity(values["control_rate"], "Hz")
     return LoopResponse(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from importlib import metadata
 from pathlib import Path
@@ -63,11 +64,17 @@ def call_at_once(specification: Specification) -> None:
 
 
 def _may_run_dry() -> bool:
-    return metadata.version("jax").startswith("0.10.") and cores() < 8
+    return _version_of_jax().startswith("0.10.") and cores() < 8
 
 
 def _takes_loops_apart() -> bool:
-    return metadata.version("jax").startswith(("0.10.", "0.11."))
+    return _version_of_jax().startswith(("0.10.", "0.11."))
+
+
+@functools.cache
+def _version_of_jax() -> str:
+    """Without importing it."""
+    return metadata.version("jax")
 
 
 def cores() -> int:

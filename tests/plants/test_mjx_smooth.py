@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
-from robots import HOPPER
+from robots import HOPPER, MONOPED
 
 from jaxact.drive import Force
 from jaxact.errors import UserError
@@ -54,7 +54,7 @@ class Motion:
 
 @pytest.fixture(scope="module", params=["pyramidal", "elliptic"])
 def motion(request, tmp_path_factory):
-    text = {"pyramidal": HOPPER, "elliptic": ELLIPTIC}[request.param]
+    text = {"pyramidal": MONOPED, "elliptic": ELLIPTIC}[request.param]
     robot = _robot(tmp_path_factory.mktemp(request.param), text)
     start = posture.settled(robot)
     with jax.enable_x64(True):

@@ -28,8 +28,8 @@ actuator = "starleth"
 position_noise = 1e-4
 [axes]
 delay = [0.0, 0.0013]
-kp = { min = 10, max = 2000, num = 20, spacing = "log" }
-kd = { min = 1, max = 100, num = 16, spacing = "log" }
+kp = { min = 10, max = 2000, num = 16, spacing = "log" }
+kd = { min = 1, max = 100, num = 8, spacing = "log" }
 """
 CODE = """
 import dataclasses, sys
@@ -103,7 +103,7 @@ def test_lost_workers_cost_only_their_chunk_and_no_bit(start, tmp_path):
     with start(out, "ray") as driver:
         while driver.poll() is None and killed < 3:
             done = len(list(receipts.glob("c.*")))
-            workers = _workers(driver.pid) if done > 4 * killed else []
+            workers = _workers(driver.pid) if done > 3 * killed else []
             if workers:
                 os.kill(workers[0], signal.SIGKILL)
                 killed += 1

@@ -62,9 +62,10 @@ def test_smooth_figures_become_the_exact_ones(members):
     table = spectrum.tabulate(members, members.lag, 3000)
     with jax.enable_x64(True):
         table = jax.tree.map(jnp.asarray, table)
-        smooth, stable = jax.vmap(
+        every = jax.vmap(
             lambda row, kp, kd: spectrum.log_figures(row, kp, kd, names, jnp.asarray(1e7))
-        )(table, jnp.exp(log_kp), jnp.exp(log_kd))
+        )
+        smooth, stable = jax.jit(every)(table, np.exp(log_kp), np.exp(log_kd))
     assert stable.all()
     for name in names:
         # The table ends below the Nyquist frequency of a slow joint's encoder.

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
-from robots import QUADRUPED
+from robots import MONOPED, QUADRUPED
 
 from jaxact.errors import UserError
 from jaxact.sweep import reading, robots
@@ -16,27 +16,6 @@ from jaxact.tune import simulated
 from jaxact.tune.simulated_gradient import chosen, value_and_gradient, work
 
 SIZE = 1e-4
-
-# A trunk that slides on a rail, held up by one driven leg whose foot stands on the ground.
-MONOPED = """
-<mujoco>
-  <option timestep="0.001"/>
-  <worldbody>
-    <geom name="floor" type="plane" size="1 1 0.1"/>
-    <body name="trunk" pos="0 0 0.3">
-      <joint name="rail" type="slide" axis="0 0 1"/>
-      <geom type="sphere" size="0.05" mass="5" contype="0" conaffinity="0"/>
-      <body name="leg">
-        <joint name="hip" axis="0 1 0"/>
-        <geom type="capsule" fromto="0 0 0 0.1 0 -0.28" size="0.01" mass="0.8" contype="0"
-              conaffinity="0"/>
-        <geom type="sphere" size="0.02" pos="0.1 0 -0.28" mass="0.1"/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator><motor joint="hip"/></actuator>
-</mujoco>
-"""
 
 
 def _differences(objective, x):
