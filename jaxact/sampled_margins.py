@@ -12,13 +12,14 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from jaxact.pulse import pulse_transfer
+from jaxact.pulse import PulseTransfer, pulse_transfer
 from jaxact.sampled import SampledLoop
 from jaxact.sampled_roots import dominant_modulus, sampled_roots
 from jaxact.sampled_search import (
     GAIN_SLOTS,
     PHASE_SLOTS,
     Found,
+    Response,
     crossing_residual,
     peak_heights,
     peak_slopes,
@@ -123,12 +124,13 @@ def sampled_margins(loop: SampledLoop, *, max_delay_steps: int) -> SampledMargin
 
 
 def _margins_of_one(loop: SampledLoop, max_delay_steps: int) -> SampledMargins:
-    frozen = jax.lax.stop_gradient(loop)
-    found = search(frozen, max_delay_steps)
-    roots = sampled_roots(frozen, max_delay_steps)
+    transfer = pulse_transfer(loop)
+    constant = jax.lax.stop_gradient((loop, transfer))
+    found = search(*constant, max_delay_steps)
+    roots = sampled_roots(constant[0], max_delay_steps)
     # What is not inside the unit circle counts, and so does what is not a number.
     count = jnp.sum(~(jnp.abs(roots) < 1.0)).astype(jnp.int32)
-    return _assemble(loop, found, dominant_modulus(loop, roots), count)
+    return _assemble(loop, transfer, found, dominant_modulus(loop, transfer, roots), count)
 
 
 def _newton(theta: jax.Array, residual: jax.Array, slope: jax.Array) -> jax.Array:
@@ -142,13 +144,12 @@ def _newton(theta: jax.Array, residual: jax.Array, slope: jax.Array) -> jax.Arra
 
 
 def _live_frequencies(
-    loop: SampledLoop, found: Found
+    response: Response, found: Found
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Gain crossovers, crossings with the Nyquist frequency last, peaks, and directions.
 
     The direction is the sign with which arg(-L) passes zero at a crossing.
     """
-    response = partial(response_at, loop, pulse_transfer(loop))
     end = jnp.full_like(found.phase[:1], math.pi)
     theta = jnp.concatenate([found.gain, found.phase, end, found.peaks])
     value, first, second = with_slopes(response, theta)
@@ -164,13 +165,17 @@ def _live_frequencies(
 
 
 def _assemble(
-    loop: SampledLoop, found: Found, radius: jax.Array, count: jax.Array
+    loop: SampledLoop,
+    transfer: PulseTransfer,
+    found: Found,
+    radius: jax.Array,
+    count: jax.Array,
 ) -> SampledMargins:
     """Margins from the frequencies found; the only part that is differentiated."""
     period = loop.control_period
-    theta_gain, theta_phase, theta_peak, direction = _live_frequencies(loop, found)
-    theta = jnp.concatenate([theta_gain, theta_phase, theta_peak])
-    value = response_at(loop, pulse_transfer(loop), theta)
+    response = partial(response_at, loop, transfer)
+    theta_gain, theta_phase, theta_peak, direction = _live_frequencies(response, found)
+    value = response(jnp.concatenate([theta_gain, theta_phase, theta_peak]))
     at_gain, at_phase, at_peak = jnp.split(value, [GAIN_SLOTS, GAIN_SLOTS + PHASE_SLOTS + 1])
 
     # At z = -1 the response is real: a single root crosses there, whatever the slope.

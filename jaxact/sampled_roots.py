@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from jaxact.pulse import plant_response, pulse_transfer
+from jaxact.pulse import PulseTransfer, plant_response, pulse_transfer
 from jaxact.sampled import SampledLoop, one_period_matrix
 
 
@@ -31,16 +31,16 @@ def spectral_radius(loop: SampledLoop, max_delay_steps: int) -> jax.Array:
     1 + kp Gp(z) + kd Gv(z) = 0, which does not mind the other eigenvalues.
     """
     roots = sampled_roots(loop, max_delay_steps)
-    return dominant_modulus(loop, roots)
+    return dominant_modulus(loop, pulse_transfer(loop), roots)
 
 
-def dominant_modulus(loop: SampledLoop, roots: jax.Array) -> jax.Array:
+def dominant_modulus(loop: SampledLoop, transfer: PulseTransfer, roots: jax.Array) -> jax.Array:
     """max |z| [-] over the roots of one loop, differentiable by the loop's fields.
 
+    transfer: the loop's `pulse_transfer`
     roots: of `sampled_roots`, constant, shape (k,)
     """
     root = roots[jnp.argmax(jnp.abs(roots))]
-    transfer = pulse_transfer(loop)
 
     def open_loop(z: jax.Array) -> jax.Array:
         u = 1.0 / z

@@ -127,9 +127,12 @@ def peak_heights(value: jax.Array) -> jax.Array:
     return top / jnp.abs(1.0 + value)
 
 
-def search(loop: SampledLoop, max_delay_steps: int) -> Found:
-    """Refined crossovers and peaks of one loop; fields scalar and constant."""
-    response = partial(response_at, loop, pulse_transfer(loop))
+def search(loop: SampledLoop, transfer: PulseTransfer, max_delay_steps: int) -> Found:
+    """Refined crossovers and peaks of one loop; fields scalar and constant.
+
+    transfer: the loop's `pulse_transfer`
+    """
+    response = partial(response_at, loop, transfer)
     grid = _with_gain_extremes(response, _grid(loop, max_delay_steps))
     value = response(grid)
     gain = jnp.log(jnp.abs(value))
