@@ -169,10 +169,11 @@ def test_an_unknown_public_name_is_an_attribute_error():
         _ = jaxact.nonsense
 
 
-def _python(code):
+def _python(code, **environment):
     return subprocess.run(
-        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, cwd=ROOT
-    )
+        [sys.executable, "-W", "error", "-c", code],
+        capture_output=True, text=True, cwd=ROOT, env=os.environ | environment,
+    )  # fmt: skip
 
 
 def test_importing_the_package_loads_nothing_heavy():
@@ -251,7 +252,7 @@ def test_readme_commands_run(commands, tmp_path):
 
 @pytest.mark.parametrize("code", [block for kind, block in BLOCKS if kind == "python"])
 def test_readme_examples_run(code):
-    ran = _python(code)
+    ran = _python(code, **ENVIRONMENT)
     assert ran.returncode == 0, ran.stderr
     said = [line for line in code.splitlines() if "# prints " in line]
     for line, printed in zip(said, ran.stdout.splitlines(), strict=True):

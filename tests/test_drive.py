@@ -254,13 +254,12 @@ def test_options_refuse_nonsense():
     with pytest.raises(ValueError, match="substeps"):
         drives.options(BASE, substeps=0)
     noisy = replace(BASE, sensor=Sensor(position_noise=1e-3))
-    prepared = loop.prepare(Loop(Mass(0.7), noisy), drives.options(noisy))
-    state = loop.init(prepared, drives.options(noisy), 0.0, 0.0)
+    options = drives.options(noisy)
+
+    def run_without_a_key():
+        prepared = loop.prepare(Loop(Mass(0.7), noisy), options)
+        state = loop.init(prepared, options, 0.0, 0.0)
+        return rollout.run(prepared, options, rollout.RolloutOptions(ticks=4), state, Setpoint(0.1))
+
     with pytest.raises(ValueError, match="random key"):
-        rollout.run(
-            prepared,
-            drives.options(noisy),
-            rollout.RolloutOptions(ticks=4),
-            state,
-            Setpoint(0.1),
-        )
+        jax.eval_shape(run_without_a_key)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.optimize
 import theory
 from quickly import compiled_quickly as compiled_quickly
 
@@ -152,14 +153,12 @@ def test_the_log_distance_rescues_unstable_loops(crowd):
 def test_delay_margin_of_whole_periods_is_exact():
     """A loop whose delay margin is brought to a whole period is marginal with that period more."""
     values = PAPER[:, 8].copy()
-    scale = 1.0
-    for _ in range(40):
+
+    def excess(scale):
         values[:2] = PAPER[:2, 8] * scale
-        margin = float(evaluate(values[:, None]).delay_margin[0])
-        if abs(margin / (9 * PERIOD) - 1.0) < 1e-12:
-            break
-        scale *= (margin / (9 * PERIOD)) ** 0.5
-    np.testing.assert_allclose(margin, 9 * PERIOD, rtol=1e-9)
+        return float(evaluate(values[:, None]).delay_margin[0]) / (9 * PERIOD) - 1.0
+
+    assert abs(excess(scipy.optimize.newton(excess, 1.0, tol=1e-14))) < 1e-9
     values[5] += 9 * PERIOD
     matrix = theory.sampled_matrix(values, PERIOD)
     np.testing.assert_allclose(np.abs(np.linalg.eigvals(matrix)).max(), 1.0, atol=1e-9)
