@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -110,7 +111,7 @@ def given(chosen: Any) -> dict[str, Any]:
     values = {field.name: getattr(chosen, field.name) for field in dataclasses.fields(chosen)}
     for name, value in values.items():
         if value == ():
-            raise UserError(f"--{name.replace('_', '-')}: give at least one value")
+            raise UserError(f"{_typed(name)}: give at least one value")
     return {name: value for name, value in values.items() if is_given(value)}
 
 
@@ -131,10 +132,13 @@ def specified(document: Mapping[str, Any], overrides: Sequence[str] = ()) -> Spe
     try:
         return reading.parse(toml.dumps({**present, "axes": axes}), overrides=overrides)
     except UserError as error:
-        said = str(error)
-        for section in ("parameters.", "axes."):
-            said = said.replace(section, "--")
+        said = re.sub(r"\b(?:parameters|axes)\.(\w+)", lambda found: _typed(found[1]), str(error))
         raise UserError(said) from None
+
+
+def _typed(name: str) -> str:
+    """The option of a parameter, as it is typed."""
+    return "--" + name.replace("_", "-")
 
 
 def nominal_of(path: Path, overrides: Sequence[str] = ()) -> Specification:
@@ -167,7 +171,7 @@ def from_file(path: Path, chosen: Mapping[str, Any]) -> Loops:
     if "loop" not in document:
         if chosen:
             name = next(iter(chosen))
-            raise UserError(f"--{name}: {path} has axes of its own; change them there")
+            raise UserError(f"{_typed(name)}: {path} has axes of its own; change them there")
         return expanded(reading.load(path))
     return _listed(path, document["loop"], chosen)
 
@@ -188,8 +192,8 @@ def _listed(path: Path, rows: Any, chosen: Mapping[str, Any]) -> Loops:
     base = {name: parameter.default for name, parameter in PARAMETERS.items()}
     for name, values in chosen.items():
         if len(values) > 1:
-            raise UserError(f"--{name}: give one value, {path} lists the loops")
-        base |= _resolved({name: values[0]}, f"--{name}", base)
+            raise UserError(f"{_typed(name)}: give one value, {path} lists the loops")
+        base |= _resolved({name: values[0]}, _typed(name), base)
     filled, labels = [], []
     for index, row in enumerate(rows):
         key = f"{path}: loop[{index}]"

@@ -50,9 +50,12 @@ def sampled_margins(loops: Loops, velocity: str) -> dict[str, np.ndarray]:
     """
     import jax
 
+    from jaxact.sampled import delay_steps
+
     values = loops.values
-    steps = int(np.floor(_total_delay(values) * values["control_rate"] + 1e-9).max())
-    filled = _filled_up(values, len(loops))
+    steps = delay_steps(_total_delay(values), 1.0 / values["control_rate"])
+    # Long delays take long to compute, so that one loop is not to wait for others.
+    filled = _filled_up(values, len(loops)) if steps <= _STEPS else values
     with jax.enable_x64(True):
         found = _compiled_sampled(_rounded_up(steps, _STEPS))(_sampled_loop(filled, velocity))
         arrays = _arrays(found, len(loops))

@@ -15,7 +15,7 @@ from jaxact.frequency import JointLoop, sensitivity
 from jaxact.margins import margins
 from jaxact.paper.study import CONTROL_RATE, KD, KP, MASS, Cases
 from jaxact.programs import Program
-from jaxact.sampled import SampledLoop
+from jaxact.sampled import SampledLoop, delay_steps
 from jaxact.sampled_margins import sampled_margins
 from jaxact.sampled_search import sampled_response
 
@@ -36,7 +36,7 @@ def sampled_at_1_khz(cases: Cases) -> dict[str, np.ndarray]:
 
     cases: at the nominal gains, control at CONTROL_RATE, sampled velocity
     """
-    steps = int(np.floor(np.max(cases.delay) * CONTROL_RATE + 1e-9))
+    steps = delay_steps(np.asarray(cases.delay), np.asarray(1.0 / CONTROL_RATE))
     function = functools.partial(sampled_margins, max_delay_steps=steps)
     return _arrays(Program(lambda: function, ("sampled margins", steps)), _sampled_loop, cases)
 

@@ -18,7 +18,7 @@ import numpy as np
 from jaxact.frequency import JointLoop
 from jaxact.margins import margins
 from jaxact.programs import Program
-from jaxact.sampled import SampledLoop
+from jaxact.sampled import SampledLoop, delay_steps
 from jaxact.sampled_margins import sampled_margins
 from jaxact.tune.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
 from jaxact.tune.noise import bandwidth, noise_gain
@@ -74,7 +74,7 @@ def evaluate(
     flat = np.stack([np.asarray(a, dtype=float).reshape(-1) for a in arrays])
     steps = 0
     if sampling is not None and flat.shape[1]:
-        steps = int(np.floor(flat[5].max() / sampling.control_period + 1e-9))
+        steps = delay_steps(flat[5], np.asarray(sampling.control_period))
     # Only what makes a difference to the program, so that goals share it.
     wanted = tuple(name for name in _EXTRA if name in extra)
     parts = []

@@ -17,10 +17,13 @@ from jaxact.plants.mjx_smooth import smooth
 
 STEPS = 20
 STEP = 2e-3
-# All kinds of constraints: a cone, dry friction and a limit that is passed, under the other solver.
+# All kinds of constraints: a cone, dry friction and a limit that is passed on the way, under the
+# other solver.
 SOLVER = 'cone="elliptic" solver="CG" tolerance="0" iterations="400" ls_iterations="50"'
-LIMITED = 'name="lift" axis="0 1 0" frictionloss="0.3" limited="true" range="-60 1"'
-ELLIPTIC = HOPPER.replace('cone="pyramidal"', SOLVER).replace('name="lift" axis="0 1 0"', LIMITED)
+LIMITED = 'name="hip" axis="0 1 0" frictionloss="0.3" limited="true" range="-60 -0.115"'
+ELLIPTIC = MONOPED.replace("<option", f"<option {SOLVER}").replace(
+    'name="hip" axis="0 1 0"', LIMITED
+)
 
 
 def _robot(folder, text):
@@ -67,6 +70,8 @@ def motion(request, tmp_path_factory):
         value = jax.jit(lambda x: _reached(plant, force, x), compiler_options=QUICKLY)
         twice = jax.jacfwd(lambda x: (with_slope(x),) * 2, has_aux=True)
         slope, found = jax.jit(twice, compiler_options=QUICKLY)(jnp.asarray(AMOUNTS))
+        if robot.model.jnt_limited[1]:
+            assert start.qpos[1] < robot.model.jnt_range[1, 1] < found[1]
         return Motion(value, np.asarray(found), np.asarray(slope))
 
 
