@@ -20,12 +20,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.errors import UserError
 from jaxact.held import held_transition
 
 POSITION, VELOCITY, FORCE, FORCE_RATE = range(4)
-MOST_DELAY_STEPS = 1000
-"""Control periods that a delay may last: the matrix of one period has a state for each of them."""
 
 
 @partial(
@@ -73,25 +70,13 @@ class SampledLoop:
     substeps: int = 1
 
 
-def delay_steps(delay: np.ndarray, control_period: np.ndarray) -> int:
+def delay_steps(delay: np.ndarray, control_period: np.ndarray | float) -> int:
     """The whole control periods in the longest of some delays, for what has a fixed size by it.
 
     delay: [s], any shape
     control_period: T [s], broadcastable
-
-    Raises UserError where they are more than MOST_DELAY_STEPS.
     """
-    delay, control_period = np.broadcast_arrays(delay, control_period)
-    steps = np.floor(delay / control_period + 1e-9)
-    most = int(steps.max())
-    if most > MOST_DELAY_STEPS:
-        longest = np.unravel_index(np.argmax(steps), steps.shape)
-        raise UserError(
-            f"delay: {delay[longest]:g} s are {most:,} control periods of "
-            f"{control_period[longest]:g} s; the margins of a sampled loop take up to "
-            f"{MOST_DELAY_STEPS:,}, so give a lower control rate, or none"
-        )
-    return most
+    return int(np.floor(np.asarray(delay) / control_period + 1e-9).max())
 
 
 def period_map(loop: SampledLoop) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:

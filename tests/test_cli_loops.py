@@ -103,6 +103,13 @@ def test_margins_table_shows_both_kinds_side_by_side(capsys):
     assert len([line for line in wide.splitlines() if line.startswith(" kp")]) == 5
 
 
+def test_a_delay_longer_than_a_loop_keeps_is_refused_in_a_file_of_loops_too(capsys, tmp_path):
+    path = tmp_path.parent / "late.toml"
+    path.write_text("[[loop]]\nkp = 1\n[[loop]]\nkp = 1\ndelay = 10\ncontrol_rate = 1e6\n")
+    said = _mistake(capsys, "margins", "--loops", str(path))
+    assert "late.toml: loop[1]: delay = 10: a loop's history holds 4096 control periods" in said
+
+
 def test_margins_of_a_file_of_loops(capsys, tmp_path):
     rows = [f'[[loop]]\nname = "loop {i}"\nkp = {100 + i}\nactuator = "hyq"' for i in range(1500)]
     Path("loops.toml").write_text("\n".join(rows))
@@ -144,8 +151,8 @@ def test_margins_of_a_sweeps_specification(capsys):
         (["margins", "--csv", "table.txt"], "must end in .csv"),
         (["margins", "--csv", "nowhere/table.csv"], "does not exist"),
         (["margins", "--control-rate", "0"], "--control-rate = 0.0 is out of range"),
-        (["margins", "--control-rate", "1000", "--delay", "0", "2"], "2,000 control periods"),
-        (["tune", "--control-rate", "1000", "--delay", "2"], "2,000 control periods"),
+        (["margins", "--control-rate", "1000", "--delay", "0", "5"], "4096 control periods"),
+        (["tune", "--control-rate", "1000", "--delay", "5"], "4096 control periods"),
         (["bode", "--kp", *map(str, range(1, 20))], "too many for one picture"),
         (["bode", "--out", "bode.jpg"], "no picture format"),
         (["nyquist", "--delay", "-1"], "--delay = -1.0 is out of range"),

@@ -16,6 +16,7 @@ from tyro.conf import arg
 from jaxact.errors import UserError, nearest, shown
 from jaxact.sweep import reading, toml
 from jaxact.sweep.axes import MOST_SAMPLES
+from jaxact.sweep.checks import check_history
 from jaxact.sweep.parameters import PARAMETERS, PRESETS, canonical, check, check_actuator, of
 from jaxact.sweep.samples import Samples, expand
 from jaxact.sweep.specification import Specification
@@ -200,7 +201,10 @@ def _listed(path: Path, rows: Any, chosen: Mapping[str, Any]) -> Loops:
         label = row.get("name", f"loop {index}")
         if not isinstance(label, str):
             raise UserError(f"{key}.name = {shown(label)} is no text")
-        filled.append(base | _resolved({k: v for k, v in row.items() if k != "name"}, key, base))
+        own = base | _resolved({k: v for k, v in row.items() if k != "name"}, key, base)
+        if "control_rate" in chosen or any(canonical(name) == "control_rate" for name in row):
+            check_history(own, own["control_rate"], f"{key}: ")
+        filled.append(own)
         labels.append(label)
     values = {name: np.array([row[name] for row in filled]) for name in PARAMETERS}
     said = frozenset(canonical(name) for row in rows for name in row) | frozenset(chosen)

@@ -36,7 +36,7 @@ def sampled_at_1_khz(cases: Cases) -> dict[str, np.ndarray]:
 
     cases: at the nominal gains, control at CONTROL_RATE, sampled velocity
     """
-    steps = delay_steps(np.asarray(cases.delay), np.asarray(1.0 / CONTROL_RATE))
+    steps = delay_steps(np.asarray(cases.delay), 1.0 / CONTROL_RATE)
     function = functools.partial(sampled_margins, max_delay_steps=steps)
     return _arrays(Program(lambda: function, ("sampled margins", steps)), _sampled_loop, cases)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from jaxact.sweep.specification import Specification
 
 # Longest history of a signal that a loop keeps, in control periods.
 LONGEST_HISTORY = 4096
+_DELAYS = ("delay", "output_delay", "measurement_delay", "setpoint_delay")
 # Most physics steps of one rollout.
 MOST_STEPS = 100_000_000
 FEWEST_CONTROL_PERIODS = 10
@@ -148,15 +150,25 @@ def _check_push(specification: Specification) -> None:
 def _check_delays(specification: Specification, axes: dict[str, Axis], rates: np.ndarray) -> None:
     longest = {
         name: axes[name].ends[1] if name in axes else specification.nominal[name]
-        for name in ("delay", "output_delay", "measurement_delay", "setpoint_delay")
+        for name in _DELAYS
     }
+    check_history(longest, float(rates.max()))
+
+
+def check_history(values: Mapping[str, float], rate: float, where: str = "") -> None:
+    """Raise UserError for delays [s] that are longer than what a loop keeps at a control rate [Hz].
+
+    values: parameters of the loop by name, all delays among them
+    where: what a message begins with
+    """
+    longest = {name: values[name] for name in _DELAYS}
     # the command and the output delay are one line
     longest["output_delay"] += longest["delay"]
-    period = 1.0 / float(rates.max())
+    most = LONGEST_HISTORY / rate
     for name, value in longest.items():
-        if value > LONGEST_HISTORY * period * (1 + 1e-9):
+        if value > most * (1 + 1e-9):
             words = "delay + output_delay" if name == "output_delay" else name
             raise UserError(
-                f"{words} = {value:g}: a loop's history holds {LONGEST_HISTORY} control periods;"
-                f" allowed: up to {LONGEST_HISTORY * period:g} s at {rates.max():g} Hz"
+                f"{where}{words} = {value:g}: a loop's history holds {LONGEST_HISTORY} control"
+                f" periods; allowed: up to {most:g} s at {rate:g} Hz"
             )

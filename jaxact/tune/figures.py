@@ -74,7 +74,7 @@ def evaluate(
     flat = np.stack([np.asarray(a, dtype=float).reshape(-1) for a in arrays])
     steps = 0
     if sampling is not None and flat.shape[1]:
-        steps = delay_steps(flat[5], np.asarray(sampling.control_period))
+        steps = delay_steps(flat[5], sampling.control_period)
     # Only what makes a difference to the program, so that goals share it.
     wanted = tuple(name for name in _EXTRA if name in extra)
     parts = []
