@@ -236,7 +236,11 @@ def _now(seen: jax.Array) -> Pair:
 
 
 _packed = Program(lambda: jax.vmap(pack), "pack")
-_unpacked = Program(lambda: jax.vmap(unpack), "unpack")
+
+
+def _unpacked(packed: Packed) -> Any:
+    """The tree as NumPy's arrays: taking it apart is no work that is worth compiling."""
+    return unpack(jax.tree.map(np.asarray, packed))
 
 
 def evaluate(
@@ -272,7 +276,7 @@ def evaluate(
         rest_amplitude: a motion smaller than this counts as at rest [m or rad], shape (loops,).
         setpoints: one for every tick instead, leaves (loops, ticks, joints).
         observe: called before each physics step with the number of the step in its period, the
-            state of the loops, and the mean force on the joints.
+            state of the loops as NumPy arrays, and the mean force on the joints.
 
     Returns:
         See `jaxact.metrics.Metrics`; shape (loops,) or (loops, joints).

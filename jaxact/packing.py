@@ -32,7 +32,7 @@ class Packed:
     """A tree whose real leaves are one array.
 
     Attributes:
-        numbers: shape (n,), one after another.
+        numbers: shape (..., n), one after another; leading axes are those of batches.
         others: the leaves that are no real numbers.
         layout: static.
     """
@@ -61,14 +61,14 @@ def pack(tree: Any) -> Packed:
 
 
 def unpack(packed: Packed) -> Any:
-    """The tree that `pack` was given."""
-    others = iter(packed.others)
+    """The tree that `pack` was given, with the leading axes of batches; views of NumPy's arrays."""
+    numbers, others = packed.numbers, iter(packed.others)
     leaves, first = [], 0
     for shape in packed.layout.shapes:
         if shape is None:
             leaves.append(next(others))
             continue
         size = math.prod(shape)
-        leaves.append(packed.numbers[first : first + size].reshape(shape))
+        leaves.append(numbers[..., first : first + size].reshape((*numbers.shape[:-1], *shape)))
         first += size
     return jax.tree.unflatten(packed.layout.structure, leaves)

@@ -235,7 +235,7 @@ def _chains():
 @pytest.mark.parametrize("commands", [pytest.param(c, id=name) for name, c in _chains().items()])
 def test_readme_commands_run(commands, tmp_path):
     shutil.copytree(ROOT / "experiments", tmp_path / "experiments")
-    smaller = ["--set", "axes.kp.num=6", "--set", "axes.kd.num=6"]
+    smaller = ["--set", "axes.kp.num=6", "--set", "axes.kd.num=6", "--set", "duration=0.25"]
     for words in commands:
         if "--width" in words:
             words[words.index("--width") + 1] = "0.2"

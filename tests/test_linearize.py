@@ -72,9 +72,9 @@ def test_a_step_with_rk4_is_linearised(pendulum):
     np.testing.assert_allclose(B, np.transpose(forces), atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["pendulum", "hopper"])
-def test_jacobians_of_mjx_equal_difference_quotients_of_c(name, request):
-    robot, start = request.getfixturevalue(name)
+def test_jacobians_of_mjx_equal_difference_quotients_of_c(hopper):
+    """On its contacts; a robot without any is linearised by the command line's tests."""
+    robot, start = hopper
     A, B = _transition(robot, start, STEP)
     with jax.enable_x64(True):
         plant = mjx.place(robot, start).prepare(jnp.asarray(STEP))

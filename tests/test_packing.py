@@ -26,6 +26,13 @@ def test_a_batch_of_trees_comes_back_as_it_was():
     jax.tree.map(np.testing.assert_array_equal, back, tree)
 
 
+def test_a_batch_is_taken_apart_on_the_host_too():
+    tree = {"a": jnp.arange(6.0).reshape(3, 2), "b": jnp.arange(3.0), "whole": jnp.arange(3)}
+    back = unpack(jax.tree.map(np.asarray, jax.vmap(pack)(tree)))
+    assert all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(back))
+    jax.tree.map(np.testing.assert_array_equal, back, tree)
+
+
 def test_a_tree_without_numbers():
     packed = pack((jnp.int32(3), None))
     assert packed.numbers.shape == (0,)

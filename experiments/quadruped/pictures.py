@@ -14,7 +14,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from motions import Runs
 from study import Situation
 
-from jaxact.plot import look
+from jaxact.plot import look, wording
 from jaxact.plot.sheet import sheet
 
 TITLES = {"stand": "on four feet", "three": "on three feet", "hang": "hanging"}
@@ -45,7 +45,7 @@ def stability_map(found: Mapping[str, Situation], rollout: float) -> Figure:
                 axes = grid[row, column]
                 _panel(axes, situation, column, norm)
                 if row == 0:
-                    axes.set_title(f"{look.display_name(actuator)} actuator", pad=4)
+                    axes.set_title(f"{wording.display_name(actuator)} actuator", pad=4)
             grid[row, 0].set_ylabel("delay [ms]")
             grid[row, -1].text(
                 1.03, 0.5, TITLES[name], transform=grid[row, -1].transAxes, rotation=270,
@@ -117,7 +117,8 @@ def traces(runs: Runs, joint: str, words: str, until: float) -> Figure:
     words: what it is, for people
     until: how much is shown [s]
     """
-    drive = f"{look.display_name(runs.actuator)} actuator, {look.quantity(runs.delay, 's')} delay"
+    actuator, delay = wording.display_name(runs.actuator), wording.quantity(runs.delay, "s")
+    drive = f"{actuator} actuator, {delay} delay"
     columns = {"bare": runs.bare, f"{drive}, sensors": runs.drive}
     place = runs.joint(joint)
     push = runs.specification.push

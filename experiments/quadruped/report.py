@@ -13,7 +13,7 @@ from gains import DAMPING, RESERVE, Nominal
 from pictures import TITLES
 from study import HIGHEST, LOWEST, Case, Critical, Situation
 
-from jaxact.plot.look import display_name, quantity
+from jaxact.plot.wording import display_name, quantity
 from jaxact.sweep.parameters import PRESETS
 
 CLOSE = 0.05  # difference of critical gain scales that counts as agreement

@@ -21,7 +21,7 @@ import study
 from motions import Runs, motions
 
 from jaxact.errors import UserError
-from jaxact.plot import film, look, scene, video
+from jaxact.plot import film, look, scene, video, wording
 
 OUT = cases.HERE.parent.parent / "results" / "quadruped"
 COMMAND = "make quadruped"
@@ -90,7 +90,7 @@ def _film(runs: Runs, path: Path) -> None:
     from jaxact.plants import model
 
     robot = model.read(runs.specification.plant.model).model
-    drive = f"{look.display_name(runs.actuator)}, {look.quantity(runs.delay, 's')}"
+    drive = f"{wording.display_name(runs.actuator)}, {wording.quantity(runs.delay, 's')}"
     labels = "tripled gains: bare", f"tripled gains: {drive}"
     paths = [
         film.Motion(label, pair[1].trajectory.time, pair[1].trajectory.configuration)

@@ -255,7 +255,7 @@ def expanded(specification: Specification) -> Loops:
 
 
 def _word(name: str, value: Any) -> str:
-    from jaxact.plot.look import quantity
+    from jaxact.plot.wording import quantity
 
     if name == "actuator":
         return quantity(str(value))
@@ -272,7 +272,7 @@ def loop_name(specification: Specification, values: Mapping[str, float] | None =
 
     What a robot's model says of each joint has no value here.
     """
-    from jaxact.plot.look import quantity
+    from jaxact.plot.wording import quantity
 
     own = specification.nominal if values is None else values
     known = {preset: name for name, preset in PRESETS.items()}.get((own["wn"], own["zeta"]))

@@ -223,8 +223,8 @@ def _continuous(loops: Loops, found: dict[str, np.ndarray], index: int) -> LoopR
 def _sampled(loops: Loops, found: dict[str, np.ndarray], index: int, velocity: str) -> LoopResponse:
     import jax
 
-    from jaxact.plot.look import quantity
     from jaxact.plot.response import LoopResponse
+    from jaxact.plot.wording import quantity
 
     values = loops.one(index)
     nyquist = math.pi * values["control_rate"]

@@ -107,10 +107,10 @@ def show(options: Options, given: dict[str, Any], velocity: str, *, json: bool) 
 
     Raises UserError for anything that does not fit.
     """
-    from jaxact.plot import look
-
     if options.out is not None:
-        look.check_output(options.out)
+        from jaxact.plot.look import check_output
+
+        check_output(options.out)
     specification = specified(options, given, velocity)
     labels = _loops.expanded(specification).labels
     labels = labels if len(labels) > 1 else ("",)
@@ -124,11 +124,12 @@ def show(options: Options, given: dict[str, Any], velocity: str, *, json: bool) 
     printed = _robot_tables.as_json if json else _robot_tables.as_text
     print("\n".join(printed(specification, *row) for row in zip(labels, found, strict=True)))
     if options.out is not None:
+        from jaxact.plot.look import write
         from jaxact.plot.robot import whole_robot as picture
 
         title = f"{_robot_tables.title(specification)}: all joints at once"
         figure = picture(found[0].curves, found[0].margins, title=title)
-        look.write(figure, options.out, title="jaxact: margins of a robot")
+        write(figure, options.out, title="jaxact: margins of a robot")
         if not json:
             print(f"wrote {options.out}")
 

@@ -148,7 +148,7 @@ def _whole_table(found: WholeRobot) -> Any:
 
 
 def _whole_rows(found: WholeRobot) -> list[tuple[str, str]]:
-    from jaxact.plot.look import quantity
+    from jaxact.plot.wording import quantity
 
     whole = found.margins.whole
     assert whole is not None

@@ -84,7 +84,7 @@ def table(document: dict[str, Any], unit: str) -> str:
     from rich.table import Table
 
     from jaxact.cli.margins import UNITS
-    from jaxact.plot.look import quantity
+    from jaxact.plot.wording import quantity
 
     before, after = document["margins"]["before"], document["margins"]["after"]
     shown = Table(box=box.SIMPLE_HEAD, pad_edge=False)

@@ -131,4 +131,6 @@ def entry() -> NoReturn:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
+    # Nor is it worth while to look for garbage once more in all that the process leaves behind.
+    gc.freeze()
     sys.exit(code)

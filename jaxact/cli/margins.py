@@ -221,7 +221,7 @@ def _tall(chosen: _loops.Loops, found: Mapping[str, Figures]) -> Any:
 
 def _column(figures: Figures, index: int, rate: float, *, periods: bool) -> dict[str, str]:
     """One loop's figures in words, by what they are called; "" where one means nothing."""
-    from jaxact.plot.look import quantity
+    from jaxact.plot.wording import quantity
 
     def value(name: str) -> float:
         meaningless = name in MARGINS and not figures["stable"][index]

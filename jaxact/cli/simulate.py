@@ -250,7 +250,7 @@ def _table(run: Single) -> str:
     from rich.console import Console
     from rich.table import Table
 
-    from jaxact.plot.look import quantity
+    from jaxact.plot.wording import quantity
     from jaxact.status import Verdict
     from jaxact.sweep.store import VARIABLES
 

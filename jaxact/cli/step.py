@@ -83,9 +83,9 @@ def main(
 
 
 def _response(run: Single, label: str) -> StepResponse:
-    from jaxact.plot.look import quantity
     from jaxact.plot.step import StepResponse
     from jaxact.plot.trajectory import Joint
+    from jaxact.plot.wording import quantity
     from jaxact.status import Verdict
 
     verdict, results = Verdict(int(run.results["verdict"])), run.results

@@ -18,7 +18,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLo
 
 from jaxact.paper import study
 from jaxact.paper.results import Results
-from jaxact.plot import look
+from jaxact.plot import look, wording
 from jaxact.plot.sheet import Sheet, sheet
 
 _COLOURS = (look.BLUE, look.GREEN, look.VERMILION)
@@ -132,7 +132,7 @@ def sensitivity(results: Results) -> Figure:
         for z, zeta in enumerate(study.DAMPING_RATIOS):
             for d, delay in enumerate(study.DELAYS):
                 _sensitivities(grid[z, d], results, z, d)
-                grid[z, d].set_title(f"ζ {zeta:g}, delay {look.quantity(delay, 's')}")
+                grid[z, d].set_title(f"ζ {zeta:g}, delay {wording.quantity(delay, 's')}")
             grid[z, 0].set_ylabel("|S| [-]")
         for axes in grid[-1]:
             axes.set_xlabel("frequency [rad/s]")
@@ -246,7 +246,7 @@ def _simulated(axes: Axes, results: Results, name: str, scale: Scale = _same) ->
 
 def _legend(*, marks: bool = True) -> list[Artist]:
     handles: list[Artist] = [
-        Line2D([], [], color=colour, label=f"delay {look.quantity(delay, 's')}")
+        Line2D([], [], color=colour, label=f"delay {wording.quantity(delay, 's')}")
         for colour, delay in zip(_COLOURS, study.DELAYS, strict=True)
     ]
     for zeta, dash in zip(study.DAMPING_RATIOS, _DASHES, strict=True):
@@ -255,7 +255,7 @@ def _legend(*, marks: bool = True) -> list[Artist]:
         handles.append(
             Line2D(
                 [], [], linestyle="none", marker=mark, markersize=9.0, color=look.FAINT,
-                markeredgecolor=look.INK, markeredgewidth=0.6, label=look.display_name(robot),
+                markeredgecolor=look.INK, markeredgewidth=0.6, label=wording.display_name(robot),
             )
         )  # fmt: skip
     if marks:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
-from jaxact.plot import look
+from jaxact.plot import look, wording
 from jaxact.plot.response import LoopResponse, decibel, frequency_axis, number
 from jaxact.plot.sheet import sheet
 
@@ -50,7 +50,7 @@ def _name(response: LoopResponse) -> str:
     ]
     delay = response.margin("delay_margin")
     if delay is not None:
-        words.append(f"delay margin {look.quantity(delay, 's')}")
+        words.append(f"delay margin {wording.quantity(delay, 's')}")
     return f"{response.label}: {', '.join(words)}"
 
 

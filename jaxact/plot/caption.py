@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from jaxact.plot import look
+from jaxact.plot import wording
 from jaxact.status import Verdict
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def simulated(results: xr.Dataset) -> str:
     if "plant" in specification:
         engine += f" with {specification['plant']['model']}"
     rates = np.unique(_parameter(results, "control_rate"))
-    rate = look.quantity(rates[0], "Hz") if len(rates) == 1 else f"{len(rates)} rates"
+    rate = wording.quantity(rates[0], "Hz") if len(rates) == 1 else f"{len(rates)} rates"
     words = [
         f"Simulated: {engine}",
         f"control at {rate}",
@@ -56,7 +56,7 @@ def simulated(results: xr.Dataset) -> str:
         f"{results['verdict'].size:,} loops",
     ]
     if "physics_step" in specification:
-        words.insert(3, f"physics step {look.quantity(specification['physics_step'], 's')}")
+        words.insert(3, f"physics step {wording.quantity(specification['physics_step'], 's')}")
     if specification.get("integrator_correction") and specification["engine"] != "mass":
         words.insert(1, "its integrator corrected")
     return ", ".join(words) + "."
@@ -109,7 +109,7 @@ def loop(values: dict[str, float], results: dict[str, float], static: dict[str, 
     static: options of a specification by name
     """
     engine = _ENGINES.get(str(static["engine"]), str(static["engine"]))
-    rate = look.quantity(values["control_rate"], "Hz")
+    rate = wording.quantity(values["control_rate"], "Hz")
     gains = f"kp {values['kp']:g} N/m, kd {values['kd']:g} N s/m, mass {values['mass']:g} kg"
     if static.get("plant") is not None:
         gains = f"kp {_own(values['kp'], 'N m/rad')}, kd {_own(values['kd'], 'N m s/rad')}"
@@ -121,7 +121,7 @@ def loop(values: dict[str, float], results: dict[str, float], static: dict[str, 
     if math.isfinite(results.get("overshoot", math.nan)):
         found.append(f"overshoot {100.0 * results['overshoot']:.3g} %")
     if math.isfinite(results.get("settling_time", math.nan)):
-        found.append(f"settled after {look.quantity(results['settling_time'], 's')}")
+        found.append(f"settled after {wording.quantity(results['settling_time'], 's')}")
     return f"{asked}\n{', '.join(found)}"
 
 

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator
 
-from jaxact.plot import look
+from jaxact.plot import look, wording
 from jaxact.plot.field import field, settled, signed_scale, signed_ticks, variable_label
 from jaxact.plot.panels import Arrangement, Panel
 from jaxact.plot.stability_map import finish, frame, positions
@@ -102,7 +102,7 @@ def _legend(arrangement: Arrangement, growth: bool, nominal: float | None) -> li
     family = arrangement.y
     if family is not None:
         for number, value in enumerate(family.values):
-            words = look.quantity(value, family.units)
+            words = wording.quantity(value, family.units)
             label = words if family.scale == "category" else f"{family.name} {words}"
             handles.append(Line2D([], [], label=label, **look.style(number)))
     present = {int(v) for panel in arrangement.panels for v in np.unique(panel.data["verdict"])}
@@ -118,7 +118,7 @@ def _legend(arrangement: Arrangement, growth: bool, nominal: float | None) -> li
     if growth:
         handles.append(Patch(facecolor="#F6E7DA", label="perturbations grow"))
     if nominal is not None:
-        words = look.quantity(nominal, arrangement.x.units)
+        words = wording.quantity(nominal, arrangement.x.units)
         label = f"nominal: {arrangement.x.name} {words}"
         handles.append(Line2D([], [], color=look.FAINT, linewidth=0.9, ls=":", label=label))
     return handles

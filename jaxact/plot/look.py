@@ -1,9 +1,8 @@
-"""The shared look of every picture: colours, type, units in words, and how a file is written."""
+"""The shared look of every picture: colours, type, and how a file is written."""
 
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import tempfile
 from collections.abc import Iterator
@@ -61,12 +60,6 @@ LOOK = {
     "pdf.fonttype": 42,
 }
 
-_NAMES = {"hyq": "HyQ", "starleth": "StarLETH"}
-_SCALES = {
-    "s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")),
-    "Hz": ((1e6, "MHz"), (1e3, "kHz"), (1.0, "Hz")),
-}
-
 
 @contextlib.contextmanager
 def look() -> Iterator[None]:
@@ -98,39 +91,6 @@ def sequential() -> Colormap:
 def style(index: int) -> dict[str, object]:
     """Colour and dash of the index-th line, so that lines differ in grey as well."""
     return {"color": CYCLE[index % len(CYCLE)], "linestyle": DASHES[index % len(DASHES)]}
-
-
-def display_name(value: object) -> str:
-    """A category as its makers write it: `hyq` is HyQ."""
-    return _NAMES.get(str(value), str(value).replace("_", " "))
-
-
-def quantity(value: object, units: str = "") -> str:
-    """A value with its unit, in the prefix a reader would choose: 0.00183 s is `1.83 ms`.
-
-    value: a number, or a category (then the unit is ignored)
-    units: SI unit of the value, "" or "1" for none
-    """
-    if isinstance(value, str):
-        return display_name(value)
-    number = float(value)  # type: ignore[arg-type]
-    if math.isinf(number):
-        return "∞" if number > 0 else "-∞"
-    scales = _SCALES.get(units)
-    if scales is None:
-        return f"{number:.4g} {units}".rstrip() if units != "1" else f"{number:.4g}"
-    if number == 0.0:
-        return "0 ms" if units == "s" else f"0 {units}"
-    factor, unit = next((s for s in scales if abs(number) >= s[0] * 0.9995), scales[-1])
-    return f"{number / factor:.4g} {unit}"
-
-
-def axis_label(name: str, units: str = "", long_name: str = "") -> str:
-    """`stiffness kp [N/m]`: what the axis shows, its symbol, its unit."""
-    words = name.replace("_", " ")
-    if long_name and long_name.casefold() != words.casefold():
-        words = f"{long_name} {name}" if len(name) <= 4 else long_name
-    return f"{words} [{units}]" if units and units != "1" else words
 
 
 def check_output(path: Path) -> Path:

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from jaxact.errors import UserError, nearest
-from jaxact.plot import look
+from jaxact.plot import wording
 
 Kind = Literal["map", "scatter", "lines"]
 KINDS: tuple[Kind, ...] = ("map", "scatter", "lines")
@@ -151,7 +151,7 @@ def axis(coordinate: xr.DataArray) -> Axis:
     name = str(coordinate.name)
     result = Axis(name, values, units, "", _scale(values))
     shown = "ms" if result.in_milliseconds else units
-    label = look.axis_label(name, shown, str(coordinate.attrs.get("long_name", "")))
+    label = wording.axis_label(name, shown, str(coordinate.attrs.get("long_name", "")))
     return replace(result, label=label)
 
 
@@ -281,7 +281,7 @@ def _axes(
     for name in (x, y):
         if name is not None and name not in many:
             value = _distinct(swept[name])[0]
-            only = look.quantity(value, str(swept[name].attrs.get("units", "")))
+            only = wording.quantity(value, str(swept[name].attrs.get("units", "")))
             raise UserError(f"axis '{name}' has the single value {only}; choose another axis")
     if kind == "lines" and y is not None and len(_distinct(swept[y])) > MOST_SERIES:
         count = len(_distinct(swept[y]))
@@ -356,8 +356,8 @@ def _part(dataset: xr.Dataset, axes: list[Axis], chosen: list[Any]) -> xr.Datase
 def _caption(facet: Axis, value: object, part: xr.Dataset) -> str:
     """`delay 1 ms`, or for an actuator its name and dynamics."""
     if facet.name != "actuator":
-        return f"{facet.name.replace('_', ' ')} {look.quantity(value, facet.units)}"
-    text = look.display_name(value)
+        return f"{facet.name.replace('_', ' ')} {wording.quantity(value, facet.units)}"
+    text = wording.display_name(value)
     if "wn" in part.coords and part["wn"].size == 1 and np.isfinite(part["wn"].item()):
         text += f" ({part['wn'].item():.4g} rad/s, ζ {part['zeta'].item():.3g})"
     return text

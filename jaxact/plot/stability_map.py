@@ -22,7 +22,7 @@ from matplotlib.ticker import (
     NullFormatter,
 )
 
-from jaxact.plot import look
+from jaxact.plot import look, wording
 from jaxact.plot.field import Field, dress_colorbar, field, settled
 from jaxact.plot.panels import Arrangement, Axis, Panel
 from jaxact.plot.sheet import Sheet, sheet
@@ -142,7 +142,7 @@ def dress_axis(axes: Axes, which: str, shown: Axis) -> None:
     """Scale, limits and ticks of one axis, log where its values are."""
     line = axes.xaxis if which == "x" else axes.yaxis
     if shown.scale == "category":
-        names = [look.quantity(value, shown.units) for value in shown.values]
+        names = [wording.quantity(value, shown.units) for value in shown.values]
         line.set_major_locator(FixedLocator(range(len(names))))
         line.set_major_formatter(FixedFormatter(names))
     elif shown.scale == "log":
@@ -278,7 +278,7 @@ def nominal_handle(arrangement: Arrangement, nominal: tuple[float, float]) -> Ar
     """Legend entry of the star, with its values."""
     assert arrangement.y is not None
     words = ", ".join(
-        f"{axis.name} {look.quantity(value, axis.units)}"
+        f"{axis.name} {wording.quantity(value, axis.units)}"
         for axis, value in zip((arrangement.x, arrangement.y), nominal, strict=True)
     )
     return Line2D(

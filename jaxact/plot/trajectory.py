@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from jaxact.plot import look
+from jaxact.plot import look, wording
 from jaxact.plot.sheet import sheet
 
 # A response this many times the step is not drawn any further.
@@ -104,7 +104,7 @@ def until_divergence(run: Joint) -> tuple[int, str]:
     if gone.size == 0:
         return len(run.time), ""
     kept = max(int(gone[0]), 2)
-    when = look.quantity(float(run.time[min(kept, len(run.time) - 1)]), "s")
+    when = wording.quantity(float(run.time[min(kept, len(run.time) - 1)]), "s")
     far = f"{DIVERGED:g} times the step" if step > _NONE else f"{DIVERGED * span:.3g} rad or m"
     return kept, f"diverges: beyond {far} after {when}"
 

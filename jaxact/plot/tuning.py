@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from jaxact.lobes import BoundaryCurve
-from jaxact.plot import look
+from jaxact.plot import look, wording
 from jaxact.plot.sheet import sheet
 
 BEFORE, AFTER = look.VERMILION, look.BLUE
@@ -78,8 +78,8 @@ def tuning_map(
         axes.plot(*after, marker="*", color=look.YELLOW, markersize=14, markeredgecolor="black")
         axes.set_xlim(plane.kp[0], plane.kp[-1])
         axes.set_ylim(plane.kd[0], plane.kd[-1])
-        axes.set_xlabel(look.axis_label("kp", "N/m", "stiffness"))
-        axes.set_ylabel(look.axis_label("kd", "N s/m", "damping"))
+        axes.set_xlabel(wording.axis_label("kp", "N/m", "stiffness"))
+        axes.set_ylabel(wording.axis_label("kd", "N s/m", "damping"))
         bar = paper.figure.colorbar(mesh, ax=axes, extend="max")
         bar.set_label("max(Ms, Mt) of the worst member")
         bar.ax.yaxis.set_major_locator(FixedLocator([1, 1.5, 2, 3, 5, 10]))

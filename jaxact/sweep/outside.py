@@ -268,7 +268,8 @@ def followed(
             share = older_share[:, place]
             older, newer = np.asarray(state.drive.older), np.asarray(state.drive.newer)
             delayed = share * older + (1.0 - share) * newer
-            held = np.asarray(state.setpoint.position), np.asarray(state.command)
+            # Copies, as these are views of everything that the loops carry.
+            held = np.array(state.setpoint.position), np.array(state.command)
             rows.append((held[0], position, velocity, held[1], delayed, np.asarray(force)))
             if place == 0:
                 configurations.append(simulations.configuration())

@@ -5,7 +5,7 @@ import pytest
 from synthetic_store import DRAWN, GRID, dataset, dataset_of
 
 from jaxact.errors import UserError
-from jaxact.plot import look
+from jaxact.plot import wording
 from jaxact.plot.panels import arrange, axis
 from jaxact.sweep import reading
 from jaxact.sweep.samples import expand
@@ -129,7 +129,7 @@ def test_more_axes_than_panels_can_show():
     ],
 )  # fmt: skip
 def test_quantities_read_as_an_engineer_writes_them(value, units, text):
-    assert look.quantity(value, units) == text
+    assert wording.quantity(value, units) == text
 
 
 def test_an_infinite_value_makes_a_category():
