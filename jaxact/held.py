@@ -44,10 +44,11 @@ def _servo_integrals_by_series(x: jax.Array, zeta: jax.Array) -> tuple[jax.Array
     """
     term, before = jnp.ones_like(x * zeta), jnp.zeros_like(x * zeta)
     b_2 = b_3 = jnp.zeros_like(term)
+    of_term, of_before = -2.0 * zeta * x, -x * x
     for n in range(_SERIES_TERMS):
         b_2 = b_2 + term * (1.0 / math.factorial(n + 3))
         b_3 = b_3 + term * (1.0 / math.factorial(n + 4))
-        term, before = -x * (2.0 * zeta * term + x * before), term
+        term, before = of_term * term + of_before * before, term
     b_2, b_3 = x**3 * b_2, x**4 * b_3
     b_1 = 0.5 * x * x - 2.0 * zeta * b_2 - b_3
     b_0 = x - 2.0 * zeta * b_1 - b_2

@@ -25,7 +25,7 @@ from jaxact.cli import _xla  # noqa: E402
 _xla.enlarge_pool()  # JAX reads it when it starts its devices
 
 # Tracing makes many objects and little garbage; looking for it often takes a tenth of the time.
-gc.set_threshold(50_000, 20, 100)
+gc.set_threshold(500_000, 20, 100)
 
 # Two workers that run tests of one module compile its functions once. Not by the environment, which
 # the command line under test would inherit.

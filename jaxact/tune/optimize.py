@@ -102,6 +102,9 @@ def _descent(surrogate: Surrogate, how: Descent) -> Program:
 def _from_one(
     surrogate: Surrogate, data: Any, start: jax.Array, slower: jax.Array, how: Descent
 ) -> Descended:
+    # It is called in many places, and traced in one of them.
+    surrogate = jax.jit(surrogate)
+
     def evaluate(x: jax.Array, sharpness: jax.Array) -> jax.Array:
         return loss(surrogate(x, data, sharpness), sharpness)
 
