@@ -2,7 +2,6 @@
 
 import gc
 import os
-import shutil
 import tempfile
 from pathlib import Path
 
@@ -14,15 +13,6 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 os.environ.setdefault("MPLBACKEND", "agg")
-# Results are flushed to the disk chunk by chunk, which can take longer than computing them: where
-# there is room, files of tests are kept in memory.
-_MEMORY = Path("/dev/shm")
-if (
-    "TMPDIR" not in os.environ
-    and os.access(_MEMORY, os.R_OK | os.W_OK | os.X_OK)
-    and shutil.disk_usage(_MEMORY).free > 8 * 2**30
-):
-    os.environ["TMPDIR"] = tempfile.tempdir = str(_MEMORY)
 # Compiled kernels of the command line are kept for these tests only, for all workers together.
 if "PYTEST_XDIST_WORKER" not in os.environ:
     _cache = tempfile.TemporaryDirectory(prefix="jaxact-tests-")
