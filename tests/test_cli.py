@@ -326,6 +326,18 @@ def test_info_is_what_a_bug_report_needs():
         assert f"\n{name} " in f"\n{table.stdout}"
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+@pytest.mark.parametrize("words", [["parameters"], ["info", "--json"]])
+def test_output_to_a_full_disk_is_one_line(words):
+    with open("/dev/full", "w") as full:
+        ran = subprocess.run(
+            [sys.executable, "-m", "jaxact", *words],
+            stdout=full, stderr=subprocess.PIPE, text=True, env=_environment() | ENVIRONMENT,
+        )  # fmt: skip
+    assert ran.returncode == 2
+    assert ran.stderr == "jaxact: the disk is full; make room and run the command again\n"
+
+
 def test_parameters_lists_units_and_defaults():
     lines = jaxact("parameters").stdout.splitlines()
     assert next(line for line in lines if line.startswith("mass ")).split()[:3] == (

@@ -7,6 +7,7 @@ functions, so that `--help` and every mistake in what was typed answer at once.
 
 from __future__ import annotations
 
+import errno
 import gc
 import importlib
 import os
@@ -69,6 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _gl.prepare()
         _xla.prepare(all_cores=verb in ("sweep", "validate"))
         _options.call(_verb(verb), f"jaxact {verb}", given[1:])
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except UserError as error:
         print(f"jaxact: {_one_line(error)}", file=sys.stderr)
         return USAGE_ERROR
@@ -83,6 +86,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # the reader of our output (`| head`) has gone; keep Python from complaining at exit
         sys.stdout = None
         return 0
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        sys.stdout = None  # what is left in it cannot be written at exit either
+        print("jaxact: the disk is full; make room and run the command again", file=sys.stderr)
+        return USAGE_ERROR
     return 0
 
 
@@ -131,6 +140,7 @@ def entry() -> NoReturn:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
-    # Nor is it worth while to look for garbage once more in all that the process leaves behind.
+    # Taking the interpreter down, Python would look for garbage in all that goes with the process:
+    # a third of a second after JAX was used.
     gc.freeze()
     sys.exit(code)

@@ -1,5 +1,6 @@
 """Derivatives of MJX's steps: against central differences of the steps as MJX takes them."""
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -91,6 +92,22 @@ def test_values_are_those_of_mjx_and_slopes_those_of_central_differences(motion)
     ends = np.array(ends)
     differences = (ends[::2] - ends[1::2]).T / (2 * size)
     np.testing.assert_allclose(motion.slope, differences, atol=1e-4 * np.abs(differences).max())
+
+
+def test_a_floating_robot_moves_as_mjx_has_it(tmp_path):
+    robot = _robot(tmp_path, HOPPER)
+    start = posture.settled(robot)
+    with jax.enable_x64(True):
+        plant = mjx.place(robot, start).prepare(jnp.asarray(STEP))
+        force = jnp.asarray(start.force)
+
+        @functools.partial(jax.jit, compiler_options=QUICKLY)
+        def both(amounts):
+            return _reached(plant, force, amounts), _reached(smooth(plant), force, amounts)
+
+        want, found = map(np.asarray, both(jnp.asarray(10.0 * AMOUNTS)))
+    assert np.abs(want - np.concatenate([start.qpos, np.zeros(robot.model.nv)])).max() > 0.01
+    np.testing.assert_allclose(found, want, rtol=1e-9, atol=1e-12)
 
 
 def test_an_integrator_that_solves_several_times_a_step_is_refused(tmp_path):
