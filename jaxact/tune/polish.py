@@ -145,11 +145,11 @@ def _descend(
         if not going.any():
             break
         trial, weight, gain = x.copy(), np.zeros(number), np.zeros(number)
-        for i in np.flatnonzero(going):
-            cuts = _cuts(rows, [], i, x[i], radius[i])
-            sides = np.maximum(low[i] - x[i], -radius[i]), np.minimum(high[i] - x[i], radius[i])
-            step, weight[i], gain[i] = _linear_step(cuts, sides, rows.violation[i])
-            trial[i] = np.clip(x[i] + step, low[i], high[i])
+        place = np.flatnonzero(going)
+        cuts = [_cuts(rows, [], i, x[i], radius[i]) for i in place]
+        sides = _sides(x, radius[:, None], low, high)[place]
+        step, weight[place], gain[place] = _linear_steps(cuts, sides, rows.violation[place])
+        trial[place] = np.clip(x[place] + step, low[place], high[place])
         there = problem(trial)
         best = _keep_better(best, trial, there)
         merit = _merit(rows, weight) - _merit(there, weight)
@@ -186,12 +186,12 @@ def _across_kinks(
     best = _counted(best, len(memory) + 1)
     for _ in range(_LOOKS):
         trial = x.copy()
-        for i in np.flatnonzero(rows.usable & stuck):
-            cuts = _cuts(rows, memory, i, x[i], 2.0 * reach)
-            limits = np.maximum(low[i] - x[i], -reach), np.minimum(high[i] - x[i], reach)
-            step, _, gain = _linear_step(cuts, limits, rows.violation[i])
-            if gain > _GAIN:
-                trial[i] = np.clip(x[i] + step, low[i], high[i])
+        place = np.flatnonzero(rows.usable & stuck)
+        cuts = [_cuts(rows, memory, i, x[i], 2.0 * reach) for i in place]
+        sides = _sides(x, reach, low, high)[place]
+        step, _, gain = _linear_steps(cuts, sides, rows.violation[place])
+        there = np.clip(x[place] + step, low[place], high[place])
+        trial[place] = np.where(gain[:, None] > _GAIN, there, x[place])
         if np.array_equal(trial, x):
             break
         there = problem(trial)
@@ -274,41 +274,87 @@ def _cuts(
     return _Cuts(*joined)
 
 
-def _linear_step(
-    cuts: _Cuts, sides: tuple[np.ndarray, np.ndarray], violation: float
-) -> tuple[np.ndarray, float, float]:
-    """The linear programme of one problem: step, weight of a violation, gain promised.
+def _sides(
+    x: np.ndarray, radius: np.ndarray | float, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
+    """Smallest and largest steps within radius and bounds, shape (p, 2, d)."""
+    return np.stack([np.maximum(low - x, -radius), np.minimum(high - x, radius)], axis=1)
 
-    sides: smallest and largest step, shape (d,) each
-    violation: present largest excess
 
-    Unknowns (s, t, e): maximise t - elastic * e with value + slope s >= t, excess + slope s <= e.
+def _linear_steps(
+    cuts: list[_Cuts], sides: np.ndarray, violation: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Linear programmes of n problems: steps (n, d), weights of a violation (n,), gains promised.
+
+    cuts: of each
+    sides: smallest and largest steps, shape (n, 2, d)
+    violation: present largest excess, shape (n,)
+
+    Unknowns (s, t, e) of each: maximise t - elastic * e with value + slope s >= t and
+    excess + slope s <= e. All are solved as one, a block each, as most of a small one is the call.
+    """
+    number, _, size = sides.shape
+    step, weight, gain = np.zeros((number, size)), np.ones(number), np.zeros(number)
+    near = [_that_may_bind(cut, side) for cut, side in zip(cuts, sides, strict=True)]
+    # Without a value there is nothing to step towards.
+    whole = [i for i in range(number) if near[i].value.size]
+    for i, solved in zip(whole, _solved([(near[i], sides[i]) for i in whole]), strict=True):
+        if solved is None:
+            continue
+        step[i], target, slack, dual = solved
+        weight[i] = _ELASTIC if slack > MET else max(2.0 * dual, 1.0)
+        before = -near[i].value.min() + weight[i] * max(violation[i], 0.0)
+        gain[i] = before - (-target + weight[i] * max(slack - _AIM, 0.0))
+    return step, weight, gain
+
+
+def _that_may_bind(cuts: _Cuts, sides: np.ndarray) -> _Cuts:
+    """Without constraints that are far enough from binding within the step."""
+    reach = np.abs(cuts.excess_slope) @ np.abs(sides).max(axis=0)
+    near = cuts.excess + reach > min(0.0, cuts.excess.max(initial=-np.inf)) - 1e-9
+    return _Cuts(cuts.value, cuts.value_slope, cuts.excess[near], cuts.excess_slope[near])
+
+
+def _solved(
+    problems: list[tuple[_Cuts, np.ndarray]],
+) -> list[tuple[np.ndarray, float, float, float] | None]:
+    """Step, target, slack and the sum of duals of each linear programme; None where there is none.
+
+    problems: rows and sides of each
     """
     from scipy.optimize import linprog
+    from scipy.sparse import block_diag, coo_array
 
-    value, excess = cuts.value, cuts.excess
-    size = cuts.value_slope.shape[1]
-    # Far rows cannot bind within the step.
-    reach = np.abs(cuts.excess_slope) @ np.maximum(np.abs(sides[0]), np.abs(sides[1]))
-    near = excess + reach > min(0.0, excess.max(initial=-np.inf)) - 1e-9
-    excess, excess_slope = excess[near], cuts.excess_slope[near]
-    one, nil = np.ones, np.zeros
-    matrix = np.block([
-        [-cuts.value_slope, one((len(value), 1)), nil((len(value), 1))],
-        [excess_slope, nil((len(excess), 1)), -one((len(excess), 1))],
-    ])  # fmt: skip
-    limit = np.concatenate([value, -excess - _AIM])
-    cost = np.concatenate([nil(size), [-1.0, _ELASTIC]])
-    bounds = [*zip(*sides, strict=True), (None, None), (0.0, None)]
-    found = linprog(cost, matrix, limit, bounds=bounds)
+    if not problems:
+        return []
+    size = problems[0][1].shape[1]
+    free = [[-np.inf, np.inf], [0.0, np.inf]]
+    found = linprog(
+        np.tile(np.r_[np.zeros(size), -1.0, _ELASTIC], len(problems)),
+        block_diag([coo_array(_matrix(cuts)) for cuts, _ in problems], format="csc"),
+        np.concatenate([np.r_[cuts.value, -cuts.excess - _AIM] for cuts, _ in problems]),
+        bounds=np.concatenate([np.r_[sides.T, free] for _, sides in problems]),
+    )
     if found.x is None or not np.all(np.isfinite(found.x)):
-        return nil(size), 1.0, 0.0
-    step, target, slack = found.x[:size], found.x[size], found.x[size + 1]
-    dual = float(-np.sum(found.ineqlin.marginals[len(value) :]))
-    weight = _ELASTIC if slack > MET else max(2.0 * dual, 1.0)
-    before = -value.min() + weight * max(violation, 0.0)
-    promised = before - (-target + weight * max(slack - _AIM, 0.0))
-    return step, weight, float(promised)
+        # One that cannot be solved must not stop the others.
+        half = len(problems) // 2
+        return _solved(problems[:half]) + _solved(problems[half:]) if half else [None]
+    duals = -found.ineqlin.marginals
+    done: list[tuple[np.ndarray, float, float, float] | None] = []
+    for x, (cuts, _) in zip(found.x.reshape(len(problems), -1), problems, strict=True):
+        rows = len(cuts.value) + len(cuts.excess)
+        done.append((x[:size], x[size], x[size + 1], float(duals[len(cuts.value) : rows].sum())))
+        duals = duals[rows:]
+    return done
+
+
+def _matrix(cuts: _Cuts) -> np.ndarray:
+    one, nil = np.ones, np.zeros
+    above, below = (len(cuts.value), 1), (len(cuts.excess), 1)
+    return np.block([
+        [-cuts.value_slope, one(above), nil(above)],
+        [cuts.excess_slope, nil(below), -one(below)],
+    ])  # fmt: skip
 
 
 def _finite(value: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
