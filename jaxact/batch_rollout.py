@@ -313,9 +313,9 @@ def evaluate(
     period = jnp.asarray(coefficients.drive.control_period)
     counted = active_ticks if masked else jnp.full(period.shape, float(ticks), dtype)
     reference = _unpacked(fixed).reference
-    return _finish(ticks)(
-        _unpacked(held).running, envelopes, reference, growth_rate, period, counted, rest_amplitude
-    )
+    running = _unpacked(held).running
+    loops = running, envelopes, reference, growth_rate, period, counted, rest_amplitude
+    return _finish(np.int32(ticks), *loops)
 
 
 def _fixed(
@@ -352,24 +352,24 @@ def _before(drive: DriveState, setpoint: Setpoint, seen: np.ndarray) -> BatchSta
     )
 
 
-@functools.cache
-def _finish(ticks: int) -> Program:
-    """The compiled end of a rollout of so many control periods."""
+def _finished(
+    ticks, running, envelopes, reference, growth_rate, period, counted, rest_amplitude
+) -> Metrics:
+    """The end of a rollout of so many control periods."""
+    return _metrics.finish(
+        running,
+        jax.tree.map(lambda *leaves: jnp.stack(leaves), *envelopes),
+        reference,
+        growth_rate,
+        linear=False,
+        period=period,
+        ticks=ticks,
+        counted=counted,
+        rest_amplitude=rest_amplitude,
+    )
 
-    def finished(running, envelopes, reference, growth_rate, period, counted, rest_amplitude):
-        return _metrics.finish(
-            running,
-            jax.tree.map(lambda *leaves: jnp.stack(leaves), *envelopes),
-            reference,
-            growth_rate,
-            linear=False,
-            period=period,
-            ticks=ticks,
-            counted=counted,
-            rest_amplitude=rest_amplitude,
-        )
 
-    return Program(lambda: jax.vmap(finished), ("finish", ticks))
+_finish = Program(lambda: jax.vmap(_finished, (None, *(0,) * 7)), "finish")
 
 
 def _seen(simulations: Simulations, dtype: np.dtype, aim: np.ndarray | None) -> np.ndarray:

@@ -284,7 +284,7 @@ def finish(
     *,
     linear: bool,
     period: jax.Array,
-    ticks: int,
+    ticks: int | jax.Array,
     counted: jax.Array | float,
     rest_amplitude: jax.Array | float = 0.0,
 ) -> Metrics:
@@ -302,7 +302,7 @@ def finish(
         growth_rate: [1/s], shape ().
         linear: static; whether the loop is linear and deterministic.
         period: control period [s].
-        ticks: static; number of ticks.
+        ticks: number of ticks.
         counted: number of ticks in the integrals.
         rest_amplitude: a motion smaller than this counts as at rest [m or rad].
     """

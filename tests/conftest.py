@@ -30,7 +30,7 @@ gc.set_threshold(500_000, 20, 100)
 # Two workers that run tests of one module compile its functions once. Not by the environment, which
 # the command line under test would inherit.
 jax.config.update("jax_compilation_cache_dir", str(Path(os.environ["XDG_CACHE_HOME"]) / "tests"))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 hypothesis.settings.register_profile(
     "jaxact",
@@ -40,6 +40,13 @@ hypothesis.settings.register_profile(
     suppress_health_check=[hypothesis.HealthCheck.too_slow],
 )
 hypothesis.settings.load_profile("jaxact")
+
+
+@pytest.fixture(autouse=True)
+def programs_are_not_kept():
+    """A command that runs in this process asks for it, for what runs in it afterwards too."""
+    yield
+    os.environ.pop("JAXACT_PROGRAMS", None)
 
 
 @pytest.hookimpl(optionalhook=True)

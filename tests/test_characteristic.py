@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact import characteristic
 

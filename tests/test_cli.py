@@ -197,22 +197,35 @@ def test_a_sweep_interrupted_before_its_first_chunk_leaves_nothing(number, code,
     assert sorted(item.name for item in tmp_path.iterdir()) == ["small.toml"]
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_an_interrupted_sweep_says_how_to_continue_and_does(number, code, tmp_path):
+def test_an_interrupted_sweep_says_how_to_continue_and_does(tmp_path):
     (tmp_path / "long.toml").write_text(
         'engine = "mass"\nduration = 20\n[axes]\nkp = {min = 10, max = 1000, num = 1000}\n'
         "kd = {min = 1, max = 100, num = 1000}\n"
     )
     command = ["sweep", "long.toml", "--set", "duration=20"]
+    done = 0
+    for number, code, more in ((signal.SIGINT, 130, []), (signal.SIGTERM, 143, ["--resume"])):
+        before, (done, chunks) = done, _interrupted(tmp_path, command, more, number, code)
+        assert before < done < chunks
+    told = jaxact("status", "results/long", cwd=tmp_path).stdout
+    assert f"done     {done} of {chunks} chunks" in told and "not running" in told
+    assert "--resume" in _refused(jaxact("plot", "results/long", cwd=tmp_path))
+    assert "missing" in _refused_checks(jaxact("validate", "results/long", cwd=tmp_path))
+    assert sorted(item.name for item in (tmp_path / "results/long").iterdir()) == ["sweep.zarr"]
+
+
+def _interrupted(folder, command, more, number, code):
+    """Chunks that are done, and all of them, after a signal; another process is kept out before."""
+    receipts = folder / "results/long/sweep.zarr/progress/receipt"
+    before = len(list(receipts.glob("c.*")))
     running = subprocess.Popen(
-        [sys.executable, "-m", "jaxact", *command],
-        cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=_environment(),
+        [sys.executable, "-m", "jaxact", *command, *more],
+        cwd=folder, stderr=subprocess.PIPE, text=True, env=_environment(),
     )  # fmt: skip
-    receipts = tmp_path / "results/long/sweep.zarr/progress/receipt"
-    while not list(receipts.glob("c.*")) and running.poll() is None:
+    while len(list(receipts.glob("c.*"))) == before and running.poll() is None:
         time.sleep(0.05)
     running.send_signal(signal.SIGSTOP)  # or a fast machine ends the sweep before it is looked at
-    second = _refused(jaxact(*command, "--resume", cwd=tmp_path))
+    second = _refused(jaxact(*command, "--resume", cwd=folder))
     assert f"process {running.pid} on " in second
     running.send_signal(number)
     running.send_signal(signal.SIGCONT)
@@ -220,13 +233,8 @@ def test_an_interrupted_sweep_says_how_to_continue_and_does(number, code, tmp_pa
     assert running.returncode == code, said
     match = re.fullmatch(r"jaxact: interrupted; (\d+) of (\d+) chunks are kept, (.*)\n", said)
     assert match and match[3] == f"continue with: jaxact {' '.join(command)} --resume"
-    done, chunks = int(match[1]), int(match[2])
-    assert 0 < done == len(list(receipts.glob("c.*"))) < chunks
-    told = jaxact("status", "results/long", cwd=tmp_path).stdout
-    assert f"done     {done} of {chunks} chunks" in told and "not running" in told
-    assert "--resume" in _refused(jaxact("plot", "results/long", cwd=tmp_path))
-    assert "missing" in _refused_checks(jaxact("validate", "results/long", cwd=tmp_path))
-    assert sorted(item.name for item in (tmp_path / "results/long").iterdir()) == ["sweep.zarr"]
+    assert int(match[1]) == len(list(receipts.glob("c.*")))
+    return int(match[1]), int(match[2])
 
 
 def _refused_checks(ran):

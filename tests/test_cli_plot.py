@@ -1,6 +1,7 @@
 """`jaxact plot` as a user types it."""
 
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 from synthetic_store import DRAWN, GRID, write
 
 from jaxact.cli.main import main

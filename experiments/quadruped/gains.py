@@ -54,19 +54,25 @@ class Nominal:
         return self.kd["KFE"] / self.inertia["KFE"]
 
 
-def nominal(situations: Mapping[str, Specification]) -> Nominal:
+def nominal(
+    situations: Mapping[str, Specification], *, points: int = 16, rounds: int = 3
+) -> Nominal:
     """The gains by the rule.
 
     situations: specifications of the robot's situations by name
+    points, rounds: of the search for where it topples, `jaxact.sweep.critical.edge`
     """
-    toppling = {name: toppling_stiffness(one) for name, one in situations.items()}
+    toppling = {
+        name: toppling_stiffness(one, points=points, rounds=rounds)
+        for name, one in situations.items()
+    }
     least = dict(zip(KINDS, _inertias(situations), strict=True))
     kp = RESERVE * max(toppling.values())
     bandwidth = 2.0 * DAMPING * math.sqrt(kp / min(least.values()))
     return Nominal(kp, {kind: bandwidth * own for kind, own in least.items()}, toppling, least)
 
 
-def toppling_stiffness(specification: Specification) -> float:
+def toppling_stiffness(specification: Specification, *, points: int = 16, rounds: int = 3) -> float:
     """Stiffness of all joints below which the bare robot topples [N m/rad]; 0 if it never does."""
     trial = {
         name: _TRIAL_KP if name == "kp" else _TRIAL_KD if name.startswith("kd@") else value
@@ -78,7 +84,8 @@ def toppling_stiffness(specification: Specification) -> float:
         return critical.growth_rates(bare, columns) < 0.0
 
     # All drives are asked, so that the kernel is the one that everything else uses.
-    edges = critical.edge(stable, cases.drives(bare=False).columns(), 0.05, 1.0)
+    drives = cases.drives(bare=False).columns()
+    edges = critical.edge(stable, drives, 0.05, 1.0, points=points, rounds=rounds)
     return _TRIAL_KP * float(edges[0])
 
 

@@ -53,7 +53,7 @@ def _run(out: Path, *, quick: bool, filmed: bool) -> None:
     out.mkdir(parents=True, exist_ok=True)
     specifications = {name: cases.load(name, size.duration) for name in size.situations}
     began = time.monotonic()
-    rule = gains.nominal(specifications)
+    rule = gains.nominal(specifications, points=size.linear_points, rounds=size.linear_rounds)
     for name, one in specifications.items():
         if not quick and gains.differs(one, rule):
             raise UserError(f"{name}.toml: its gains are not those of gains.py; put them in")

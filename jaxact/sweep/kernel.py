@@ -217,15 +217,31 @@ def setpoints(template: Template, values: Values, ticks: int) -> Setpoint | None
     return Setpoint(rest[None] + moved, zero, force[None] + zero)
 
 
+def linear_part(case: Case, setting: Setting) -> tuple[Case, Setting]:
+    """What the linearised loop depends on: sweeps that differ in nothing else share its kernels.
+
+    It knows of no noise (a bias that walks is a state, but none of the linear loop), quantisation
+    and limits, nor of how long the loop is simulated and what moves it.
+    """
+    return (
+        replace(
+            case,
+            drive=case.drive.linearised(),
+            rollout=RolloutOptions(ticks=0),
+            masked=False,
+            duration=0.0,
+        ),
+        replace(setting, motion=None, push=None),
+    )
+
+
 def growth_rate(
     case: Case, template: Template, values: Values, moved: tuple[jax.Array, jax.Array] | None = None
 ) -> jax.Array:
-    """Growth rate of one sample [1/s], shape ().
+    """Growth rate of one sample [1/s], shape (); `case` from `linear_part`.
 
     `moved` is A and B of a robot's linear plant where its model differs from sample to sample.
     """
-    # A bias that walks is a state, but none of the linear loop.
-    case = replace(case, drive=case.drive.linearised())
     if template.linear is None:
         prepared, state, setpoint = start(case, template, values)
         return _growth.growth_rate(prepared, case.drive, state, setpoint, case.growth)
@@ -236,8 +252,10 @@ def growth_rate(
 
 
 def transition(case: Case, template: Template, values: Values) -> jax.Array:
-    """What a block of periods does to one sample's perturbation, see `jaxact.growth.transition`."""
-    case = replace(case, drive=case.drive.linearised())
+    """What a block of periods does to one sample's perturbation, see `jaxact.growth.transition`.
+
+    `case` from `linear_part`.
+    """
     prepared, state, setpoint = start(case, template, values)
     return _growth.transition(prepared, case.drive, state, setpoint, case.growth)
 

@@ -28,7 +28,7 @@ from jaxact.plants import variation
 from jaxact.plants.mujoco import Impulse, Simulations
 from jaxact.plants.variation import Variation
 from jaxact.programs import Program
-from jaxact.rollout import Trajectory
+from jaxact.rollout import RolloutOptions, Trajectory
 from jaxact.sweep import kernel, robots
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.robots import Scene
@@ -165,7 +165,8 @@ def metrics(
     assert scene is not None
     dtype = jnp.result_type(float)
     arrays = {name: jnp.asarray(value, dtype) for name, value in values.items()}
-    prepared = _prepare(case, setting)(arrays, np.uint32(seed), jnp.asarray(numbers, jnp.uint32))
+    begin = _prepare(*_beginning(case, setting))
+    prepared = begin(arrays, np.uint32(seed), jnp.asarray(numbers, jnp.uint32))
     fields = {}
     if case.varied:
         rows = np.stack([_at_joints(case, setting, values, name) for name in case.varied], axis=1)
@@ -181,7 +182,8 @@ def metrics(
         impulse=_impulse(setting, scene),
         corrected=setting.corrected,
     )
-    coefficients, state, start, setpoint, setpoints, keys, active = prepared
+    coefficients, state, start, setpoint, setpoints, keys = prepared
+    active = np.ceil(case.duration * np.asarray(values["control_rate"], float) - 1e-4)
     result = batch_rollout.evaluate(
         simulations,
         coefficients,
@@ -192,7 +194,7 @@ def metrics(
         setpoint,
         jnp.asarray(growth_rate, dtype),
         keys,
-        active_ticks=active,
+        active_ticks=jnp.asarray(active, dtype),
         masked=case.masked,
         rest_amplitude=arrays["rest_amplitude"],
         setpoints=setpoints,
@@ -208,6 +210,15 @@ def _impulse(setting: Setting, scene: Scene) -> Impulse | None:
     number = robots.body(scene.robot, push.body, "push.body")
     force = np.array(push.impulse) / push.duration
     return Impulse(number, force, push.time, push.duration)
+
+
+def _beginning(case: Case, setting: Setting) -> tuple[Case, Setting]:
+    """What the beginning of a batch depends on: the drive, the robot, and how it is moved."""
+    ticks = case.rollout.ticks if setting.motion is not None else 0
+    begun = Case(
+        "mujoco", case.drive, RolloutOptions(ticks), False, 0.0, case.model, step=case.step
+    )
+    return begun, replace(setting, push=None)
 
 
 @functools.lru_cache(maxsize=8)
@@ -226,7 +237,6 @@ def _prepare(case: Case, setting: Setting) -> Program:
         state = _drive.init(coefficients, case.drive, position, velocity, command=force)
         zero = jnp.zeros_like(rest)
         setpoint = Setpoint(rest + resolved["setpoint"], zero, force)
-        active = jnp.ceil(case.duration * values["control_rate"] - 1e-4)
         return (
             coefficients,
             state,
@@ -234,7 +244,6 @@ def _prepare(case: Case, setting: Setting) -> Program:
             setpoint,
             kernel.setpoints(made, values, case.rollout.ticks),
             jax.random.fold_in(jax.random.key(seed), number),
-            active,
         )
 
     return Program(lambda: jax.vmap(one, in_axes=(0, None, 0)), ("start", case, setting))

@@ -19,8 +19,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxact.growth import TooManyStatesError
-from jaxact.sweep import tiles
+from jaxact.drive import DriveOptions
+from jaxact.growth import GrowthOptions, TooManyStatesError
+from jaxact.rollout import RolloutOptions
+from jaxact.sweep import kernel, tiles
+from jaxact.sweep.kernel import Case
 from jaxact.sweep.plans import Plan
 from jaxact.sweep.samples import SAMPLE, Samples
 from jaxact.sweep.specification import Setting, Specification
@@ -33,6 +36,7 @@ _PAIRS = np.array([[1.0, 1.0], [0.5, 1.0], [1.0, 0.5], [0.7, 0.6]])
 _STRIDE = -0.5
 # How well the polynomial at the last pair must follow from the others, relative to its size.
 _AGREE = 1e-9
+_NO_ROBOT = Setting(plant=None, motion=None, push=None, keys=(), corrected=False)
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ def growth_batch(
         sets = _sets(plan, specification, samples)
         if sets is None:
             return _each(plan, specification, samples, numbers)
-        rates, sound = _of_gains(plan, specification.setting, sets, samples, numbers)
+        rates, sound = _of_gains(plan, sets, samples, numbers)
         if sound.all():
             return rates
         return np.where(sound, rates, _each(plan, specification, samples, numbers))
@@ -70,11 +74,11 @@ def _each(
     plan: Plan, specification: Specification, samples: Samples, numbers: np.ndarray
 ) -> np.ndarray:
     """Growth rates, every sample by itself."""
-    case = plan.case
+    case, setting = kernel.linear_part(plan.case, specification.setting)
     if specification.plant is not None:
         # MJX's own derivatives are the same, and take as long to compile as its simulation.
         case = replace(case, engine="mujoco")
-    grow = tiles.compiled("growth_rate", case, plan.devices, specification.setting, True)
+    grow = tiles.compiled("growth_rate", case, plan.devices, setting, True)
     inputs: list[Any] = [*tiles.tiled(plan, samples, numbers, np.float64)]
     if plan.case.varied:
         from jaxact.sweep import outside  # imports MuJoCo
@@ -136,7 +140,8 @@ def _polynomials(
     number = len(samples)
     few = replace(plan, tiles=-(-number // (plan.tile * plan.devices)))
     numbers = np.minimum(np.arange(few.batch), number - 1)
-    compute = tiles.compiled("transition", plan.case, plan.devices, setting, True)
+    case, setting = kernel.linear_part(plan.case, setting)
+    compute = tiles.compiled("transition", case, plan.devices, setting, True)
     try:
         found = np.asarray(compute(*tiles.tiled(few, samples, numbers, np.float64)))
     except TooManyStatesError:
@@ -169,8 +174,16 @@ def _characteristic(matrices: np.ndarray) -> np.ndarray:
     return np.where(sound[..., 0], grown[..., 1:].real, np.nan)
 
 
+def _of_any(case: Case) -> Case:
+    """A case with the same search for roots: what else a loop is, its polynomial tells."""
+    growth = GrowthOptions(squarings=case.growth.squarings)
+    return Case(
+        "mass", DriveOptions(), RolloutOptions(0), masked=False, duration=0.0, growth=growth
+    )
+
+
 def _of_gains(
-    plan: Plan, setting: Setting, sets: _Sets, samples: Samples, numbers: np.ndarray
+    plan: Plan, sets: _Sets, samples: Samples, numbers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Growth rates of samples, and whether their sets' polynomials are linear in the gains."""
     places = np.arange(sets.linear.size).reshape(sets.shape)
@@ -185,6 +198,6 @@ def _of_gains(
     if len(sets.bases) > 1:
         shared = {"bases": sets.bases}
         own["place"] = values["place"].reshape(rows).astype(np.int32)
-    find = tiles.compiled("log_radius", plan.case, plan.devices, setting, True)
+    find = tiles.compiled("log_radius", _of_any(plan.case), plan.devices, _NO_ROBOT, True)
     found = np.asarray(find(shared, own)).reshape(-1)
     return found * values["control_rate"], sets.linear[values["place"]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 
 import jax
@@ -58,16 +59,16 @@ def evaluate(specification: Specification) -> list[WholeRobot]:
     found: dict[int, WholeRobot] = {}
     for plan in plans.groups(specification, samples):
         numbers = np.concatenate([batch[:n] for batch, n in plans.batches(plan, samples)])
+        case, setting = kernel.linear_part(plan.case, specification.setting)
         with jax.enable_x64(True):
-            template = kernel.template_of(plan.case, specification.setting, "growth_rate")
-            compiled = _compiled(plan.case, specification.setting, template)
+            template, compiled = _compiled(case, setting)
         moved = outside.moved(plan.case, specification.setting, samples.take(numbers))
         for place, number in enumerate(numbers):
             values = {
                 name: float(row[0]) for name, row in samples.take(numbers[place, None]).items()
             }
             own = None if moved is None else tuple(part[place] for part in moved)
-            found[int(number)] = _one(plan.case, template, compiled, values, own)
+            found[int(number)] = _one(case, template, compiled, values, own)
     return [found[number] for number in range(len(samples))]
 
 
@@ -76,8 +77,13 @@ def _options(case: Case) -> DriveOptions:
     return replace(case.drive, command_slots=case.drive.command_slots + 2)
 
 
-def _compiled(case: Case, setting: Setting, template: Template) -> Program:
-    """From parameters and an extra delay to the loop's matrices, inertias and gains."""
+@functools.lru_cache(maxsize=8)
+def _compiled(case: Case, setting: Setting) -> tuple[Template, Program]:
+    """What the samples share, and a program, both in float64.
+
+    The program goes from parameters and an extra delay to the loop's matrices, inertias and gains.
+    """
+    template = kernel.template_of(case, setting, "growth_rate")
     options = _options(case)
 
     def matrices(values, moved, extra):
@@ -87,7 +93,7 @@ def _compiled(case: Case, setting: Setting, template: Template) -> Program:
         gains = loop.drive.controller
         return found, robot_loop.felt_inertias(loop.plant), gains.kp + like, gains.kd + like
 
-    return Program(lambda: matrices, ("matrices", case, setting))
+    return template, Program(lambda: matrices, ("matrices", case, setting))
 
 
 def _one(case: Case, template: Template, compiled, values: dict[str, float], moved) -> WholeRobot:

@@ -12,6 +12,7 @@ where that body rests, as in a sweep (`jaxact.sweep.outside.moved`).
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -115,7 +116,7 @@ def situation(specification: Specification, name: str, spans: tuple[Span, ...] =
         drives = [_drive(template, {key: row[i] for key, row in values.items()}) for i in (0, 1)]
     scene, nominal = template.scene, {key: float(row[0]) for key, row in values.items()}
     assert scene is not None
-    opened = _opener(plan.case, specification.setting, template, nominal, keys)
+    opened = _opener(plan.case, specification.setting, nominal, keys)
     shape = (len(scene.labels),)
     period = 1.0 / nominal["control_rate"]
     gains = drives[0].controller
@@ -219,27 +220,13 @@ def _ends(
 
 
 def _opener(
-    case: Case,
-    setting: Setting,
-    template: Template,
-    nominal: Mapping[str, float],
-    keys: tuple[str, ...],
+    case: Case, setting: Setting, nominal: Mapping[str, float], keys: tuple[str, ...]
 ) -> Callable[[np.ndarray], Opened]:
     """See `Situation.opened`; compiled once for all members."""
     linearised = _linearised(case, setting, nominal, keys)
-
-    def matrices(row: jax.Array, moved: tuple[jax.Array, jax.Array] | None):
-        """A, B, what controllers measure, and inertias of one member."""
-        values = {name: jnp.asarray(value) for name, value in nominal.items()}
-        values |= {key: row[place] for place, key in enumerate(keys)}
-        loop = kernel.linear_loop(case, template, values, moved)
-        found = robot_loop.open_map(loop, case.drive)
-        seen = jnp.stack([found.positions, found.velocities], axis=1)
-        return found.A, found.B, seen, robot_loop.felt_inertias(loop.plant)
-
-    compiled = Program(
-        lambda: matrices, ("open loop", case, setting, sorted(nominal.items()), keys)
-    )
+    # One NaN, which is found again as a key, for all that the model brings.
+    known = {key: math.nan if np.isnan(value) else value for key, value in nominal.items()}
+    compiled = _open_loop(*kernel.linear_part(case, setting), tuple(sorted(known.items())), keys)
 
     def opened(row: np.ndarray) -> Opened:
         with jax.enable_x64(True):
@@ -247,6 +234,31 @@ def _opener(
             return jax.tree.map(np.asarray, compiled(jnp.asarray(row, float), moved))
 
     return opened
+
+
+@functools.lru_cache(maxsize=16)
+def _open_loop(
+    case: Case, setting: Setting, nominal: tuple[tuple[str, float], ...], keys: tuple[str, ...]
+) -> Program:
+    """From values of the keys and a plant of their own to a loop, see `Situation.opened`.
+
+    What is nominal is a constant there, so that little is left to be compiled.
+    """
+
+    def make() -> Callable:
+        template = kernel.template_of(case, setting, "growth_rate")
+
+        def matrices(row: jax.Array, moved: tuple[jax.Array, jax.Array] | None):
+            values = {name: jnp.asarray(value) for name, value in nominal}
+            values |= {key: row[place] for place, key in enumerate(keys)}
+            loop = kernel.linear_loop(case, template, values, moved)
+            found = robot_loop.open_map(loop, case.drive)
+            seen = jnp.stack([found.positions, found.velocities], axis=1)
+            return found.A, found.B, seen, robot_loop.felt_inertias(loop.plant)
+
+        return matrices
+
+    return Program(make, ("open loop", case, setting, nominal, keys))
 
 
 def _linearised(

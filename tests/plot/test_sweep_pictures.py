@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import SymLogNorm, to_rgb
+from quickly import compiled_quickly as compiled_quickly
 from synthetic_store import DRAWN, GRID, dataset
 
 from jaxact.errors import UserError
