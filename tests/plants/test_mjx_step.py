@@ -41,8 +41,11 @@ def _exact(model, torque):
     return data, data.qacc.copy()
 
 
-def _found(text, dtype, torque, offsets, solve):
-    """Accelerations that MJX comes to from starts that are off by these, shape (n, nv)."""
+def _found(text, dtype, torque, offsets, *solvers):
+    """Accelerations that MJX comes to from starts that are off by these, shape (n, nv).
+
+    And the forces of its constraints, both as differences from the exact ones, of each solver.
+    """
     model = mujoco.MjModel.from_xml_string(text)
     data, exact = _exact(mujoco.MjModel.from_xml_string(text), torque)
     with jax.enable_x64(dtype == np.float64), jax.numpy_rank_promotion("allow"):
@@ -52,18 +55,21 @@ def _found(text, dtype, torque, offsets, solve):
             one = start.replace(qacc_warmstart=jnp.asarray(exact, dtype) + offset)
             one = mjx.fwd_velocity(on_device, mjx.fwd_position(on_device, one))
             one = mjx.fwd_acceleration(on_device, mjx.fwd_actuation(on_device, one))
-            after = solve(on_device, one)
-            return after.qacc, after.qfrc_constraint
+            ends = [solve(on_device, one) for solve in solvers]
+            return [(end.qacc, end.qfrc_constraint) for end in ends]
 
-        qacc, forces = jax.jit(jax.vmap(accelerations))(jnp.asarray(offsets, dtype))
-    return np.asarray(qacc) - exact, np.asarray(forces) - data.qfrc_constraint
+        ends = jax.jit(jax.vmap(accelerations))(jnp.asarray(offsets, dtype))
+    return [
+        (np.asarray(qacc) - exact, np.asarray(forces) - data.qfrc_constraint)
+        for qacc, forces in ends
+    ]
 
 
 @pytest.mark.parametrize(("cone", "iterations"), [("pyramidal", 1), ("elliptic", 20)])
 def test_the_solver_finishes_in_float32(cone, iterations):
     text = BOX.format(cone=cone, iterations=iterations)
     offsets = OFF * np.linspace(-1.0, 1.0, 21)[:, None] * np.eye(7)[6]
-    off, forces_off = _found(text, np.float32, 12.0, offsets, mjx_step.solved)
+    ((off, forces_off),) = _found(text, np.float32, 12.0, offsets, mjx_step.solved)
     # The solver of MJX 3.17 alone stays where it starts.
     assert np.abs(off).max() < 2e-4
     assert np.abs(forces_off).max() < 5e-3
@@ -72,7 +78,7 @@ def test_the_solver_finishes_in_float32(cone, iterations):
 def test_in_float64_it_is_the_solver_of_mjx():
     text = BOX.format(cone="pyramidal", iterations=1)
     offsets = OFF * np.linspace(-1.0, 1.0, 5)[:, None] * np.eye(7)[6]
-    off, _ = _found(text, np.float64, 12.0, offsets, mjx_step.solved)
-    theirs, _ = _found(text, np.float64, 12.0, offsets, mjx.solve)
+    both = _found(text, np.float64, 12.0, offsets, mjx_step.solved, mjx.solve)
+    (off, _), (theirs, _) = both
     np.testing.assert_array_equal(off, theirs)
     assert np.abs(off).max() < 1e-9
