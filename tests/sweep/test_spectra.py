@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from exact import growth_rate as exact_growth_rate
 from quickly import compiled_quickly as compiled_quickly
+from robots import PENDULUM
 
-from jaxact.sweep import plans, reading, spectra
+from jaxact.sweep import plans, reading, spectra, tiles
 from jaxact.sweep.parameters import PRESETS
 from jaxact.sweep.samples import expand
 
@@ -97,3 +98,39 @@ def test_what_is_not_linear_in_the_gains_goes_by_itself(monkeypatch):
     monkeypatch.setattr(spectra, "_sets", wrong)
     again, _ = _rates(asked)
     np.testing.assert_allclose(again, right, rtol=1e-6, atol=3e-3)
+
+
+ROBOT = """
+engine = "mujoco"
+duration = {duration}
+[plant]
+model = "pendulum.xml"
+keyframe = "home"
+{moved}
+[parameters]
+actuator = "hyq"
+{errors}
+[axes]
+gain_scale = [0.5, 3.0]
+"""
+MOVED = """
+[motion]
+kind = "sine"
+frequency = 3.0
+[push]
+body = "lower"
+impulse = [0, 0, 1.0]
+"""
+
+
+def test_neither_errors_nor_what_moves_a_robot_need_another_program(tmp_path):
+    (tmp_path / "pendulum.xml").write_text(PENDULUM)
+    calm = reading.parse(ROBOT.format(duration=0.2, moved="", errors=""), tmp_path)
+    errors = "position_noise = 1e-4\ncommand_resolution = 0.01\nforce_limit = 50"
+    rough = reading.parse(ROBOT.format(duration=0.35, moved=MOVED, errors=errors), tmp_path)
+    found, _ = _rates(calm)
+    compiled = tiles.compiled.cache_info().misses
+    again, _ = _rates(rough)
+    assert tiles.compiled.cache_info().misses == compiled
+    np.testing.assert_array_equal(again, found)
+    assert found[0] != found[1]
