@@ -21,6 +21,9 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
 import jax  # noqa: E402
 
 from jaxact.cli import _xla  # noqa: E402
+from jaxact.sweep import memory  # noqa: E402
+
+_WORKER = 4 * 2**30  # bytes that one takes at most, with what it starts
 
 _xla.enlarge_pool()  # JAX reads it when it starts its devices
 
@@ -47,6 +50,13 @@ def programs_are_not_kept():
     """A command that runs in this process asks for it, for what runs in it afterwards too."""
     yield
     os.environ.pop("JAXACT_PROGRAMS", None)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers():
+    """One more than processors, if there is memory for it: some tests wait for other processes."""
+    workers = (os.cpu_count() or 1) + 1
+    return workers if memory.free() > workers * _WORKER else None
 
 
 @pytest.hookimpl(optionalhook=True)
