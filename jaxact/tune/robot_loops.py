@@ -111,8 +111,8 @@ def situation(specification: Specification, name: str, spans: tuple[Span, ...] =
     samples = explicit(specification, columns or {"feedforward": np.zeros(2)})
     (plan,) = plans.groups(specification, samples)
     values = samples.take(np.arange(2))
+    template = outside.template(plan.case, specification.setting)
     with jax.enable_x64(True):
-        template = kernel.template_of(plan.case, specification.setting, "growth_rate")
         drives = [_drive(template, {key: row[i] for key, row in values.items()}) for i in (0, 1)]
     scene, nominal = template.scene, {key: float(row[0]) for key, row in values.items()}
     assert scene is not None
@@ -246,9 +246,11 @@ def _open_loop(
     """
 
     def make() -> Callable:
+        """The function; the robot is linearised only where its program is not kept."""
         template = kernel.template_of(case, setting, "growth_rate")
 
         def matrices(row: jax.Array, moved: tuple[jax.Array, jax.Array] | None):
+            """A, B, what controllers measure, and inertias of one member."""
             values = {name: jnp.asarray(value) for name, value in nominal}
             values |= {key: row[place] for place, key in enumerate(keys)}
             loop = kernel.linear_loop(case, template, values, moved)
