@@ -13,19 +13,24 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 os.environ.setdefault("MPLBACKEND", "agg")
+# Before NumPy and SciPy start: threads of theirs wait by spinning, on cores that others need.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Compiled kernels of the command line are kept for these tests only, for all workers together.
 if "PYTEST_XDIST_WORKER" not in os.environ:
     _cache = tempfile.TemporaryDirectory(prefix="jaxact-tests-")
     os.environ["XDG_CACHE_HOME"] = _cache.name
 
 import jax  # noqa: E402
+import quickly  # noqa: E402
 
 from jaxact.cli import _xla  # noqa: E402
 from jaxact.sweep import memory  # noqa: E402
 
 _WORKER = 4 * 2**30  # bytes that one takes at most, with what it starts
 
-_xla.enlarge_pool()  # JAX reads it when it starts its devices
+# JAX reads these when it starts its devices.
+os.environ.setdefault("XLA_FLAGS", quickly.XLA_FLAGS)
+_xla.enlarge_pool()
 
 # Tracing makes many objects and little garbage; looking for it often takes a tenth of the time.
 gc.set_threshold(500_000, 20, 100)

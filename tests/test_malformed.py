@@ -4,11 +4,13 @@ import contextlib
 import copy
 import io
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from jaxact.cli import _options
 from jaxact.cli.main import main
 from jaxact.errors import UserError
 from jaxact.sweep import reading, toml
@@ -72,7 +74,16 @@ def _specifications(draw):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("malformed")
+    """Where the same options are given a thousand times, and are not read anew each time."""
+
+    def call(verb, _, arguments):
+        specification, out, folder = arguments
+        assert out == "--out"
+        verb(Path(specification), out=folder)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(_options, "call", call)
+        yield tmp_path_factory.mktemp("malformed")
 
 
 def _told(folder, content):
