@@ -381,6 +381,16 @@ def test_an_older_xla_is_told_to_compile_loops_whole(given, monkeypatch):
     assert os.environ["XLA_FLAGS"] == (given or whole)
 
 
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3"), ({"OMP_NUM_THREADS": "4"}, None)],
+)
+def test_openblas_gets_one_thread_unless_the_user_says_otherwise(given, expected, monkeypatch):
+    monkeypatch.setattr(os, "environ", dict(given))
+    _xla.prepare()
+    assert os.environ.get(_xla.THREADS) == expected
+
+
 def test_a_sweep_gets_a_device_for_every_core(monkeypatch):
     monkeypatch.setattr(_xla, "_has_wide_vectors", lambda: False)
     monkeypatch.setattr(_xla, "_takes_loops_apart", lambda: False)

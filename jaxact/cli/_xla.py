@@ -1,4 +1,4 @@
-"""What must be in the environment before JAX starts, and is the command line's to set."""
+"""What must be in the environment before JAX and NumPy start, and is the command line's to set."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
 EXTRA = "--xla_backend_extra_options"
 POOL = "NPROC"
+THREADS = "OPENBLAS_NUM_THREADS"
+_OTHER_THREADS = ("OMP_NUM_THREADS", "GOTO_NUM_THREADS")  # which OpenBLAS reads too
 DEVICE_COUNT = "JAX_NUM_CPU_DEVICES"
 _OLD_DEVICE_COUNT = "--xla_force_host_platform_device_count"
 # Bytes that a loop may touch and still be compiled into one kernel: any number that occurs.
@@ -21,13 +23,16 @@ _WHOLE_LOOPS = "xla_cpu_small_while_loop_byte_threshold=1000000000"
 
 
 def prepare(*, all_cores: bool = False) -> None:
-    """Set what JAX reads when it starts, wherever the user's own environment does not say it.
+    """Set what they read when they start, wherever the user's own environment does not say it.
 
     all_cores: one CPU device for each core this process may use, so that a sweep uses them all
 
     XLA prefers 256-bit vectors by itself even where the CPU has 512-bit ones, which costs a sweep
     of the mass plant up to half its speed. Before JAX 0.12, it starts the operations of a loop one
     by one, unless the loop touches next to nothing, which costs a sweep four fifths of its speed.
+
+    OpenBLAS, which NumPy and SciPy bring along, would start a thread for each core. They wait by
+    spinning, on cores that JAX could use, and a robot's matrices are too small for several.
     """
     flags = given = os.environ.get("XLA_FLAGS", "")
     if VECTOR_WIDTH not in given and _has_wide_vectors():
@@ -37,6 +42,8 @@ def prepare(*, all_cores: bool = False) -> None:
     if flags != given:
         os.environ["XLA_FLAGS"] = flags.strip()
     enlarge_pool()
+    if not any(name in os.environ for name in (THREADS, *_OTHER_THREADS)):
+        os.environ[THREADS] = "1"
     if all_cores and DEVICE_COUNT not in os.environ and _OLD_DEVICE_COUNT not in flags:
         os.environ[DEVICE_COUNT] = str(cores())
 
