@@ -21,16 +21,13 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ["XDG_CACHE_HOME"] = _cache.name
 
 import jax  # noqa: E402
-import quickly  # noqa: E402
 
 from jaxact.cli import _xla  # noqa: E402
 from jaxact.sweep import memory  # noqa: E402
 
 _WORKER = 4 * 2**30  # bytes that one takes at most, with what it starts
 
-# JAX reads these when it starts its devices.
-os.environ.setdefault("XLA_FLAGS", quickly.XLA_FLAGS)
-_xla.enlarge_pool()
+_xla.enlarge_pool()  # JAX reads it when it starts its devices
 
 # Tracing makes many objects and little garbage; looking for it often takes a tenth of the time.
 gc.set_threshold(500_000, 20, 100)

@@ -5,12 +5,18 @@ from importlib.metadata import version
 
 import jax
 import pytest
+from jax._src import compiler
 
-# JAX 0.10 can still write kernels as it once did, in half the time. For a whole process or not.
-XLA_FLAGS = "--xla_cpu_use_fusion_emitters=false" if version("jax").startswith("0.10.") else ""
+# JAX 0.10 can still write kernels as it once did, which takes half the time.
+_OLD_KERNELS = {"xla_cpu_use_fusion_emitters": False} if version("jax").startswith("0.10.") else {}
 
-# The same for a program of its own.
-ENVIRONMENT = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1", "XLA_FLAGS": XLA_FLAGS}
+_AS_USERS_HAVE_THEM = compiler.get_compile_options
+
+# Little optimised: the same for a program of its own.
+ENVIRONMENT = {
+    "JAX_DISABLE_MOST_OPTIMIZATIONS": "1",
+    "XLA_FLAGS": " ".join(f"--{name}={value}".lower() for name, value in _OLD_KERNELS.items()),
+}
 
 
 @contextmanager
@@ -33,13 +39,29 @@ def _optimisations(*, disabled):
     before = jax.config.values[name]
     jax.config.update(name, disabled)
     try:
-        yield
+        with pytest.MonkeyPatch.context() as patched:
+            if _OLD_KERNELS:  # which no setting of JAX asks for
+                options = _with_old_kernels if disabled else _AS_USERS_HAVE_THEM
+                patched.setattr(compiler, "get_compile_options", options)
+            yield
     finally:
         jax.config.update(name, before)
+
+
+def _with_old_kernels(*arguments, env_options_overrides=None, **named):
+    overrides = _OLD_KERNELS | (env_options_overrides or {})
+    return _AS_USERS_HAVE_THEM(*arguments, env_options_overrides=overrides, **named)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_quickly():
     """The same while the tests of a module run that imports it."""
     with optimised_little():
+        yield
+
+
+@pytest.fixture
+def compiled_fully():
+    """In a module that imports both, for a test of what rounding of the user's kernels decides."""
+    with optimised_fully():
         yield

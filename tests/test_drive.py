@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from quickly import compiled_fully as compiled_fully
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact import drive as drives
@@ -107,6 +108,7 @@ def test_physics_steps_compose(substeps):
             np.testing.assert_allclose(mean, one.force, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.usefixtures("compiled_fully")
 def test_switched_off_parts_leave_the_loop_bit_for_bit():
     plain = simulate(BASE)
     static = drives.options(BASE)

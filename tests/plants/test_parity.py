@@ -6,6 +6,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.plants import mjx_refusals, parity
 from jaxact.plants import model as models

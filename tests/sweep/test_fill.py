@@ -11,7 +11,9 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from quickly import compiled_fully as compiled_fully
 from quickly import compiled_quickly as compiled_quickly
+from quickly import optimised_fully
 
 from jaxact.errors import UserError
 from jaxact.sweep import (
@@ -61,10 +63,12 @@ def _run(folder, text, *, loops, backwards=False, **options):
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
-    _run(folder, NOISY, loops=1000)
+    with optimised_fully():
+        _run(folder, NOISY, loops=1000)
     return folder
 
 
+@pytest.mark.usefixtures("compiled_fully")
 @pytest.mark.parametrize(("loops", "devices"), [(32, 2), (45, 1)])
 def test_any_chunks_any_order_any_devices_give_the_same_bits(loops, devices, whole, tmp_path):
     assert len(jax.local_devices()) == 2
