@@ -173,7 +173,7 @@ def test_results_do_not_depend_on_where_or_how_they_were_computed(tmp_path):
     (tmp_path / "noisy.toml").write_text(NOISY)
     asked = ["sweep", tmp_path / "noisy.toml"]
     # Compiled as users have it: what is optimised little is rounded alike anyway.
-    shipped = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "0"}
+    shipped = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "0", "XLA_FLAGS": ""}
     two = jaxact(*asked, "--out", tmp_path / "two", JAX_NUM_CPU_DEVICES="2", **shipped)
     one = jaxact(*asked, "--out", tmp_path / "one", JAX_NUM_CPU_DEVICES="1", **shipped)
     assert one.returncode == two.returncode == 0, one.stderr + two.stderr
