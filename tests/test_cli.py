@@ -199,10 +199,10 @@ def test_a_sweep_interrupted_before_its_first_chunk_leaves_nothing(number, code,
 
 def test_an_interrupted_sweep_says_how_to_continue_and_does(tmp_path):
     (tmp_path / "long.toml").write_text(
-        'engine = "mass"\nduration = 8\n[axes]\nkp = {min = 10, max = 1000, num = 1000}\n'
+        'engine = "mass"\nduration = 20\n[axes]\nkp = {min = 10, max = 1000, num = 1000}\n'
         "kd = {min = 1, max = 100, num = 1000}\n"
     )
-    command = ["sweep", "long.toml", "--set", "duration=8"]
+    command = ["sweep", "long.toml", "--set", "duration=20"]
     done = 0
     for number, code, more in ((signal.SIGINT, 130, []), (signal.SIGTERM, 143, ["--resume"])):
         before, (done, chunks) = done, _interrupted(tmp_path, command, more, number, code)
