@@ -23,7 +23,7 @@ _WHOLE_LOOPS = "xla_cpu_small_while_loop_byte_threshold=1000000000"
 
 
 def prepare(*, all_cores: bool = False) -> None:
-    """Set what both read when they start, wherever the user's own environment does not say it.
+    """Set what JAX and NumPy read when they start, unless the user's environment says it.
 
     all_cores: one CPU device for each core this process may use, so that a sweep uses them all
 

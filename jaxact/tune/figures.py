@@ -100,6 +100,7 @@ def _compiled(
     sampling: Sampling | None, steps: int, wanted: tuple[str, ...], timed: Any
 ) -> Program:
     def logs(inputs: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+        """ln of all figures of loops, shape (loops,), and which loops are stable."""
         kp, kd = jnp.exp(inputs[0]), jnp.exp(inputs[1])
         found = _figures(kp, kd, inputs[2:], sampling, steps, wanted, timed)
         stable = found.pop("stable")

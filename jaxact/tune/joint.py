@@ -229,6 +229,7 @@ def problem(cases: Sequence[Case], timed: Any = None, *, aim: bool = True) -> Pr
     goals = [case.goal for case in cases]
 
     def rows(x: np.ndarray) -> Rows:
+        """As `rows_of`, with an objective that is the same everywhere where none is wanted."""
         found = rows_of(goals, x, exact(cases, x, timed))
         if aim:
             return found

@@ -162,6 +162,7 @@ def _run(
     chain = optax.with_extra_args_support(chain)
 
     def step(carry: tuple[jax.Array, Any, jax.Array], level: jax.Array) -> tuple[Any, Any]:
+        """One step, shorter after one that was not taken; the path has where it started."""
         x, state, stride = carry
         value, slope = jax.value_and_grad(evaluate)(x, level)
         # Where a figure has no slope, an infinite margin say, the others lead.

@@ -176,6 +176,7 @@ def _riser(
         return one.opened(one.values(u[None])[0])[:3]
 
     def over(matrices: tuple[np.ndarray, ...], angle: np.ndarray) -> np.ndarray:
+        """ln of how far the worst figure exceeds its bound at each angle [-]."""
         A, B, seen = matrices
         z = np.exp(1j * angle)[:, None, None]
         states = np.linalg.solve(z * np.eye(len(A)) - A, B[None].astype(complex))
@@ -191,6 +192,7 @@ def _riser(
         return worst
 
     def rise(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """At points of the box, shape (points, d): the excess, and its slopes one-sided."""
         values, slopes = [], []
         for u in points:
             here = over(opened(u), band)

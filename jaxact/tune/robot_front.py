@@ -66,6 +66,7 @@ def front(tuned: RobotTuned, number: int, *, seed: int = 0) -> list[RobotTuned]:
         return _point(tuned.situations, _at(case, peak), x, seed)
 
     def beside(other: _Point, peak: float) -> _Point:
+        """The point of a bound, starting from that of the bound next to it."""
         own = other.reached
         if not other.met and peak < own.case.goal.max_peak:
             # What comes nearest to a bound that cannot be met comes nearest to a tighter one, too.
