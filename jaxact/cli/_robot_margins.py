@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import UseAppendAction, arg
 
-from jaxact.cli import _loops, _robot_tables, _warnings
+from jaxact.cli import _loops, _mounting, _robot_tables, _warnings
 from jaxact.errors import UserError, nearest, shown
 
 if TYPE_CHECKING:
@@ -54,6 +54,8 @@ class Options:
             help_behavior_hint="(default: settled)",
         ),
     ] = None
+    base: _mounting.Base = None
+    damping: _mounting.Damping = None
     engine: Annotated[
         str | None,
         arg(
@@ -153,6 +155,7 @@ def specified(options: Options, given: dict[str, Any], velocity: str) -> Specifi
     chosen = {
         "model": options.model, "keyframe": options.keyframe, "posture": options.posture,
         "joints": list(options.joints) or None,
+        **_mounting.chosen(options.base, options.damping),
     }  # fmt: skip
     plant = base.get("plant", {}) | {
         name: str(value) if isinstance(value, Path) else value

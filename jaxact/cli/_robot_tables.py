@@ -22,10 +22,13 @@ _WIDTH = 118
 
 
 def title(specification: Specification) -> str:
-    """The robot and its keyframe."""
+    """The robot, its keyframe, and how it is mounted if not as its model has it."""
     plant = specification.plant
     assert plant is not None
-    return plant.model.name + (f", keyframe {plant.keyframe}" if plant.keyframe else "")
+    parts = [f"keyframe {plant.keyframe}"] if plant.keyframe else []
+    parts += [f"base {plant.base}"] if plant.base != "free" else []
+    parts += ["damping in the drive"] if plant.damping == "drive" else []
+    return ", ".join([plant.model.name, *parts])
 
 
 def as_json(specification: Specification, label: str, found: WholeRobot) -> str:
@@ -34,7 +37,8 @@ def as_json(specification: Specification, label: str, found: WholeRobot) -> str:
     assert plant is not None
     row: dict[str, Any] = {
         "model": str(plant.model), "keyframe": plant.keyframe, "posture": plant.posture,
-        "loop": label, "engine": found.engine, "residual": found.residual,
+        "base": plant.base, "damping": plant.damping, "loop": label, "engine": found.engine,
+        "residual": found.residual,
         "neutral_directions": found.neutral, "control_period": found.robot.period,
         "physics_step": found.physics_step, "stable": margins.stable,
         "unstable_roots": margins.unstable_roots, "spectral_radius": margins.spectral_radius,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import UseAppendAction, arg
 
-from jaxact.cli import _folders, _front, _robot_margins, _robot_report, _warnings
+from jaxact.cli import _folders, _front, _mounting, _robot_margins, _robot_report, _warnings
 from jaxact.errors import UserError
 
 if TYPE_CHECKING:
@@ -61,6 +61,8 @@ class Options:
             help_behavior_hint="(default: all)",
         ),
     ] = ()
+    base: _mounting.Base = None
+    damping: _mounting.Damping = None
     posture: Annotated[
         str | None,
         arg(
@@ -219,7 +221,12 @@ def _specifications(
 
     def one(**own: Any) -> Specification:
         chosen = _robot_margins.Options(
-            joints=options.joints, posture=options.posture, set=options.set, **own
+            joints=options.joints,
+            posture=options.posture,
+            base=options.base,
+            damping=options.damping,
+            set=options.set,
+            **own,
         )
         return _robot_margins.specified(chosen, values, velocity)
 

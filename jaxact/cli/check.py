@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from jaxact.cli import _mounting
+
 if TYPE_CHECKING:
     from jaxact.plants.findings import Finding
     from jaxact.plants.model import Robot
@@ -41,6 +43,8 @@ def main(
             help_behavior_hint="(default: all)",
         ),
     ] = (".*",),
+    base: _mounting.Base = None,
+    damping: _mounting.Damping = None,
     json: Annotated[bool, arg(help="Print one JSON object.")] = False,
 ) -> None:
     r"""Show what will be driven in a robot and how, and every field that engines would ignore.
@@ -67,7 +71,7 @@ def main(
     """
     from jaxact.plants import model as _model
 
-    robot = _model.read(model, keyframe=keyframe, joints=joints)
+    robot = _model.read(model, keyframe=keyframe, joints=joints, **_mounting.chosen(base, damping))
     robot = replace(robot, findings=(*robot.findings, *_of_mjx(robot), *_of_warp(robot)))
     print(_as_json(robot, keyframe) if json else _as_text(robot, keyframe))
     if any(item.engines for item in robot.findings):

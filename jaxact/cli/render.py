@@ -9,7 +9,7 @@ import numpy as np
 import tyro
 from tyro.conf import OmitArgPrefixes, UseAppendAction
 
-from jaxact.cli import _loops, _single
+from jaxact.cli import _loops, _mounting, _single
 from jaxact.errors import UserError
 from jaxact.sweep.parameters import PARAMETERS
 
@@ -42,6 +42,8 @@ def main(
             help_behavior_hint="(default: the model's default posture)",
         ),
     ] = None,
+    base: _mounting.Base = None,
+    damping: _mounting.Damping = None,
     spec: Annotated[
         Path | None,
         tyro.conf.arg(
@@ -160,10 +162,13 @@ def main(
     asked = _loops.given(parameters)
     if files is None:
         static = {"engine": engine, "seed": seed, "duration": start + (duration or SIMULATED)}
-        chosen = _specification(spec, set, static, (model, keyframe), asked, push)
+        plant = {"model": model, "keyframe": keyframe}
+        plant = {name: str(value) for name, value in plant.items() if value is not None}
+        plant |= _mounting.chosen(base, damping, robot=model is not None or spec is not None)
+        chosen = _specification(spec, set, static, plant, asked, push)
         model, shown = chosen.model, duration or SIMULATED
     else:
-        _refuse(asked, spec, set, push, keyframe, engine)
+        _refuse(asked, spec, set, push, engine, damping, keyframe if base is None else None)
         motions = _loaded(files, labels, start, duration)
         shown = min(float(motion.time[-1] - motion.time[0]) for motion in motions)
     _check_length(shown * fps / speed)
@@ -171,8 +176,12 @@ def main(
 
     from jaxact.plants.model import read
     from jaxact.plot.film import film
+    from jaxact.sweep import robots
 
-    robot = read(model).model
+    if files is None:
+        robot = robots.scene(chosen.plant).robot.model
+    else:  # of a base that is fixed or held, the keyframe says where
+        robot = read(model, keyframe=keyframe, **_mounting.chosen(base, None)).model
     if files is None:
         motions = _simulated(chosen, labels, start)
     else:
@@ -225,14 +234,12 @@ def _specification(
     path: Path | None,
     overrides: tuple[str, ...],
     static: dict[str, Any],
-    robot: tuple[Path | None, str | None],
+    plant: dict[str, str],
     given: dict[str, Any],
     push: tuple[str, float, float, float] | None,
 ) -> Specification:
     """The loop with its drive."""
     asked = {name: value for name, value in static.items() if _loops.is_given(value)}
-    named = zip(("model", "keyframe"), robot, strict=True)
-    plant = {name: str(value) for name, value in named if value is not None}
     pushed = None if push is None else {"body": push[0], "impulse": list(push[1:])}
     found = _single.specification(path, overrides, asked, plant, given, push=pushed)
     if found.plant is None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
-from jaxact.cli import _files, _loops, _single, _warnings, _xla
+from jaxact.cli import _files, _loops, _mounting, _single, _warnings, _xla
 from jaxact.errors import UserError
 from jaxact.sweep.parameters import PARAMETERS
 
@@ -66,6 +66,8 @@ def main(
             help_behavior_hint="(default: the model's default posture)",
         ),
     ] = None,
+    base: _mounting.Base = None,
+    damping: _mounting.Damping = None,
     velocity: Annotated[
         str | None,
         arg(
@@ -150,6 +152,7 @@ def main(
     asked = {name: value for name, value in static.items() if _loops.is_given(value)}
     plant = {"model": model, "keyframe": keyframe}
     plant = {name: str(value) for name, value in plant.items() if value is not None}
+    plant |= _mounting.chosen(base, damping, robot=model is not None or spec is not None)
     specification = _single.specification(spec, set, asked, plant, _loops.given(parameters))
 
     _xla.call_at_once(specification)

@@ -5,17 +5,24 @@ Works on MuJoCo's own specification (`mujoco.MjSpec`) in memory; the user's file
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Sequence
+from dataclasses import replace
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from jaxact.plants import actuators, assets
+from jaxact.plants import actuators, assets, motors
 from jaxact.plants.actuators import Law
-from jaxact.plants.findings import EMULATED, ENGINES, MJX, WARP, Finding, refused
+from jaxact.plants.findings import ASKED, EMULATED, ENGINES, MJX, WARP, Finding, named, refused
 from jaxact.plants.parity import switched_off
+from jaxact.plants.robot import Joint
 from jaxact.plants.selection import Driven
+
+IN_JOINT, IN_DRIVE = "joint", "drive"
+DAMPING = (IN_JOINT, IN_DRIVE)
+"""Where the viscous damping of driven joints acts: in the joint, at once, or in the drive's kd."""
 
 _DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
 _HARMLESS = _ENABLE.mjENBL_ENERGY | _ENABLE.mjENBL_FWDINV | _ENABLE.mjENBL_SLEEP
@@ -37,7 +44,7 @@ def convert(
 
     Raises ValueError with MuJoCo's reason where it cannot be compiled.
     """
-    _settle_spring_dampers(spec, original)
+    settle_spring_dampers(spec, original)
     _lift_inertia(spec, original)
     _switch_off_passive_forces(spec)
     for actuator in spec.actuators:
@@ -80,7 +87,7 @@ def taken(driven: Sequence[Driven]) -> set[int]:
 def _make_motor(spec: mujoco.MjSpec, law: Law) -> None:
     target = spec.joints[law.joint]
     if not target.name:
-        target.name = _free_name(f"joint {law.joint}", {other.name for other in spec.joints})
+        target.name = motors.free_name(f"joint {law.joint}", {other.name for other in spec.joints})
     _add_damping(target, law.viscous)
     motor = spec.actuators[law.index]
     motor.set_to_motor()
@@ -94,19 +101,12 @@ def _make_motor(spec: mujoco.MjSpec, law: Law) -> None:
     motor.ctrlrange = motor.forcerange = motor.actrange = [0.0, 0.0]
 
 
-def _free_name(wish: str, taken: set[str]) -> str:
-    name = wish
-    while name in taken:
-        name += "_"
-    return name
-
-
 def _silence(actuator: mujoco.MjsActuator) -> None:
     actuator.gainprm = np.zeros(10)
     actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
 
 
-def _settle_spring_dampers(spec: mujoco.MjSpec, original: mujoco.MjModel) -> None:
+def settle_spring_dampers(spec: mujoco.MjSpec, original: mujoco.MjModel) -> None:
     """What `springdamper` compiles to, before anything is added that it would overwrite."""
     for index, joint in enumerate(spec.joints):
         if np.any(np.array(joint.springdamper)):
@@ -155,6 +155,44 @@ def _switch_off_passive_forces(spec: mujoco.MjSpec) -> None:
             body.gravcomp = 0.0
         spec.option.density = spec.option.viscosity = 0.0
         spec.option.wind = np.zeros(3)
+
+
+def damping_to_drives(
+    model: mujoco.MjModel, joints: Sequence[Joint]
+) -> tuple[tuple[Joint, ...], list[Finding]]:
+    """Move the viscous damping of driven joints into the gains that the model brings.
+
+    kp (r - q) - kd v - d v is the law with kd + d; its last part is sampled and delayed then, as
+    it is where the damping stands for a drive's kd. Damping that grows with speed, and that of
+    tendons, stays.
+
+    Args:
+        model: converted; changed.
+        joints: the driven ones.
+
+    Returns:
+        The joints with their gains, and what is said of it.
+    """
+    moved, findings = [], []
+    for joint in joints:
+        damping = float(model.dof_damping[joint.dof])
+        if damping == 0.0:
+            moved.append(joint)
+            continue
+        model.dof_damping[joint.dof] = 0.0
+        kd = damping + (0.0 if math.isnan(joint.kd) else joint.kd)
+        # The same force at rest asks for a slower setpoint velocity of the higher gain.
+        slower = 0.0 if math.isnan(joint.kd) else joint.kd / kd
+        velocity = joint.setpoint_velocity * slower
+        moved.append(replace(joint, kd=kd, setpoint_velocity=velocity))
+        advice = f"moved into the drive's kd, which is {kd:g} unless another one is given"
+        findings.append(
+            Finding(
+                named("joint", model.joint(joint.joint).name, joint.joint), "damping",
+                f"{damping:g}", "has it act in the joint, at once", ASKED, advice,
+            )
+        )  # fmt: skip
+    return tuple(moved), findings
 
 
 def _holder(spec: mujoco.MjSpec, model: mujoco.MjModel, index: int) -> Any:

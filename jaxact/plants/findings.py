@@ -13,6 +13,9 @@ EMULATED = "emulated"
 HARMLESS = "ignored harmlessly"
 """Left out; what it changes is said, and the stability of the loops is not among it."""
 
+ASKED = "as asked"
+"""Otherwise than the model has it, because the user says so."""
+
 REFUSED = "refused"
 """Cannot be simulated as the model has it."""
 
@@ -31,7 +34,7 @@ class Finding:
         field: the attribute's name in MJCF, or what it is about.
         value: as the model has it.
         mjx: what MJX does with it by itself.
-        action: `LIFTED`, `EMULATED`, `HARMLESS` or `REFUSED`: what jaxact does.
+        action: `LIFTED`, `EMULATED`, `HARMLESS`, `ASKED` or `REFUSED`: what jaxact does.
         advice: how that is done, or what to change where it is refused; a sentence.
         engines: the engines that cannot simulate it; empty unless refused.
     """

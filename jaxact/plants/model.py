@@ -9,94 +9,36 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.plants import actuators, assets, conversion, parity, selection
+from jaxact.plants import (
+    actuators,
+    assets,
+    conversion,
+    motors,
+    mounting,
+    parity,
+    posture,
+    selection,
+)
 from jaxact.plants.actuators import FORCE, POSITION, VELOCITY, Law
-from jaxact.plants.findings import EMULATED, ENGINES, HARMLESS, LIFTED, Finding
+from jaxact.plants.conversion import DAMPING, IN_DRIVE, IN_JOINT
+from jaxact.plants.findings import EMULATED, HARMLESS, LIFTED, Finding
+from jaxact.plants.posture import Posture
+from jaxact.plants.robot import Joint, Robot, demand, suits
 from jaxact.plants.selection import Driven
 
 __all__ = ["Finding", "Joint", "Robot", "demand", "read", "suits"]
 
 
 @dataclass(frozen=True)
-class Joint:
-    """One driven joint; SI units, angles in rad, everything at the joint (gear applied).
-
-    Attributes:
-        name: of the joint; "joint 3" if it has none.
-        actuator: the actuator's name; "actuator 2" if it has none.
-        kind: what the model has there: "motor", "position", "velocity", "general", "pid", ...
-        index: of the actuator's control in the converted model.
-        joint: id of the joint.
-        qpos, dof, body: addresses of its position, its velocity, and the body it moves.
-        kp, kd: gains that the model brings; nan where it brings none (a motor).
-        force_low, force_high: limits of the force, +-inf where none.
-        setpoint_low, setpoint_high: limits of the position setpoint, +-inf where none.
-        delay: of the force command, lifted from a motor's own delay [s].
-        setpoint: position setpoint that the keyframe's ctrl asks for; nan if none.
-        setpoint_velocity: velocity setpoint that the keyframe's ctrl asks for; 0 if none.
-        setpoint_delay: of the setpoint, lifted from a servo's own delay [s].
-        natural_frequency, damping_ratio: force loop lifted from a motor's filter; nan if none.
-    """
-
-    name: str
-    actuator: str
-    kind: str
-    index: int
-    joint: int
-    qpos: int
-    dof: int
-    body: int
-    kp: float
-    kd: float
-    force_low: float
-    force_high: float
-    setpoint_low: float
-    setpoint_high: float
-    delay: float
-    setpoint: float
-    setpoint_velocity: float = 0.0
-    setpoint_delay: float = 0.0
-    natural_frequency: float = math.nan
-    damping_ratio: float = math.nan
-
-
-@dataclass(frozen=True)
-class Robot:
-    """A robot ready to be driven.
-
-    Attributes:
-        path: the file it was read from.
-        model: driven actuators are unit motors (gear 1, gain 1, no limits, no delay); the others
-            are as the file has them. It has no sensors: the drive brings its own.
-        joints: the driven ones, in the order of their actuators.
-        findings: fields that need a word, refusals among them.
-        qpos, qvel, ctrl, act: start posture: the keyframe, else qpos0 at rest. ctrl holds what the
-            undriven actuators keep getting, and 0 for the driven ones.
-        digest: fingerprint of what the file compiles to, with all that it includes.
-    """
-
-    path: Path
-    model: mujoco.MjModel
-    joints: tuple[Joint, ...]
-    findings: tuple[Finding, ...]
-    qpos: np.ndarray
-    qvel: np.ndarray
-    ctrl: np.ndarray
-    act: np.ndarray
-    digest: str
-
-
-@dataclass(frozen=True)
-class _Posture:
+class _Start:
     """A keyframe of the model as its file has it; `commanded` if it says what ctrl is."""
 
     qpos: np.ndarray
@@ -107,7 +49,13 @@ class _Posture:
 
 
 def read(
-    path: Path | str, *, keyframe: str | int | None = None, joints: Sequence[str] = (".*",)
+    path: Path | str,
+    *,
+    keyframe: str | int | None = None,
+    joints: Sequence[str] = (".*",),
+    base: str = mounting.FREE,
+    damping: str = IN_JOINT,
+    settle: bool = True,
 ) -> Robot:
     """Read a robot.
 
@@ -116,32 +64,148 @@ def read(
         keyframe: name or number of the posture to start from; qpos0 at rest without one.
         joints: regular expressions; a joint is driven whose name, or whose actuator's, one of them
             matches in full. Other actuators stay undriven: at the keyframe's ctrl.
+        base: "free" as the model has it; "fixed" on a stand, at the keyframe, where nothing touches
+            the robot; "held" where the robot stands, in contact. See `jaxact.plants.mounting`.
+        damping: "joint" leaves the driven joints' viscous damping in the joints, where it acts at
+            once; "drive" moves it into the gains kd that the model brings, where it is sampled and
+            delayed.
+        settle: where a held base is held: where the robot has come to rest, or at the keyframe.
 
     Returns:
         The robot. What stands in the way of a simulation is among its findings as "refused":
         see `demand`.
 
     Raises:
-        UserError: the file is missing or MuJoCo refuses it, no such keyframe, no actuators, or a
-            pattern that matches nothing.
+        UserError: the file is missing or MuJoCo refuses it, no such keyframe, no actuators, a
+            pattern that matches nothing, or a robot to be held that does not come to rest.
     """
-    path = Path(path)
+    for name, value, known in (("base", base, mounting.BASES), ("damping", damping, DAMPING)):
+        if value not in known:
+            raise UserError(f"{name} = {shown(value)}; {nearest(value, known)}")
+    opened = _opened(Path(path), keyframe, joints, fused=base == mounting.FREE)
+    if base == mounting.FREE:
+        return _driven(opened, damping)
+    moving = mounting.base_joints(opened.model, opened.indices)
+    rest = None
+    if base == mounting.HELD and settle and moving:
+        rest = posture.standing(read(path, keyframe=keyframe, joints=joints))
+    robot = _driven(_mounted(opened, moving, base, rest), damping)
+    mounting.keep_softness(robot.model, opened.model, moving)
+    return replace(robot, base=base)
+
+
+@dataclass(frozen=True)
+class _Opened:
+    """A model file that MuJoCo has compiled.
+
+    Attributes:
+        path: the file.
+        spec: what it says; changed on the way to the robot.
+        model: what it compiles to.
+        start: where it starts.
+        indices: of the actuators that are chosen.
+        findings: what is said of it so far.
+        digest: fingerprint of what the file compiles to.
+    """
+
+    path: Path
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    start: _Start
+    indices: tuple[int, ...]
+    findings: tuple[Finding, ...]
+    digest: str
+
+
+def _opened(
+    path: Path, keyframe: str | int | None, joints: Sequence[str], *, fused: bool
+) -> _Opened:
+    """fused: bodies that do not move may become part of others, as the file wishes."""
     spec = _parse(path)
-    bare = _is_urdf(path) and _add_motors(spec)
+    if not fused:
+        spec.compiler.fusestatic = False
+    added = motors.add(spec, path)
     commanded = [len(key.ctrl) > 0 for key in spec.keys]
-    original, findings = _compile(spec, path)
-    if original.nactuator == 0:
-        raise UserError(f"{path}: the model has no actuators, so there is nothing to drive")
-    posture = _posture(path, original, keyframe, commanded)
+    model, findings = _compile(spec, path)
+    if model.nactuator == 0:
+        raise UserError(
+            f"{path}: the model has no actuators, and no hinge or slide joints that could get "
+            "motors, so there is nothing to drive"
+        )
+    return _Opened(
+        path=path,
+        spec=spec,
+        model=model,
+        start=_start(path, model, keyframe, commanded),
+        indices=tuple(selection.chosen(path, model, joints)),
+        findings=(*findings, *added),
+        digest=_digest(model),
+    )
+
+
+def _mounted(opened: _Opened, joints: Sequence[int], base: str, rest: Posture | None) -> _Opened:
+    """The same without the joints of the base, which is fixed or held.
+
+    rest: where the robot stands; None: it is mounted where it starts
+    """
+    spec, original, start = opened.spec, opened.model, opened.start
+    at = "at the start posture"
+    if rest is not None:
+        at = "where the robot stands"
+        start = replace(start, qpos=rest.qpos, qvel=rest.qvel)
+    if base == mounting.FIXED:
+        mounting.untouched(spec, original, opened.indices)
+    mounting.weld(spec, original, joints, start.qpos)
+    qpos, qvel = mounting.without(original, joints, start.qpos, start.qvel)
+    try:
+        model, _ = assets.compile_model(spec)
+    except ValueError as error:
+        raise UserError(
+            f'{opened.path}: base = "{base}": the model cannot do without the joints of its base: '
+            f"{_one_line(error)}"
+        ) from error
+    said = mounting.finding(original, joints, base, at)
+    return replace(
+        opened,
+        model=model,
+        start=replace(start, qpos=qpos, qvel=qvel),
+        findings=(*opened.findings, said),
+    )
+
+
+def _driven(opened: _Opened, damping: str) -> Robot:
+    """The robot with drives in place of the actuators that are chosen."""
+    spec, original, start = opened.spec, opened.model, opened.start
     kinds = [actuator.type.name.removeprefix("mjACTUATOR_").lower() for actuator in spec.actuators]
-    laws, unfit = selection.laws(original, selection.chosen(path, original, joints), kinds)
+    laws, unfit = selection.laws(original, opened.indices, kinds)
     driven, clashes = selection.one_to_a_joint(original, laws)
     try:
         model = conversion.convert(spec, original, driven)
     except ValueError as error:
-        raise UserError(f"{path}: cannot be converted: {_one_line(error)}") from error
-    findings += [*unfit, *clashes, *([_NO_ACTUATORS] if bare else ())]
-    findings += [finding for item in driven for finding in _lifted(original, item)]
+        raise UserError(f"{opened.path}: cannot be converted: {_one_line(error)}") from error
+    findings = [*opened.findings, *unfit, *clashes, *_findings(original, driven)]
+    joints = tuple(_joint(original, model, start, item) for item in driven)
+    if damping == IN_DRIVE:
+        joints, moved = conversion.damping_to_drives(model, joints)
+        findings += moved
+    ctrl, act = conversion.remaining(original, conversion.taken(driven), start.ctrl, start.act)
+    return Robot(
+        path=opened.path,
+        model=model,
+        joints=joints,
+        findings=tuple(findings),
+        qpos=start.qpos,
+        qvel=start.qvel,
+        ctrl=ctrl,
+        act=act,
+        digest=opened.digest,
+        damping=damping,
+    )
+
+
+def _findings(original: mujoco.MjModel, driven: Sequence[Driven]) -> list[Finding]:
+    """What is said of the model's own fields."""
+    findings = [finding for item in driven for finding in _lifted(original, item)]
     taken = conversion.taken(driven)
     findings += conversion.findings(original, taken)
     said = {item.where for item in findings if item.engines}
@@ -150,41 +214,7 @@ def read(
         for item in parity.findings(original, taken)
         if item.field != parity.ACTUATOR_TYPE or item.where not in said
     ]
-    ctrl, act = conversion.remaining(original, taken, posture.ctrl, posture.act)
-    return Robot(
-        path=path,
-        model=model,
-        joints=tuple(_joint(original, model, posture, item) for item in driven),
-        findings=tuple(findings),
-        qpos=posture.qpos,
-        qvel=posture.qvel,
-        ctrl=ctrl,
-        act=act,
-        digest=_digest(original),
-    )
-
-
-def suits(robot: Robot, engine: str) -> bool:
-    """Whether this engine can simulate the robot: "mjx", "mujoco" or "warp"."""
-    return not any(engine in item.engines for item in robot.findings)
-
-
-def demand(robot: Robot, engine: str = "mjx") -> Robot:
-    """The robot, if this engine can simulate it: "mjx", "mujoco" or "warp".
-
-    Raises:
-        UserError: it cannot; says why in one line.
-    """
-    if engine not in ENGINES:
-        raise UserError(f"unknown engine {shown(engine)}; {nearest(engine, ENGINES)}")
-    stops = [item for item in robot.findings if engine in item.engines]
-    if stops:
-        first = stops[0]
-        more = f" (and {len(stops) - 1} more, see `jaxact check`)" if len(stops) > 1 else ""
-        raise UserError(f"{robot.path.name}: {first.where}: {first.advice}{more}")
-    if not robot.joints:
-        raise UserError(f"{robot.path.name}: no actuator of the model can be driven")
-    return robot
+    return findings
 
 
 def _parse(path: Path) -> mujoco.MjSpec:
@@ -209,41 +239,16 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def _is_urdf(path: Path) -> bool:
-    text = re.sub(rb"<!--.*?-->", b"", path.read_bytes(), flags=re.DOTALL)
-    root = re.search(rb"<([A-Za-z][\w.:-]*)", text)
-    return root is not None and root[1] == b"robot"
-
-
-_NO_ACTUATORS = Finding(
-    "model", "actuator", "none in a URDF", "has nothing to drive", EMULATED,
-    "every hinge and slide joint gets a motor, within the joint's effort limit",
-)  # fmt: skip
-
-
-def _add_motors(spec: mujoco.MjSpec) -> bool:
-    """A motor for each hinge and slide joint, if there are no actuators; says whether it did."""
-    if spec.actuators:
-        return False
-    single = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    for joint in spec.joints:
-        if joint.type in single:
-            motor = spec.add_actuator(name=joint.name, target=joint.name)
-            motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
-            motor.set_to_motor()
-    return True
-
-
-def _posture(
+def _start(
     path: Path, model: mujoco.MjModel, keyframe: str | int | None, commanded: Sequence[bool]
-) -> _Posture:
+) -> _Start:
     if keyframe is None:
         rest = np.zeros(model.nv), np.zeros(model.na), np.zeros(model.nu)
-        return _Posture(model.qpos0.copy(), *rest, False)
+        return _Start(model.qpos0.copy(), *rest, False)
     index = _keyframe_index(path, model, keyframe)
     qpos = model.key_qpos[index].copy()
     mujoco.mj_normalizeQuat(model, qpos)
-    return _Posture(
+    return _Start(
         qpos,
         model.key_qvel[index].copy(),
         model.key_act[index].copy(),
@@ -266,14 +271,12 @@ def _keyframe_index(path: Path, model: mujoco.MjModel, keyframe: str | int) -> i
     raise UserError(f"{path}: no keyframe {shown(keyframe)}; {nearest(keyframe, known)}")
 
 
-def _joint(
-    original: mujoco.MjModel, model: mujoco.MjModel, posture: _Posture, driven: Driven
-) -> Joint:
+def _joint(original: mujoco.MjModel, model: mujoco.MjModel, start: _Start, driven: Driven) -> Joint:
     law = driven.law
     motor = law.commands == FORCE
     kd = law.kd + sum(partner.kd for partner in driven.partners)
-    position, _ = _asked(original, posture, law)
-    asked = [(each.kd, _asked(original, posture, each)[1]) for each in (law, *driven.partners)]
+    position, _ = _asked(original, start, law)
+    asked = [(each.kd, _asked(original, start, each)[1]) for each in (law, *driven.partners)]
     pushed = 0.0 if motor else sum(gain * velocity for gain, velocity in asked)
     limited = law.commands == POSITION
     low, high = selection.joint_limits(original, driven)
@@ -302,20 +305,20 @@ def _joint(
     )
 
 
-def _asked(model: mujoco.MjModel, posture: _Posture, law: Law) -> tuple[float, float]:
+def _asked(model: mujoco.MjModel, start: _Start, law: Law) -> tuple[float, float]:
     """Position [m or rad] (nan if none) and velocity that the keyframe's controls ask for."""
-    if not posture.commanded or law.commands == FORCE:
+    if not start.commanded or law.commands == FORCE:
         return math.nan, 0.0
     first = int(model.actuator_ctrladr[law.index])
-    given = posture.ctrl[first]
+    given = start.ctrl[first]
     if law.integrated:
-        given = posture.act[int(model.actuator_actadr[law.index])]
+        given = start.act[int(model.actuator_actadr[law.index])]
     asked = float(np.clip(law.offset + law.scale * given, law.low, law.high))
     if law.commands == VELOCITY:
         return math.nan, asked
     if not law.velocity_scale:
         return asked, 0.0
-    second = posture.ctrl[first + 1]
+    second = start.ctrl[first + 1]
     if model.actuator_ctrllimited[first + 1]:
         second = np.clip(second, *model.actuator_ctrlrange[first + 1])
     return asked, float(law.velocity_scale * second)

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.plants.findings import named
-from jaxact.plants.model import Robot
+from jaxact.plants.robot import Robot
 from jaxact.plants.silence import silenced
 
 _LONGEST = 20.0  # [s] to come to rest
@@ -136,9 +136,29 @@ def settled(robot: Robot) -> Posture:
     if there.residual <= _NEARLY * gravity:  # an equilibrium that it leaves, upright for example
         return replace(there, settled=True)
     raise UserError(
-        f"{robot.path.name}: {complaints[0]}; give a keyframe that stands by itself, or "
-        'posture = "keyframe" to start from it as it is'
+        f"{robot.path.name}: {complaints[0]}; give a keyframe that stands by itself, "
+        'posture = "keyframe" to start from it as it is, or base = "fixed" to put it on a stand'
     )
+
+
+# Where robots stand that were asked for last: it takes a simulation.
+_STANDING: dict[tuple[object, ...], Posture] = {}
+_REMEMBERED = 16
+
+
+def standing(robot: Robot) -> Posture:
+    """As `settled`, once for every robot and keyframe.
+
+    Args:
+        robot: as its file has it.
+    """
+    driven = tuple(joint.joint for joint in robot.joints)
+    key = (robot.digest, robot.qpos.tobytes(), robot.ctrl.tobytes(), driven)
+    if key not in _STANDING:
+        while len(_STANDING) >= _REMEMBERED:
+            del _STANDING[next(iter(_STANDING))]
+        _STANDING[key] = settled(robot)
+    return _STANDING[key]
 
 
 def under(robot: Robot, model: mujoco.MjModel, nominal: Posture) -> Posture:

@@ -332,7 +332,7 @@ def _unknown(key: str, known: Iterable[str], prefix: str = "") -> str:
     name = canonical(key)
     if not prefix and (base(name) in PARAMETERS or name == "actuator"):
         return f"{key}: is a parameter; write it below [parameters], or below [axes] to vary it"
-    if not prefix and key in ("model", "keyframe", "joints"):
+    if not prefix and key in ("model", "keyframe", "joints", "base"):
         return f"{key}: belongs to the robot; write it below [plant]"
     if prefix and key in OPTIONS:
         return f"{prefix}{key}: is an option of the whole sweep; write it above all [sections]"

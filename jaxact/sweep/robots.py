@@ -73,7 +73,14 @@ def scene(plant: Plant) -> Scene:
         UserError: the file, the keyframe, a pattern or a body is wrong, or the robot does not come
             to rest.
     """
-    robot = _model.read(plant.model, keyframe=plant.keyframe, joints=plant.joints)
+    robot = _model.read(
+        plant.model,
+        keyframe=plant.keyframe,
+        joints=plant.joints,
+        base=plant.base,
+        damping=plant.damping,
+        settle=plant.posture == "settled",
+    )
     _model.demand(robot, "mujoco")
     key = (robot.digest, plant)
     if key not in _POSTURES:

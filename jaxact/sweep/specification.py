@@ -57,6 +57,8 @@ class Plant:
     posture: "settled" brings the keyframe to rest first, "keyframe" starts from it as it is
     joints: patterns of the names of the joints (or actuators) that are driven
     payload_body: name of the body that carries the payload; None: the heaviest one
+    base: "free" as the model has it, "fixed" on a stand without contact, or "held" where it stands
+    damping: of the driven joints, in the "joint" as the model has it, or in the "drive": part of kd
     """
 
     model: Path
@@ -64,6 +66,8 @@ class Plant:
     posture: Literal["settled", "keyframe"] = "settled"
     joints: tuple[str, ...] = (".*",)
     payload_body: Annotated[str, Field(max_length=200)] | None = None
+    base: Literal["free", "fixed", "held"] = "free"
+    damping: Literal["joint", "drive"] = "joint"
 
 
 @dataclass(frozen=True, config=_STRICT)

@@ -225,7 +225,8 @@ def _title(specification: Specification) -> str:
     if plant is None:
         return "sweep of a joint's closed loop"
     posture = "" if plant.keyframe is None else f", keyframe {plant.keyframe}"
-    return f"sweep of {plant.model.name}{posture}"
+    mounted = "" if plant.base == "free" else f", base {plant.base}"
+    return f"sweep of {plant.model.name}{posture}{mounted}"
 
 
 def versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:
