@@ -36,13 +36,16 @@ def find_packages(spec: mujoco.MjSpec) -> None:
             mesh.file = os.path.relpath(file, base)
 
 
-def compile_model(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, list[Finding]]:
+def compile_model(
+    spec: mujoco.MjSpec, *, untouched: bool = False
+) -> tuple[mujoco.MjModel, list[Finding]]:
     """Compile a specification without the missing files of what is only looked at.
 
     A geom is only looked at if it touches nothing and its body's inertia is given or does not
     come from it.
 
     spec: geoms, meshes and textures that are left out are removed from it
+    untouched: nothing will touch whatever has hinge or slide joints
 
     Returns the model, and what is to be said: of files left out, and of MuJoCo's own warnings.
     Raises ValueError with the reason where MuJoCo refuses the model.
@@ -56,7 +59,7 @@ def compile_model(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, list[Finding]]:
             break
         except ValueError as error:
             missing = _MISSING.search(str(error))
-            if missing is None or not _leave_out(spec, Path(missing[1]).name):
+            if missing is None or not _leave_out(spec, Path(missing[1]).name, untouched=untouched):
                 raise
             gone.append(Path(missing[1]).name)
     said = {" ".join(str(warning.message).split()) for warning in caught}
@@ -82,7 +85,7 @@ def compile_model(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, list[Finding]]:
     return model, found
 
 
-def _leave_out(spec: mujoco.MjSpec, file: str) -> bool:
+def _leave_out(spec: mujoco.MjSpec, file: str, *, untouched: bool) -> bool:
     """Remove what comes from this file; False if nothing does.
 
     Raises ValueError if the motion depends on it.
@@ -91,12 +94,10 @@ def _leave_out(spec: mujoco.MjSpec, file: str) -> bool:
     names = {mesh.name for mesh in meshes}
     geoms = [geom for geom in spec.geoms if geom.meshname in names] if meshes else []
     for geom in geoms:
-        if not _only_looked_at(spec, geom):
-            body = named("body", geom.parent.name, geom.parent.id)
-            raise ValueError(
-                f"the mesh file {meshes[0].file} is missing, and {body} needs it for its contacts "
-                "or its inertia"
-            )
+        inertia = _gives_inertia(spec, geom)
+        stands = untouched and _has_single_joints(geom.parent)
+        if inertia or (_touches(spec, geom) and not stands):
+            raise ValueError(_needed(spec, geom, meshes[0].file, inertia=inertia))
     textures = [
         texture
         for texture in spec.textures
@@ -110,13 +111,36 @@ def _leave_out(spec: mujoco.MjSpec, file: str) -> bool:
     return bool(meshes or textures)
 
 
-def _only_looked_at(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
-    touches = geom.contype or geom.conaffinity
-    touches = touches or any(geom.name in (pair.geomname1, pair.geomname2) for pair in spec.pairs)
+def _needed(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, file: str, *, inertia: bool) -> str:
+    body = named("body", geom.parent.name, geom.parent.id)
+    said = (
+        f"the mesh file {file} is missing, and {body} needs it for its "
+        f"{'inertia' if inertia else 'contacts'}; it was looked for from "
+        f"{Path(spec.modelfiledir) / spec.meshdir} on, and `meshdir` of <compiler> says otherwise"
+    )
+    return said if inertia else said + '; on a stand, base = "fixed", nothing touches the robot'
+
+
+def _touches(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
+    paired = any(geom.name in (pair.geomname1, pair.geomname2) for pair in spec.pairs)
+    return bool(geom.contype or geom.conaffinity or paired)
+
+
+def _gives_inertia(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
     from_geoms = spec.compiler.inertiafromgeom
     given = (
         geom.parent.explicitinertial
         and from_geoms != mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     )
     weightless = geom.mass == 0.0 or (geom.mass != geom.mass and geom.density == 0.0)
-    return not touches and bool(given or weightless or geom.parent.name == "world")
+    return not (given or weightless or geom.parent.name == "world")
+
+
+def _has_single_joints(body: mujoco.MjsBody) -> bool:
+    """Whether the tree that the body belongs to has hinge or slide joints."""
+    if body.name == "world":
+        return False
+    while body.parent.name != "world":
+        body = body.parent
+    single = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    return any(joint.type in single for joint in body.find_all("joint"))

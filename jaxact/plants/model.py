@@ -25,6 +25,7 @@ from jaxact.plants import (
     mounting,
     parity,
     posture,
+    refusals,
     selection,
 )
 from jaxact.plants.actuators import FORCE, POSITION, VELOCITY, Law
@@ -82,7 +83,7 @@ def read(
     for name, value, known in (("base", base, mounting.BASES), ("damping", damping, DAMPING)):
         if value not in known:
             raise UserError(f"{name} = {shown(value)}; {nearest(value, known)}")
-    opened = _opened(Path(path), keyframe, joints, fused=base == mounting.FREE)
+    opened = _opened(Path(path), keyframe, joints, base)
     if base == mounting.FREE:
         return _driven(opened, damping)
     moving = mounting.base_joints(opened.model, opened.indices)
@@ -117,16 +118,11 @@ class _Opened:
     digest: str
 
 
-def _opened(
-    path: Path, keyframe: str | int | None, joints: Sequence[str], *, fused: bool
-) -> _Opened:
-    """fused: bodies that do not move may become part of others, as the file wishes."""
+def _opened(path: Path, keyframe: str | int | None, joints: Sequence[str], base: str) -> _Opened:
     spec = _parse(path)
-    if not fused:
-        spec.compiler.fusestatic = False
     added = motors.add(spec, path)
     commanded = [len(key.ctrl) > 0 for key in spec.keys]
-    model, findings = _compile(spec, path)
+    model, findings = _compile(spec, path, untouched=base == mounting.FIXED)
     if model.nactuator == 0:
         raise UserError(
             f"{path}: the model has no actuators, and no hinge or slide joints that could get "
@@ -162,7 +158,7 @@ def _mounted(opened: _Opened, joints: Sequence[int], base: str, rest: Posture | 
     except ValueError as error:
         raise UserError(
             f'{opened.path}: base = "{base}": the model cannot do without the joints of its base: '
-            f"{_one_line(error)}"
+            f"{_reason(error, opened.path)}"
         ) from error
     said = mounting.finding(original, joints, base, at)
     return replace(
@@ -182,7 +178,9 @@ def _driven(opened: _Opened, damping: str) -> Robot:
     try:
         model = conversion.convert(spec, original, driven)
     except ValueError as error:
-        raise UserError(f"{opened.path}: cannot be converted: {_one_line(error)}") from error
+        raise UserError(
+            f"{opened.path}: cannot be converted: {_reason(error, opened.path)}"
+        ) from error
     findings = [*opened.findings, *unfit, *clashes, *_findings(original, driven)]
     joints = tuple(_joint(original, model, start, item) for item in driven)
     if damping == IN_DRIVE:
@@ -223,20 +221,24 @@ def _parse(path: Path) -> mujoco.MjSpec:
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
-        raise UserError(f"{path}: MuJoCo cannot read this model: {_one_line(error)}") from error
+        raise UserError(f"{path}: MuJoCo cannot read this model: {_reason(error, path)}") from error
     assets.find_packages(spec)
     return spec
 
 
-def _compile(spec: mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, list[Finding]]:
+def _compile(
+    spec: mujoco.MjSpec, path: Path, *, untouched: bool
+) -> tuple[mujoco.MjModel, list[Finding]]:
     try:
-        return assets.compile_model(spec)
+        return assets.compile_model(spec, untouched=untouched)
     except ValueError as error:
-        raise UserError(f"{path}: MuJoCo cannot compile this model: {_one_line(error)}") from error
+        raise UserError(
+            f"{path}: MuJoCo cannot compile this model: {_reason(error, path)}"
+        ) from error
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+def _reason(error: Exception, path: Path) -> str:
+    return refusals.explained(error, urdf=motors.is_urdf(path))
 
 
 def _start(

@@ -133,6 +133,7 @@ def weld(
             spec.delete(sensor)
     for joint in gone:
         spec.delete(joint)
+    spec.compiler.fusestatic = False  # a welded body stays a body of its own
     for index, key in enumerate(spec.keys):
         kept = without(model, joints, model.key_qpos[index], model.key_qvel[index])
         key.qpos, key.qvel = kept

@@ -197,3 +197,36 @@ def test_a_robot_that_falls_is_proposed_a_stand(tmp_path):
     assert robot.model.body("trunk").pos[2] == 3.0
     with pytest.raises(UserError, match="base = 'table'; allowed: free, fixed, held"):
         _robot(tmp_path, text, base="table")
+
+
+INERTIAL = (
+    '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/>'
+    "</inertial>"
+)
+LINK = '<link name="{0}">' + INERTIAL + "</link>"
+FLOATING = f"""<robot name="r"><link name="ground"/>
+{LINK.format("trunk")}{LINK.format("box")}{LINK.format("arm")}
+<joint name="float" type="floating"><parent link="ground"/><child link="trunk"/>
+<origin xyz="0 0 1" rpy="0 0.3 0"/></joint>
+<joint name="bolt" type="fixed"><parent link="trunk"/><child link="box"/></joint>
+<joint name="turn" type="continuous"><parent link="box"/><child link="arm"/>
+<origin xyz="0 0 .2"/><axis xyz="0 1 0"/></joint></robot>"""
+
+
+def test_links_of_a_urdf_keep_their_names_on_a_stand(tmp_path):
+    path = tmp_path / "robot.urdf"
+    path.write_text(FLOATING)
+    free, fixed = models.read(path), models.read(path, base="fixed")
+    assert (free.model.nv, fixed.model.nv) == (7, 1)
+    names = [
+        [robot.model.body(index).name for index in range(robot.model.nbody)]
+        for robot in (free, fixed)
+    ]
+    assert names[0] == names[1] and {"trunk", "arm"} <= set(names[1])
+    places = []
+    for robot in (free, fixed):
+        data = mujoco.MjData(robot.model)
+        data.qpos = robot.qpos
+        mujoco.mj_kinematics(robot.model, data)
+        places.append([*data.body("arm").xpos, *data.body("arm").xquat])
+    np.testing.assert_allclose(*places, atol=1e-12)
