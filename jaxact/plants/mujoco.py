@@ -34,6 +34,20 @@ class Impulse:
     duration: float
 
 
+@dataclass(frozen=True)
+class JointPush:
+    """Constant forces on the driven joints for a while, others for each simulation.
+
+    Attributes:
+        force: [N or N m], shape (number, joints).
+        start, duration: [s].
+    """
+
+    force: np.ndarray
+    start: float
+    duration: float
+
+
 class Simulations:
     """Simulations of one robot side by side, all starting in the same posture.
 
@@ -46,6 +60,7 @@ class Simulations:
             once, shape (number,); None if all differ.
         fields: of the model that differ between simulations, by name, shape (number, ...).
         impulse: on a body, or None.
+        push: on the joints beside their drives, or None; those of one label share it.
         corrected: whether the joints' positions are taken half a physics step earlier, see
             `jaxact.plants.mjx.MjxPlant`.
         threads: used for stepping; 0 for one on each core that this process may use.
@@ -64,6 +79,7 @@ class Simulations:
         same: np.ndarray | None = None,
         fields: Mapping[str, np.ndarray] | None = None,
         impulse: Impulse | None = None,
+        push: JointPush | None = None,
         corrected: bool = False,
         threads: int = 0,
     ) -> None:
@@ -75,7 +91,7 @@ class Simulations:
         self._batch = Batch(self.model, computed, threads or min(computed, _cores()))
         for name, values in (fields or {}).items():
             self._batch.expand(name)[:] = values[self._first]
-        self._posture, self._impulse = posture, impulse
+        self._posture, self._impulse, self._joint_push = posture, impulse, push
         self._step, self._steps = step, 0
         self._lead = 0.5 * step if corrected else 0.0
         joints = robot.joints
@@ -87,6 +103,7 @@ class Simulations:
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
         self._pushed = self._batch.bind("xfrc_applied")
+        self._applied = self._batch.bind("qfrc_applied")
 
     def start(self, position: np.ndarray, velocity: np.ndarray) -> None:
         """Put all simulations into the posture, their driven joints where they are told to be.
@@ -127,7 +144,11 @@ class Simulations:
         limited = np.minimum(np.maximum(force[self._first], self._low), self._high)
         self._ctrl[:, self._actuators] = limited
         if self._impulse is not None:
-            self._push(self._impulse)
+            share = self._share(self._impulse.start, self._impulse.duration)
+            self._pushed[:, self._impulse.body, :3] = share * self._impulse.force
+        if self._joint_push is not None:
+            share = self._share(self._joint_push.start, self._joint_push.duration)
+            self._applied[:, self._dofs] = share * self._joint_push.force[self._first]
         try:
             self._batch.step()
         except SimulationError as error:
@@ -135,12 +156,11 @@ class Simulations:
             self._qvel[error.ids] = np.nan
         self._steps += 1
 
-    def _push(self, impulse: Impulse) -> None:
+    def _share(self, start: float, duration: float) -> float:
+        """Of this physics step, the share in which something that lasts so long is there."""
         now = self._steps * self._step
-        end = impulse.start + impulse.duration
-        overlap = min(now + self._step, end) - max(now, impulse.start)
-        share = max(overlap, 0.0) / self._step
-        self._pushed[:, impulse.body, :3] = share * impulse.force
+        overlap = min(now + self._step, start + duration) - max(now, start)
+        return max(overlap, 0.0) / self._step
 
 
 def _distinct(

@@ -25,7 +25,7 @@ from jaxact.drive import Coefficients
 from jaxact.metrics import Metrics
 from jaxact.plants import posture as _posture
 from jaxact.plants import variation
-from jaxact.plants.mujoco import Impulse, Simulations
+from jaxact.plants.mujoco import Impulse, JointPush, Simulations
 from jaxact.plants.variation import Variation
 from jaxact.programs import Program
 from jaxact.rollout import RolloutOptions, Trajectory
@@ -74,7 +74,9 @@ def _linear(case: Case, setting: Setting, row: tuple[float, ...]) -> tuple[np.nd
     assert scene is not None
     model = _changed(case, scene, np.reshape(row, (len(case.varied), -1)))
     posture = _posture.under(scene.robot, model, scene.posture)
-    A, B, _ = linearize.linearise_c(scene.robot, posture, case.step, model)
+    changed = replace(scene, robot=replace(scene.robot, model=model), posture=posture)
+    moving = robots.linearised(changed, setting.plant)
+    A, B, _ = linearize.linearise_c(moving.robot, moving.posture, case.step)
     if setting.corrected:
         A, B = linearize.synchronised(A, B, model.nv, case.step)
     basis = _basis(case, setting)
@@ -86,6 +88,7 @@ def _basis(case: Case, setting: Setting) -> np.ndarray:
     """The nominal plant's coordinates, see `jaxact.linearize.Linearisation`."""
     scene = template(case, setting).scene
     assert scene is not None
+    scene = robots.linearised(scene, setting.plant)
     return linearize.linear_c(
         scene.robot, scene.posture, case.step, corrected=setting.corrected
     ).basis
@@ -149,6 +152,7 @@ def metrics(
     numbers: np.ndarray,
     *,
     watch: Callable[[Simulations, Coefficients], Observer] | None = None,
+    push: JointPush | None = None,
 ) -> Metrics:
     """Metrics of a batch of samples; see `jaxact.sweep.kernel.metrics`, which does one.
 
@@ -159,6 +163,7 @@ def metrics(
         seed: of the sweep.
         numbers: of the samples, shape (n,); one that occurs several times is simulated once.
         watch: makes the observer that `jaxact.batch_rollout.evaluate` calls at every physics step.
+        push: on the joints, beside what the specification asks for.
     """
     made = template(case, setting)
     scene = made.scene
@@ -180,6 +185,7 @@ def metrics(
         same=numbers,  # a batch is filled up with one of its samples
         fields=fields,
         impulse=_impulse(setting, scene),
+        push=push,
         corrected=setting.corrected,
     )
     coefficients, state, start, setpoint, setpoints, keys = prepared
@@ -256,11 +262,12 @@ def followed(
     growth_rate: np.ndarray,
     seed: int,
     numbers: np.ndarray,
+    push: JointPush | None = None,
 ) -> tuple[Metrics, Trajectory]:
     """Metrics of a few samples, and every physics step; see `jaxact.rollout.follow`.
 
     Args:
-        case, setting, values, growth_rate, seed, numbers: as for `metrics`.
+        case, setting, values, growth_rate, seed, numbers, push: as for `metrics`.
 
     Returns:
         The metrics; and NumPy arrays with a leading axis for the loops, the configuration at every
@@ -285,7 +292,7 @@ def followed(
 
         return observe
 
-    result = metrics(case, setting, values, growth_rate, seed, numbers, watch=watch)
+    result = metrics(case, setting, values, growth_rate, seed, numbers, watch=watch, push=push)
     names = ("setpoint", "position", "velocity", "command", "delayed_command", "force")
     columns = zip(names, zip(*rows, strict=True), strict=True)
     arrays: dict[str, Any] = {name: np.stack(column, axis=1) for name, column in columns}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from jaxact.errors import UserError, nearest
+from jaxact.plants import friction as _friction
 from jaxact.plants import model as _model
 from jaxact.plants import posture as _posture
 from jaxact.plants.model import Robot
@@ -88,6 +89,14 @@ def scene(plant: Plant) -> Scene:
         _POSTURES.clear()
         _POSTURES[key] = find(robot)
     return Scene(robot, _POSTURES[key], body(robot, plant.payload_body, "plant.payload_body"))
+
+
+def linearised(scene: Scene, plant: Plant | None) -> Scene:
+    """The robot as margins and growth rates see it: without dry friction, unless it is "stuck"."""
+    if plant is None or plant.friction == "stuck" or not _friction.rubs(scene.robot.model):
+        return scene
+    robot, posture = _friction.moving(scene.robot, scene.posture)
+    return replace(scene, robot=robot, posture=posture)
 
 
 def body(robot: Robot, name: str | None, key: str) -> int:

@@ -59,6 +59,8 @@ class Plant:
     payload_body: name of the body that carries the payload; None: the heaviest one
     base: "free" as the model has it, "fixed" on a stand without contact, or "held" where it stands
     damping: of the driven joints, in the "joint" as the model has it, or in the "drive": part of kd
+    friction: dry friction of the linearised robot: "moving", none, as for joints that slide, or
+        "stuck", as MuJoCo linearises it at rest, as very strong damping
     """
 
     model: Path
@@ -68,6 +70,7 @@ class Plant:
     payload_body: Annotated[str, Field(max_length=200)] | None = None
     base: Literal["free", "fixed", "held"] = "free"
     damping: Literal["joint", "drive"] = "joint"
+    friction: Literal["moving", "stuck"] = "moving"
 
 
 @dataclass(frozen=True, config=_STRICT)

@@ -15,6 +15,7 @@ import numpy as np
 from jaxact.sweep.specification import Setting
 
 if TYPE_CHECKING:
+    from jaxact.linearize import Linearisation
     from jaxact.plants.linear import LinearPlant
     from jaxact.sweep.robots import Scene
 
@@ -28,6 +29,7 @@ class Template:
         linear: the plant linearised at its posture in float64, for growth rates; None where the
             plant itself serves.
         basis: of the linear plant in the plant's own coordinates, shape (n, kept).
+        residual: largest acceleration at the linearised posture [rad/s^2 or m/s^2].
         position: of the driven joints at rest [m or rad], shape (joints,), or 0.
         force: of the driven joints at rest [N or N m], shape (joints,), or 0.
         defaults: parameters that the robot's model brings, shape (joints,) each.
@@ -40,6 +42,7 @@ class Template:
     plant: Any = None
     linear: LinearPlant | None = None
     basis: np.ndarray | None = None
+    residual: float = 0.0
     position: np.ndarray | float = 0.0
     force: np.ndarray | float = 0.0
     defaults: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -82,7 +85,6 @@ def of_robot(
     Raises:
         UserError: the robot, or what is said of it, cannot be used.
     """
-    from jaxact import linearize
     from jaxact.sweep import motions, robots
 
     assert setting.plant is not None
@@ -92,15 +94,14 @@ def of_robot(
     if engine == "mjx" or (engine == "warp" and not growth):
         plant = _placed(setting, scene, varied, "jax" if engine == "mjx" else "warp")
     # Where models differ, each is linearised in C, in the coordinates of the nominal one there.
-    if growth and plant is not None and not varied:
-        found = linearize.linearise(replace(plant, push=None), scene.posture.force, step)
-    if growth and found is None:
-        found = linearize.linear_c(scene.robot, scene.posture, step, corrected=setting.corrected)
+    if growth:
+        found = _linear(setting, scene, None if varied else plant, step)
     profile, track = motions.sampled(setting.motion, scene, period, ticks)
     return Template(
         plant=plant,
         linear=None if found is None else found.plant,
         basis=None if found is None else found.basis,
+        residual=0.0 if found is None else found.residual,
         position=scene.positions,
         force=scene.posture.force,
         defaults=robots.brought(scene),
@@ -109,6 +110,21 @@ def of_robot(
         track=track,
         scene=scene,
     )
+
+
+def _linear(setting: Setting, scene: Scene, plant: Any, step: float) -> Linearisation:
+    """The robot linearised where it stands: by MJX if it has a plant there, else in C."""
+    from jaxact import linearize
+    from jaxact.sweep import robots
+
+    moving = robots.linearised(scene, setting.plant)
+    if plant is not None:
+        if moving is not scene:
+            plant = _placed(setting, moving, (), "jax")
+        found = linearize.linearise(replace(plant, push=None), moving.posture.force, step)
+        if found is not None:
+            return found
+    return linearize.linear_c(moving.robot, moving.posture, step, corrected=setting.corrected)
 
 
 def _placed(setting: Setting, scene: Scene, varied: tuple[str, ...], impl: str) -> Any:

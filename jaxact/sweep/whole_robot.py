@@ -123,7 +123,7 @@ def _one(case: Case, template: Template, compiled, values: dict[str, float], mov
         margins=robot_margins(robot),
         kp=kp,
         kd=kd,
-        residual=scene.posture.residual,
+        residual=template.residual,
         neutral=basis.shape[0] - basis.shape[1],
         physics_step=case.step,
         engine="mujoco" if case.engine == "warp" else case.engine,  # it has no derivatives
