@@ -1,4 +1,4 @@
-"""The options that say how a robot is mounted and where its damping acts, for every verb."""
+"""The options of every verb that say how a robot is mounted, how it is damped and how it rubs."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from jaxact.errors import UserError, nearest, shown
 
 BASES = ("free", "fixed", "held")
 DAMPINGS = ("joint", "drive")
+FRICTIONS = ("moving", "stuck")
 
 Base = Annotated[
     str | None,
@@ -29,9 +30,20 @@ Damping = Annotated[
         help_behavior_hint="(default: joint)",
     ),
 ]
+Friction = Annotated[
+    str | None,
+    arg(
+        metavar="moving|stuck",
+        help="Of a robot: margins and growth rates of joints that move, which dry friction does "
+        "not damp; or as MuJoCo linearises it at rest, as very strong damping.",
+        help_behavior_hint="(default: moving)",
+    ),
+]
 
 
-def chosen(base: str | None, damping: str | None, *, robot: bool = True) -> dict[str, str]:
+def chosen(
+    base: str | None, damping: str | None, friction: str | None = None, *, robot: bool = True
+) -> dict[str, str]:
     """The keys of a robot that these options give.
 
     robot: whether there is one
@@ -39,7 +51,12 @@ def chosen(base: str | None, damping: str | None, *, robot: bool = True) -> dict
     Raises UserError for a value that is not known, and without a robot.
     """
     found: dict[str, str] = {}
-    for name, value, known in (("base", base, BASES), ("damping", damping, DAMPINGS)):
+    options = (
+        ("base", base, BASES),
+        ("damping", damping, DAMPINGS),
+        ("friction", friction, FRICTIONS),
+    )
+    for name, value, known in options:
         if value is None:
             continue
         if not robot:

@@ -56,6 +56,7 @@ class Options:
     ] = None
     base: _mounting.Base = None
     damping: _mounting.Damping = None
+    friction: _mounting.Friction = None
     engine: Annotated[
         str | None,
         arg(
@@ -119,12 +120,16 @@ def show(options: Options, given: dict[str, Any], velocity: str, *, json: bool) 
     if options.out is not None and len(labels) > 1:
         raise UserError("--out: draws one loop; give one value for each option")
 
-    from jaxact.sweep import whole_robot
+    from jaxact.sweep import stiction, whole_robot
+    from jaxact.sweep.samples import expand
 
-    found = whole_robot.evaluate(specification)
+    samples = expand(specification)
+    found = whole_robot.evaluate(specification, samples)
+    held = stiction.each(specification, samples, found)
     _warnings.overload(specification)
     printed = _robot_tables.as_json if json else _robot_tables.as_text
-    print("\n".join(printed(specification, *row) for row in zip(labels, found, strict=True)))
+    rows = zip(labels, found, held, strict=True)
+    print("\n".join(printed(specification, *row) for row in rows))
     if options.out is not None:
         from jaxact.plot.look import write
         from jaxact.plot.robot import whole_robot as picture
@@ -155,7 +160,7 @@ def specified(options: Options, given: dict[str, Any], velocity: str) -> Specifi
     chosen = {
         "model": options.model, "keyframe": options.keyframe, "posture": options.posture,
         "joints": list(options.joints) or None,
-        **_mounting.chosen(options.base, options.damping),
+        **_mounting.chosen(options.base, options.damping, options.friction),
     }  # fmt: skip
     plant = base.get("plant", {}) | {
         name: str(value) if isinstance(value, Path) else value

@@ -14,6 +14,7 @@ from jaxact.cli._warnings import RESIDUAL
 if TYPE_CHECKING:
     from jaxact.robot_margins import Mode
     from jaxact.sweep.specification import Specification
+    from jaxact.sweep.stiction import Stiction
     from jaxact.sweep.whole_robot import WholeRobot
 
 # Joints of a mode that are named.
@@ -28,16 +29,20 @@ def title(specification: Specification) -> str:
     parts = [f"keyframe {plant.keyframe}"] if plant.keyframe else []
     parts += [f"base {plant.base}"] if plant.base != "free" else []
     parts += ["damping in the drive"] if plant.damping == "drive" else []
+    parts += ["dry friction as stuck"] if plant.friction == "stuck" else []
     return ", ".join([plant.model.name, *parts])
 
 
-def as_json(specification: Specification, label: str, found: WholeRobot) -> str:
+def as_json(
+    specification: Specification, label: str, found: WholeRobot, stiction: Stiction | None
+) -> str:
     """All figures as one object; null where one means nothing, "inf" for infinity."""
     plant, margins = specification.plant, found.margins
     assert plant is not None
     row: dict[str, Any] = {
         "model": str(plant.model), "keyframe": plant.keyframe, "posture": plant.posture,
-        "base": plant.base, "damping": plant.damping, "loop": label, "engine": found.engine,
+        "base": plant.base, "damping": plant.damping, "friction": plant.friction, "loop": label,
+        "engine": found.engine, "dry_friction_left_out": found.left_out,
         "residual": found.residual,
         "neutral_directions": found.neutral, "control_period": found.robot.period,
         "physics_step": found.physics_step, "stable": margins.stable,
@@ -45,6 +50,7 @@ def as_json(specification: Specification, label: str, found: WholeRobot) -> str:
         "growth_rate": margins.growth_rate, "gain_to_boundary": margins.gain_to_boundary,
         "log_gain_to_boundary": margins.log_gain_to_boundary,
     }  # fmt: skip
+    row["stiction"] = None if stiction is None else as_object(stiction)
     names = found.robot.names
     row["all"] = None if margins.whole is None else dict(vars(margins.whole))
     row["joints"] = [
@@ -64,6 +70,13 @@ def as_json(specification: Specification, label: str, found: WholeRobot) -> str:
             | {"participation": dict(zip(names, mode.participation.tolist(), strict=True))}
         )
     return _json.dumps(_plain(row), allow_nan=False)
+
+
+def as_object(stiction: Stiction) -> dict[str, Any]:
+    """What dry friction holds, by name; null for a frequency that there is none of."""
+    row = {name: value for name, value in vars(stiction).items() if name != "rotary"}
+    row["frequency"] = None if math.isnan(stiction.frequency) else stiction.frequency
+    return _plain(row | {"sentence": stiction.sentence})
 
 
 def _of_joint(found: WholeRobot, place: int) -> dict[str, Any]:
@@ -88,7 +101,9 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def as_text(specification: Specification, label: str, found: WholeRobot) -> str:
+def as_text(
+    specification: Specification, label: str, found: WholeRobot, stiction: Stiction | None
+) -> str:
     """What there is to say of a robot, as lines and tables."""
     parts = [_head(specification, label, found), _rendered(_whole_table(found))]
     if found.margins.stable:
@@ -98,6 +113,8 @@ def as_text(specification: Specification, label: str, found: WholeRobot) -> str:
         )
     else:
         parts.append(_advice(found))
+    if stiction is not None:
+        parts.append(f"The robot {stiction.sentence}.")
     return "\n\n".join(parts) + "\n"
 
 
@@ -117,6 +134,11 @@ def _head(specification: Specification, label: str, found: WholeRobot) -> str:
         lines.append(
             f"{found.neutral} neutral {directions} left out, in which a displaced robot just stays "
             "displaced"
+        )
+    if found.left_out:
+        lines.append(
+            f"dry friction of up to {found.left_out:.3g} left out: these are the margins of joints "
+            "that move, which it does not damp"
         )
     if found.residual > RESIDUAL:
         lines.append(

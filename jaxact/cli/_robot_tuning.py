@@ -63,6 +63,7 @@ class Options:
     ] = ()
     base: _mounting.Base = None
     damping: _mounting.Damping = None
+    friction: _mounting.Friction = None
     posture: Annotated[
         str | None,
         arg(
@@ -225,6 +226,7 @@ def _specifications(
             posture=options.posture,
             base=options.base,
             damping=options.damping,
+            friction=options.friction,
             set=options.set,
             **own,
         )

@@ -72,9 +72,11 @@ def main(
     S and T, the multi-loop disk margin, a common factor on all gains (also downwards: at low gain
     gravity topples a robot), a common delay.
 
-    JSON of a robot: model, keyframe, posture, base, damping, loop, engine, residual,
-    neutral_directions, control_period, physics_step, stable, unstable_roots, spectral_radius,
-    growth_rate, gain_to_boundary, log_gain_to_boundary; all (null if unstable) with gain_margin,
+    JSON of a robot: model, keyframe, posture, base, damping, friction, loop, engine,
+    dry_friction_left_out, stiction (joint, push, strongest, shaking, amplitude, frequency,
+    sentence; null where friction holds nothing that shakes), residual, neutral_directions,
+    control_period, physics_step, stable, unstable_roots, spectral_radius, growth_rate,
+    gain_to_boundary, log_gain_to_boundary; all (null if unstable) with gain_margin,
     gain_reduction_margin, delay_margin, sensitivity_peak, complementary_peak, disk_margin and the
     frequency of each, modulus_margin, unscaled_disk_margin; joints with name, kp, kd and the
     margins above; ranking (names, nearest to shaking first); critical_mode, slowest_mode,

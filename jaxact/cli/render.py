@@ -44,6 +44,7 @@ def main(
     ] = None,
     base: _mounting.Base = None,
     damping: _mounting.Damping = None,
+    friction: _mounting.Friction = None,
     spec: Annotated[
         Path | None,
         tyro.conf.arg(
@@ -164,11 +165,13 @@ def main(
         static = {"engine": engine, "seed": seed, "duration": start + (duration or SIMULATED)}
         plant = {"model": model, "keyframe": keyframe}
         plant = {name: str(value) for name, value in plant.items() if value is not None}
-        plant |= _mounting.chosen(base, damping, robot=model is not None or spec is not None)
+        robotic = model is not None or spec is not None
+        plant |= _mounting.chosen(base, damping, friction, robot=robotic)
         chosen = _specification(spec, set, static, plant, asked, push)
         model, shown = chosen.model, duration or SIMULATED
     else:
-        _refuse(asked, spec, set, push, engine, damping, keyframe if base is None else None)
+        placed = keyframe if base is None else None
+        _refuse(asked, spec, set, push, engine, damping, friction, placed)
         motions = _loaded(files, labels, start, duration)
         shown = min(float(motion.time[-1] - motion.time[0]) for motion in motions)
     _check_length(shown * fps / speed)

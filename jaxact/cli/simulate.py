@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from jaxact.plot.trajectory import Joint
     from jaxact.sweep.single import Single
     from jaxact.sweep.specification import Specification
+    from jaxact.sweep.stiction import Stiction
 
 Parameters = _loops.options(PARAMETERS, several=False)
 _SIGNALS = {
@@ -68,6 +69,7 @@ def main(
     ] = None,
     base: _mounting.Base = None,
     damping: _mounting.Damping = None,
+    friction: _mounting.Friction = None,
     velocity: Annotated[
         str | None,
         arg(
@@ -152,7 +154,8 @@ def main(
     asked = {name: value for name, value in static.items() if _loops.is_given(value)}
     plant = {"model": model, "keyframe": keyframe}
     plant = {name: str(value) for name, value in plant.items() if value is not None}
-    plant |= _mounting.chosen(base, damping, robot=model is not None or spec is not None)
+    robot = model is not None or spec is not None
+    plant |= _mounting.chosen(base, damping, friction, robot=robot)
     specification = _single.specification(spec, set, asked, plant, _loops.given(parameters))
 
     _xla.call_at_once(specification)
@@ -163,9 +166,25 @@ def main(
     run = single.simulate(specification)
     _warnings.posture(specification)
     _write(run, specification, place, out, csv, npz)
-    print(_json_text(run) if json else _table(run))
+    held = _stiction(run, specification)
+    if json:
+        said = {} if specification.plant is None else {"stiction": _as_object(held)}
+        print(_json_text(run, said))
+    else:
+        print(_table(run))
+    if held is not None and not json:
+        print(f"The robot {held.sentence}.")
     if not json:
         print("wrote " + ", ".join(str(path) for path in (out, csv, npz) if path is not None))
+
+
+def _stiction(run: Single, specification: Specification) -> Stiction | None:
+    """What dry friction holds of a robot that shakes once it moves; None of anything else."""
+    if specification.plant is None or not run.results["growth_rate"] > 0.0:
+        return None
+    from jaxact.sweep import stiction
+
+    return stiction.nominal(specification)
 
 
 def _place(names: Sequence[str], joint: str) -> int:
@@ -240,12 +259,18 @@ def _plain(values: dict[str, float]) -> dict[str, float | str | None]:
     return {name: plain(value) for name, value in values.items()}
 
 
-def _json_text(run: Single) -> str:
+def _as_object(held: Stiction | None) -> dict[str, Any] | None:
+    from jaxact.cli._robot_tables import as_object
+
+    return None if held is None else as_object(held)
+
+
+def _json_text(run: Single, said: dict[str, Any]) -> str:
     from jaxact.status import Verdict
 
     figures: dict[str, Any] = dict(_plain(run.results))
     figures["verdict"] = Verdict(int(run.results["verdict"])).label
-    return _json.dumps({**figures, "parameters": _plain(run.values)})
+    return _json.dumps({**figures, **said, "parameters": _plain(run.values)})
 
 
 def _table(run: Single) -> str:

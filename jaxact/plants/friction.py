@@ -22,7 +22,7 @@ from jaxact.plants.posture import Posture
 
 def rubs(model: mujoco.MjModel) -> bool:
     """Whether a joint or a tendon of the model has dry friction."""
-    return bool(np.any(model.dof_frictionloss) or np.any(model.tendon_frictionloss))
+    return largest(model) > 0.0
 
 
 def without(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -52,6 +52,12 @@ def moving(robot: Robot, posture: Posture) -> tuple[Robot, Posture]:
         smooth, qpos=posture.qpos, qvel=posture.qvel, ctrl=posture.ctrl, act=posture.act
     )
     return smooth, replace(_posture.given(there), settled=posture.settled)
+
+
+def largest(model: mujoco.MjModel) -> float:
+    """Largest dry friction of a joint or a tendon [N or N m], 0 if there is none."""
+    losses = np.concatenate([model.dof_frictionloss, model.tendon_frictionloss])
+    return float(losses.max(initial=0.0))
 
 
 def at_joints(robot: Robot) -> np.ndarray:

@@ -10,7 +10,7 @@ MuJoCo, with friction as the model has it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -20,7 +20,7 @@ import numpy as np
 from jaxact.plants import friction as _friction
 from jaxact.plants.mujoco import JointPush
 from jaxact.rollout import Trajectory
-from jaxact.sweep import outside, plans, robots
+from jaxact.sweep import outside, plans, robots, whole_robot
 from jaxact.sweep.robots import Scene
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Specification
@@ -91,6 +91,26 @@ class Stiction:
         return f"{begins}{at}, {self.amplitude:.2g} {length} ({self.shaking})"
 
 
+def each(
+    specification: Specification, samples: Samples, found: Sequence[WholeRobot]
+) -> list[Stiction | None]:
+    """What friction holds of each sample, see `held`."""
+    rows = samples.values
+    return [
+        held(specification, {name: float(row[place]) for name, row in rows.items()}, one)
+        for place, one in enumerate(found)
+    ]
+
+
+def nominal(specification: Specification) -> Stiction | None:
+    """What friction holds of a specification's nominal loop, see `held`; None for no robot."""
+    if specification.plant is None:
+        return None
+    along = {name: np.array([value]) for name, value in specification.nominal.items()}
+    samples = Samples(along, ("loop",), (1,), {})
+    return each(specification, samples, whole_robot.evaluate(specification, samples))[0]
+
+
 def held(
     specification: Specification, values: Mapping[str, float], found: WholeRobot
 ) -> Stiction | None:
@@ -135,7 +155,7 @@ def held(
 
 
 def _rubs(scene: Scene, values: Mapping[str, float]) -> bool:
-    return _friction.rubs(scene.robot.model) or max(_added(values)) > 0.0
+    return _largest(scene, values) > 0.0
 
 
 def _added(values: Mapping[str, float]) -> list[float]:
@@ -151,9 +171,7 @@ def _at_joint(scene: Scene, values: Mapping[str, float], place: int) -> float:
 
 def _largest(scene: Scene, values: Mapping[str, float]) -> float:
     """Largest dry friction that there is anywhere [N or N m]."""
-    model = scene.robot.model
-    losses = np.concatenate([model.dof_frictionloss, model.tendon_frictionloss])
-    return max(float(losses.max(initial=0.0)), *_added(values))
+    return max(_friction.largest(scene.robot.model), *_added(values))
 
 
 def _hinge(scene: Scene, place: int) -> bool:

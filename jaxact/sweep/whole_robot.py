@@ -12,11 +12,13 @@ import numpy as np
 from jaxact import robot_loop
 from jaxact.drive import DriveOptions
 from jaxact.multiloop import Curves, Matrices, curves, multiloop
+from jaxact.plants import friction
 from jaxact.programs import Program
 from jaxact.robot_margins import Robot, RobotMargins, robot_margins
 from jaxact.sweep import engines, kernel, outside, plans
 from jaxact.sweep.kernel import Case
-from jaxact.sweep.samples import expand
+from jaxact.sweep.robots import Scene
+from jaxact.sweep.samples import Samples, expand
 from jaxact.sweep.specification import Setting, Specification
 from jaxact.sweep.template import Template
 
@@ -29,6 +31,7 @@ class WholeRobot:
     margins: all of them
     kp, kd: gains of the joints, shape (joints,) each
     residual: largest acceleration left at the posture [rad/s^2 or m/s^2]; 0 at an equilibrium
+    left_out: largest dry friction that the linearised robot does without [N or N m], 0 if none
     neutral: number of directions in which a displaced robot just stays displaced; left out
     physics_step: [s]
     engine: that the plant was linearised in, "mujoco" or "mjx"
@@ -39,6 +42,7 @@ class WholeRobot:
     kp: np.ndarray
     kd: np.ndarray
     residual: float
+    left_out: float
     neutral: int
     physics_step: float
     engine: str
@@ -49,13 +53,16 @@ class WholeRobot:
         return curves(multiloop(*self.robot.matrices, self.robot.period), self.robot.names)
 
 
-def evaluate(specification: Specification) -> list[WholeRobot]:
-    """The margins of every sample of a specification with a [plant].
+def evaluate(specification: Specification, samples: Samples | None = None) -> list[WholeRobot]:
+    """The margins of every sample of a specification with a [plant], or of others.
+
+    specification: of the robot
+    samples: loops to look at; None for the specification's own
 
     Raises UserError as `jaxact.sweep.plans.groups`.
     """
     specification = engines.resolved(specification)
-    samples = expand(specification)
+    samples = expand(specification) if samples is None else samples
     found: dict[int, WholeRobot] = {}
     for plan in plans.groups(specification, samples):
         numbers = np.concatenate([batch[:n] for batch, n in plans.batches(plan, samples)])
@@ -68,7 +75,7 @@ def evaluate(specification: Specification) -> list[WholeRobot]:
                 name: float(row[0]) for name, row in samples.take(numbers[place, None]).items()
             }
             own = None if moved is None else tuple(part[place] for part in moved)
-            found[int(number)] = _one(case, template, compiled, values, own)
+            found[int(number)] = _one(case, setting, template, compiled, values, own)
     return [found[number] for number in range(len(samples))]
 
 
@@ -96,7 +103,17 @@ def _compiled(case: Case, setting: Setting) -> tuple[Template, Program]:
     return template, Program(lambda: matrices, ("matrices", case, setting))
 
 
-def _one(case: Case, template: Template, compiled, values: dict[str, float], moved) -> WholeRobot:
+def _left_out(setting: Setting, scene: Scene, values: dict[str, float]) -> float:
+    """Dry friction that is not in the linear plant [N or N m]; see `jaxact.plants.friction`."""
+    if setting.plant is None or setting.plant.friction == "stuck":
+        return 0.0
+    added = [value for key, value in values.items() if key.partition("@")[0] == "joint_friction"]
+    return friction.largest(scene.robot.model) + float(np.max(np.nan_to_num(added), initial=0.0))
+
+
+def _one(
+    case: Case, setting: Setting, template: Template, compiled, values: dict[str, float], moved
+) -> WholeRobot:
     def computed(extra: float):
         with jax.enable_x64(True):
             inputs = {name: jnp.asarray(value, float) for name, value in values.items()}
@@ -124,6 +141,7 @@ def _one(case: Case, template: Template, compiled, values: dict[str, float], mov
         kp=kp,
         kd=kd,
         residual=template.residual,
+        left_out=_left_out(setting, scene, values),
         neutral=basis.shape[0] - basis.shape[1],
         physics_step=case.step,
         engine="mujoco" if case.engine == "warp" else case.engine,  # it has no derivatives
