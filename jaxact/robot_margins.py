@@ -379,7 +379,7 @@ def _mode(robot: Robot, loop: Multiloop, number: int) -> Mode:
         growth_rate=float(rate.real),
         frequency=float(abs(rate.imag)),
         damping_ratio=float(-rate.real / (abs(rate) or 1.0)),
-        participation=_participation(robot, loop, loop.vectors @ vector),
+        participation=participation(robot, loop, loop.vectors @ vector),
     )
 
 
@@ -388,10 +388,10 @@ def _response(robot: Robot, loop: Multiloop, frequency: float) -> Mode:
     angle = frequency * robot.period
     _, _, rows = np.linalg.svd(_multiloop.sensitivity(loop, np.array([angle]))[0])
     moved = _multiloop.states(loop, angle, rows[0].conj())
-    return Mode(0.0, frequency, 0.0, _participation(robot, loop, moved))
+    return Mode(0.0, frequency, 0.0, participation(robot, loop, moved))
 
 
-def _participation(robot: Robot, loop: Multiloop, states: np.ndarray) -> np.ndarray:
+def participation(robot: Robot, loop: Multiloop, states: np.ndarray) -> np.ndarray:
     """Share of each joint in I |v|^2; equal shares of a motion in which no joint moves."""
     # A joint that no force moves feels an infinite inertia.
     inertias = np.where(np.isfinite(robot.inertias), robot.inertias, 0.0)

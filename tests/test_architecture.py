@@ -25,6 +25,7 @@ ANALYSIS = (
     "frequency", "crossovers", "roots", "peaks", "lobes", "margins", "boundary",
     "sampled", "pulse", "sampled_roots", "sampled_search", "sampled_margins", "marginal",
     "gain_limits", "multiloop", "multiloop_disk", "multiloop_limits", "robot_margins",
+    "robot_delay",
 )  # fmt: skip
 LAYERS = (
     ("errors", "status"),

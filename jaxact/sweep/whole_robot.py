@@ -14,6 +14,7 @@ from jaxact.drive import DriveOptions
 from jaxact.multiloop import Curves, Matrices, curves, multiloop
 from jaxact.plants import friction
 from jaxact.programs import Program
+from jaxact.robot_delay import DelayBorne, delay_borne
 from jaxact.robot_margins import Robot, RobotMargins, robot_margins
 from jaxact.sweep import engines, kernel, outside, plans
 from jaxact.sweep.kernel import Case
@@ -28,7 +29,6 @@ class WholeRobot:
     """A robot's linearised loop with the parameters of one sample, and its margins.
 
     robot: the loop
-    margins: all of them
     kp, kd: gains of the joints, shape (joints,) each
     residual: largest acceleration left at the posture [rad/s^2 or m/s^2]; 0 at an equilibrium
     left_out: largest dry friction that the linearised robot does without [N or N m], 0 if none
@@ -38,7 +38,6 @@ class WholeRobot:
     """
 
     robot: Robot
-    margins: RobotMargins
     kp: np.ndarray
     kd: np.ndarray
     residual: float
@@ -46,6 +45,16 @@ class WholeRobot:
     neutral: int
     physics_step: float
     engine: str
+
+    @functools.cached_property
+    def margins(self) -> RobotMargins:
+        """All of them, computed when they are first asked for."""
+        return robot_margins(self.robot)
+
+    @functools.cached_property
+    def delay_borne(self) -> DelayBorne:
+        """The delay margin by itself, which takes a part of the time."""
+        return delay_borne(self.robot)
 
     @property
     def curves(self) -> Curves:
@@ -137,7 +146,6 @@ def _one(
     )
     return WholeRobot(
         robot=robot,
-        margins=robot_margins(robot),
         kp=kp,
         kd=kd,
         residual=template.residual,
