@@ -119,3 +119,16 @@ def test_a_mistake_is_one_line(capsys, verb, options, message):
     assert main([verb, *options]) == 2
     said = capsys.readouterr().err
     assert said.startswith(f"jaxact: {message}") and said.count("\n") == 1
+
+
+def test_margins_of_a_robot_that_topples_propose_the_stand(capsys):
+    text = STOOL.format(damping=0.8)
+    feet = text[text.index('<geom size=".03"') : text.index("<body><joint")]
+    text = text.replace(feet, '<geom size=".03" pos="0 0 -.28"/>').replace(' qpos="1 0 .31', "")
+    text = text[: text.index("<keyframe>")].replace('pos="0 0 .3"', 'pos="0 0 .31"') + "</mujoco>"
+    Path("pole.xml").write_text(text)
+    assert main(["margins", "--model", "pole.xml", "--kd", "0.8"]) == 0
+    said = capsys.readouterr().out
+    assert "NO" in said and "topples on its free base; --base fixed is it on a stand" in said
+    assert main(["margins", "--model", "pole.xml", "--kd", "0.8", "--base", "fixed"]) == 0
+    assert "topples" not in capsys.readouterr().out

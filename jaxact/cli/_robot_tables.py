@@ -112,7 +112,7 @@ def as_text(
             + _rendered(_joint_table(found))
         )
     else:
-        parts.append(_advice(found))
+        parts.append(_advice(found) + _stand(specification, found))
     if stiction is not None:
         parts.append(f"The robot {stiction.sentence}.")
     return "\n\n".join(parts) + "\n"
@@ -262,6 +262,16 @@ def _advice(found: WholeRobot) -> str:
     else:
         change = f"the nearest change of stability is at a factor of {factor:.4g} on all gains"
     return f"Margins of an unstable loop mean nothing; {change}."
+
+
+def _stand(specification: Specification, found: WholeRobot) -> str:
+    """Of a robot that topples: how the margins of its joints and drives are had."""
+    plant, mode = specification.plant, found.margins.critical
+    # Two roots that are equal but for rounding have a little of a frequency.
+    oscillates = mode.frequency > mode.growth_rate
+    if plant is None or plant.base != "free" or oscillates or not found.floating:
+        return ""
+    return " The robot topples on its free base; --base fixed is it on a stand."
 
 
 def _rendered(table: Any) -> str:

@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from jaxact.cli import _mounting
+from jaxact.cli import _check_loop, _mounting
 
 if TYPE_CHECKING:
     from jaxact.plants.findings import Finding
     from jaxact.plants.model import Robot
+    from jaxact.sweep.on_stand import OnStand
+    from jaxact.sweep.specification import Plant
 
 REFUSED = 1
 _WIDTH = 100
@@ -49,6 +51,10 @@ def main(
 ) -> None:
     r"""Show what will be driven in a robot and how, and every field that engines would ignore.
 
+    First, where the model brings gains: how much delay they bear on a stand, and which joint shakes
+    then; the same with the joints' damping in the drives where it stands for a kd, and with dry
+    friction as MuJoCo linearises it; and whether the robot stands with its base free.
+
     For each joint: what the model has there, its gains and limits at the joint (gear applied), the
     inertia that the joint moves at the posture with all else free, the bandwidth of the PD loop
     (where its gain is 1, on that inertia), and delays. Then what needs a word: what MJX would do
@@ -58,7 +64,9 @@ def main(
     keyframe, else 0.
 
     JSON: model, keyframe, digest, physics_step [s], degrees_of_freedom; engines that can simulate
-    it (warp where it is installed); joints with name, actuator, kind, kp, kd, force_limits,
+    it (warp where it is installed); on_stand with control_rate [Hz], hidden_gains (joints),
+    friction, falls (why), and as_it_is, in_drive, stuck, free, of each joint, stable, growth_rate
+    [1/s], delay [s] and frequency [rad/s]; joints with name, actuator, kind, kp, kd, force_limits,
     setpoint_limits, setpoint, setpoint_velocity, delay and setpoint_delay [s],
     natural_frequency [rad/s], damping_ratio, inertia, inertia_others_held, joint_damping,
     joint_friction, armature (what the joint itself has), bandwidth [rad/s]; findings with where,
@@ -71,11 +79,19 @@ def main(
     """
     from jaxact.plants import model as _model
 
-    robot = _model.read(model, keyframe=keyframe, joints=joints, **_mounting.chosen(base, damping))
+    mounted = _mounting.chosen(base, damping)
+    robot = _model.read(model, keyframe=keyframe, joints=joints, **mounted)
+    known = _check_loop.found(_plant(model, keyframe, joints, mounted), robot)
     robot = replace(robot, findings=(*robot.findings, *_of_mjx(robot), *_of_warp(robot)))
-    print(_as_json(robot, keyframe) if json else _as_text(robot, keyframe))
+    print(_as_json(robot, keyframe, known) if json else _as_text(robot, keyframe, known))
     if any(item.engines for item in robot.findings):
         raise SystemExit(REFUSED)
+
+
+def _plant(model: Path, keyframe: str | None, joints: tuple[str, ...], mounted: Any) -> Plant:
+    from jaxact.sweep.specification import Plant
+
+    return Plant(model=model, keyframe=keyframe, joints=joints, **mounted)
 
 
 def _of_mjx(robot: Robot) -> list[Finding]:
@@ -144,7 +160,7 @@ def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _as_json(robot: Robot, keyframe: str | None) -> str:
+def _as_json(robot: Robot, keyframe: str | None, known: OnStand | str) -> str:
     return _json.dumps(
         {
             "model": str(robot.path),
@@ -153,6 +169,7 @@ def _as_json(robot: Robot, keyframe: str | None) -> str:
             "physics_step": robot.model.opt.timestep,
             "degrees_of_freedom": int(robot.model.nv),
             "engines": engines(robot),
+            "on_stand": _check_loop.as_json(known),
             "joints": _rows(robot),
             "findings": [asdict(item) for item in robot.findings],
         },
@@ -161,8 +178,9 @@ def _as_json(robot: Robot, keyframe: str | None) -> str:
     )
 
 
-def _as_text(robot: Robot, keyframe: str | None) -> str:
-    parts = [_head(robot, keyframe)]
+def _as_text(robot: Robot, keyframe: str | None, known: OnStand | str) -> str:
+    said = [_wrapped(paragraph) for paragraph in _check_loop.as_text(known)]
+    parts = [_head(robot, keyframe), *(["\n".join(said)] if said else [])]
     if robot.joints:
         parts.append(_joint_table(robot))
     if robot.findings:
@@ -293,6 +311,12 @@ def _finding_list(findings: tuple[Finding, ...]) -> str:
                 break_long_words=False, break_on_hyphens=False,
             )  # fmt: skip
     return "\n".join(lines)
+
+
+def _wrapped(paragraph: str) -> str:
+    return textwrap.fill(
+        paragraph, _width(), break_long_words=False, break_on_hyphens=False
+    )  # fmt: skip
 
 
 def _grouped(findings: tuple[Finding, ...]) -> list[tuple[str, str, str]]:

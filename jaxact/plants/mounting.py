@@ -20,6 +20,7 @@ import numpy as np
 from jaxact.errors import UserError
 from jaxact.plants import actuators, conversion, motors
 from jaxact.plants.findings import ASKED, Finding, named
+from jaxact.plants.robot import Robot
 
 FREE, FIXED, HELD = "free", "fixed", "held"
 BASES = (FREE, FIXED, HELD)
@@ -35,9 +36,22 @@ def base_joints(model: mujoco.MjModel, indices: Sequence[int]) -> list[int]:
     Raises:
         UserError: an actuator acts on the base itself.
     """
+    return _base(model, _bodies(model, indices))
+
+
+def floats(robot: Robot) -> bool:
+    """Whether the base of a robot moves, and nothing acts on it but the world."""
+    try:
+        return bool(_base(robot.model, [joint.body for joint in robot.joints]))
+    except UserError:
+        return False
+
+
+def _base(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
+    """bodies: that driven joints move"""
     acted = _acted(model)
     found: list[int] = []
-    for path in _paths(model, indices):
+    for path in _paths(model, bodies):
         chain: list[int] = []
         for joint in _joints_of(model, path):
             free = int(model.jnt_type[joint]) == _FREE
@@ -71,21 +85,28 @@ def _acted(model: mujoco.MjModel) -> set[int]:
     return found
 
 
-def _paths(model: mujoco.MjModel, indices: Sequence[int]) -> list[list[int]]:
-    """Of each tree with driven joints: the bodies that carry all of them, from the root on."""
-    carrying: dict[int, set[int]] = {}
+def _bodies(model: mujoco.MjModel, indices: Sequence[int]) -> list[int]:
+    """The bodies that the joints of these actuators move."""
+    found = []
     for index in indices:
         try:
             joint, _ = actuators.transmission(model, index)
         except actuators.UndrivableError:
             continue
-        body = int(model.jnt_bodyid[joint])
-        above = {body}
-        while body := int(model.body_parentid[body]):
-            above.add(body)
+        found.append(int(model.jnt_bodyid[joint]))
+    return found
+
+
+def _paths(model: mujoco.MjModel, bodies: Sequence[int]) -> list[list[int]]:
+    """Of each tree with driven joints: the bodies that carry all of them, from the root on."""
+    carrying: dict[int, set[int]] = {}
+    for body in bodies:
+        above, parent = {body}, body
+        while parent := int(model.body_parentid[parent]):
+            above.add(parent)
         root = min(above)
         carrying[root] = carrying.get(root, above) & above
-    return [sorted(bodies) for bodies in carrying.values()]
+    return [sorted(each) for each in carrying.values()]
 
 
 def _joints_of(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
@@ -215,7 +236,7 @@ def untouched(spec: mujoco.MjSpec, model: mujoco.MjModel, indices: Sequence[int]
         model: as compiled.
         indices: of actuators.
     """
-    roots = {path[0] for path in _paths(model, indices)}
+    roots = {path[0] for path in _paths(model, _bodies(model, indices))}
     bodies = {body for body in range(model.nbody) if int(model.body_rootid[body]) in roots}
     own = [geom for geom in spec.geoms if geom.parent.id in bodies]
     for geom in own:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxact import robot_loop
 from jaxact.drive import DriveOptions
 from jaxact.multiloop import Curves, Matrices, curves, multiloop
-from jaxact.plants import friction
+from jaxact.plants import friction, mounting
 from jaxact.programs import Program
 from jaxact.robot_delay import DelayBorne, delay_borne
 from jaxact.robot_margins import Robot, RobotMargins, robot_margins
@@ -33,6 +33,7 @@ class WholeRobot:
     residual: largest acceleration left at the posture [rad/s^2 or m/s^2]; 0 at an equilibrium
     left_out: largest dry friction that the linearised robot does without [N or N m], 0 if none
     neutral: number of directions in which a displaced robot just stays displaced; left out
+    floating: whether its base moves
     physics_step: [s]
     engine: that the plant was linearised in, "mujoco" or "mjx"
     """
@@ -43,6 +44,7 @@ class WholeRobot:
     residual: float
     left_out: float
     neutral: int
+    floating: bool
     physics_step: float
     engine: str
 
@@ -151,6 +153,7 @@ def _one(
         residual=template.residual,
         left_out=_left_out(setting, scene, values),
         neutral=basis.shape[0] - basis.shape[1],
+        floating=mounting.floats(scene.robot),
         physics_step=case.step,
         engine="mujoco" if case.engine == "warp" else case.engine,  # it has no derivatives
     )

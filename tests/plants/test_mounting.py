@@ -9,7 +9,7 @@ import pytest
 from jaxact import linearize
 from jaxact.errors import UserError
 from jaxact.plants import model as models
-from jaxact.plants import posture
+from jaxact.plants import mounting, posture
 
 LEG = """<body name="{side} thigh" pos="0 {y} 0">
   <joint name="{side} hip" axis="0 1 0" damping=".4" armature=".01"/>
@@ -191,7 +191,7 @@ def test_what_needs_the_joints_of_the_base_is_named(tmp_path):
 
 def test_a_robot_that_falls_is_proposed_a_stand(tmp_path):
     text = _biped(qpos=f"0 0 3 1 0 0 0 {BENT}")
-    with pytest.raises(UserError, match='falls.*base = "fixed" to put it on a stand'):
+    with pytest.raises(UserError, match='falls.*base = "fixed".* to put it on a stand'):
         _robot(tmp_path, text, keyframe="bent", base="held")
     robot = _robot(tmp_path, text, keyframe="bent", base="held", settle=False)
     assert robot.model.body("trunk").pos[2] == 3.0
@@ -230,3 +230,9 @@ def test_links_of_a_urdf_keep_their_names_on_a_stand(tmp_path):
         mujoco.mj_kinematics(robot.model, data)
         places.append([*data.body("arm").xpos, *data.body("arm").xquat])
     np.testing.assert_allclose(*places, atol=1e-12)
+
+
+def test_only_a_base_that_moves_floats(tmp_path):
+    assert mounting.floats(_robot(tmp_path, _biped()))
+    assert not mounting.floats(_robot(tmp_path, _biped(), base="fixed"))
+    assert not mounting.floats(_robot(tmp_path, _biped(joint="", qpos=BENT)))

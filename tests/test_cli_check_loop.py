@@ -1,0 +1,92 @@
+"""What `jaxact check` says first: the delay that the model's gains bear, and what hides in them."""
+
+import json
+from pathlib import Path
+
+import mujoco
+import pytest
+from quickly import compiled_quickly as compiled_quickly
+
+from jaxact.cli.main import main
+
+# A seat on four feet; a leg with a servo, whose D gain is the joint's damping.
+STOOL = """<mujoco><option timestep="0.001"/><worldbody>{floor}
+<body name="seat" pos="0 0 .31"><freejoint/><geom type="box" size=".2 .2 .02" mass="4"/>
+<geom size=".03" pos=".2 .2 -.28"/><geom size=".03" pos="-.2 .2 -.28"/>
+<geom size=".03" pos=".2 -.2 -.28"/><geom size=".03" pos="-.2 -.2 -.28"/>
+<body><joint name="swing" axis="0 1 0" damping="{damping}" armature=".02" frictionloss="{loss}"/>
+<geom type="capsule" fromto="0 0 0 0 0 -.15" size=".02" mass=".5"/></body></body></worldbody>
+<actuator><position name="servo" joint="swing" kp="60"/></actuator></mujoco>"""
+FLOOR = '<geom type="plane" size="1 1 1"/>'
+
+
+def _check(capsys, text, *options):
+    Path("stool.xml").write_text(text)
+    assert main(["check", "stool.xml", *options]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    return said.out
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def _shakes(ticks, damping, steps=6000):
+    """Whether the joint shakes on a stand with kp and kd late by milliseconds, in plain C."""
+    text = STOOL.format(floor="", damping=0, loss=0).replace("<freejoint/>", "")
+    text = text.replace('<position name="servo" joint="swing" kp="60"/>', '<motor joint="swing"/>')
+    model = mujoco.MjModel.from_xml_string(text.replace("<geom", '<geom contype="0"'))
+    data = mujoco.MjData(model)
+    data.qvel[0], late = 1e-6, [0.0] * ticks
+    for _ in range(steps):
+        late.append(-60.0 * data.qpos[0] - damping * data.qvel[0])
+        data.ctrl[0] = late.pop(0)
+        mujoco.mj_step(model, data)
+    return abs(data.qvel[0]) > 1e-6
+
+
+def test_delays_are_those_of_plain_mujoco(capsys):
+    text = STOOL.format(floor=FLOOR, damping=2.0, loss=0.3)
+    found = json.loads(_check(capsys, text, "--json"))["on_stand"]
+    assert found["hidden_gains"] == ["swing"] and found["control_rate"] == 1000.0
+    borne = int(1e3 * found["in_drive"]["delay"])
+    assert not _shakes(borne, 2.0) and _shakes(borne + 1, 2.0)
+    assert found["in_drive"]["delay"] < found["as_it_is"]["delay"] < found["stuck"]["delay"]
+    assert found["friction"] == 0.3 and found["free"]["stable"] and found["falls"] is None
+
+
+def test_it_is_said_in_sentences(capsys):
+    said = " ".join(_check(capsys, STOOL.format(floor=FLOOR, damping=2.0, loss=0.3)).split())
+    for words in (
+        "On a stand, at 1000 Hz, the gains bear ", "1 of 1 driven joints have kp, no kd, and",
+        "Computed in the drive, with --damping drive, the gains bear ", "then swing shakes at",
+        "Dry friction of up to 0.3 N m (N) is left out", "With its base free, standing, the gains",
+    ):  # fmt: skip
+        assert words in said, words
+    both = ("--base", "fixed", "--damping", "drive")
+    said = " ".join(_check(capsys, STOOL.format(floor=FLOOR, damping=140.0, loss=0), *both).split())
+    assert "On a stand, at 1000 Hz, the gains shake even without more delay: swing at" in said
+    assert "have kp, no kd" not in said and "Dry friction" not in said and "base free" not in said
+
+
+def test_a_free_base_that_topples_or_falls_is_proposed_a_stand(capsys):
+    text = STOOL.format(floor="", damping=2.0, loss=0)
+    assert "falls from its keyframe" in (said := _check(capsys, text)) and "--base fixed" in said
+    # One foot under the middle: upright, and held up by nothing.
+    text = STOOL.format(floor=FLOOR, damping=2.0, loss=0)
+    feet = text[text.index('<geom size=".03"') : text.index("<body><joint")]
+    text = text.replace(feet, '<geom size=".03" pos="0 0 -.28"/>')
+    said = " ".join(_check(capsys, text).split())
+    assert "With its base free the robot topples, by" in said and "--base fixed leaves" in said
+    free = json.loads(_check(capsys, text, "--json"))["on_stand"]["free"]
+    assert not free["stable"] and free["frequency"] < 1e-3 < free["growth_rate"]
+
+
+def test_motors_bring_no_gains_to_speak_of(capsys):
+    text = STOOL.format(floor=FLOOR, damping=2.0, loss=0).replace(
+        '<position name="servo" joint="swing" kp="60"/>', '<motor joint="swing"/>'
+    )
+    assert json.loads(_check(capsys, text, "--json"))["on_stand"] is None
+    assert "On a stand" not in (said := _check(capsys, text)) and "No gains in the model" in said
