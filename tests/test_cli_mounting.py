@@ -74,6 +74,17 @@ def test_a_gain_that_is_given_replaces_the_damping_that_was_moved(capsys):
     assert _margins(capsys, "--base", "held")["joints"][0]["kd"] == 0.0
 
 
+def test_a_motor_takes_the_damping_of_its_joint_for_its_kd(capsys):
+    text = STOOL.format(damping=4.0)
+    servo = '<position name="servo" joint="swing" kp="60"/>'
+    Path("stool.xml").write_text(text.replace(servo, '<motor name="servo" joint="swing"/>'))
+    motor = _margins(capsys, "--base", "fixed", "--damping", "drive", "--kp", "60")
+    Path("stool.xml").write_text(text)
+    assert motor["joints"][0]["kd"] == 4.0
+    servo = _margins(capsys, "--base", "fixed", "--damping", "drive")
+    assert motor["growth_rate"] == servo["growth_rate"]
+
+
 def test_a_specification_says_the_same(capsys):
     Path("stool.toml").write_text(
         '[plant]\nmodel = "stool.xml"\nkeyframe = "stands"\nbase = "fixed"\ndamping = "drive"\n'

@@ -120,7 +120,7 @@ class _Opened:
 
 def _opened(path: Path, keyframe: str | int | None, joints: Sequence[str], base: str) -> _Opened:
     spec = _parse(path)
-    added = motors.add(spec, path)
+    added = motors.add(spec, path, joints)
     commanded = [len(key.ctrl) > 0 for key in spec.keys]
     model, findings = _compile(spec, path, untouched=base == mounting.FIXED)
     if model.nactuator == 0:

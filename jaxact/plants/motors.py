@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -12,12 +13,14 @@ from jaxact.plants.findings import EMULATED, Finding
 _SINGLE = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 
 
-def add(spec: mujoco.MjSpec, path: Path) -> tuple[Finding, ...]:
+def add(spec: mujoco.MjSpec, path: Path, patterns: Sequence[str]) -> tuple[Finding, ...]:
     """Give each hinge and slide joint a motor, if there are no actuators at all.
 
     Args:
         spec: of the model; changed.
         path: the file it was read from.
+        patterns: of the joints that are driven; those that none matches get no motor. All do where
+            this leaves none, so that it can be said which there are.
 
     Returns:
         What is said of it: nothing where the model has actuators.
@@ -26,7 +29,7 @@ def add(spec: mujoco.MjSpec, path: Path) -> tuple[Finding, ...]:
     if spec.actuators or not joints:
         return ()
     name_joints(spec)
-    for joint in joints:
+    for joint in [one for one in joints if _matches(one.name, patterns)] or joints:
         motor = spec.add_actuator(name=joint.name, target=joint.name)
         motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
         motor.set_to_motor()
@@ -34,10 +37,17 @@ def add(spec: mujoco.MjSpec, path: Path) -> tuple[Finding, ...]:
     return (
         Finding(
             "model", "actuator", f"none in {kind}", "has nothing to drive", EMULATED,
-            "every hinge and slide joint gets a motor, within the joint's effort limit; name the "
-            "driven ones with `joints = [...]` where some are passive",
+            "every hinge and slide joint gets a motor, within the joint's effort limit; where some "
+            "are passive, name the driven ones with `joints = [...]`",
         ),
     )  # fmt: skip
+
+
+def _matches(name: str, patterns: Sequence[str]) -> bool:
+    try:
+        return any(re.fullmatch(pattern, name) for pattern in patterns)
+    except re.error:
+        return True  # what is wrong with it is said where all patterns are read
 
 
 def is_urdf(path: Path) -> bool:

@@ -124,8 +124,8 @@ def settled(robot: Robot) -> Posture:
     # Stiff joints bear more weight, soft ones calm loose objects that they touch.
     for sag in (_SAG, np.inf):
         found = _rest(robot, gravity, sag)
-        if fallen(robot, found.qpos):
-            complaints.append("the robot falls from its keyframe before it comes to rest")
+        if falls := _fallen(robot, found.qpos):
+            complaints.append(f"{falls} falls from its keyframe before it comes to rest")
         elif not np.isfinite(found.residual) or found.residual > _NEARLY * gravity:
             complaints.append(
                 f"the posture does not come to rest within {_LONGEST:g} s (residual acceleration "
@@ -259,17 +259,23 @@ def fallen(robot: Robot, qpos: np.ndarray) -> bool:
     Returns:
         Never true of a fixed robot, or where it is not known (NaN).
     """
+    return bool(_fallen(robot, qpos))
+
+
+def _fallen(robot: Robot, qpos: np.ndarray) -> str:
+    """What has turned over or sunk: the robot, or a body that is none of it; "" for nothing."""
     model = robot.model
     if not np.isfinite(qpos).all():
-        return False
+        return ""
     moved = np.zeros(model.nv)
     mujoco.mj_differentiatePos(model, moved, 1.0, robot.qpos, qpos)
-    free = model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)
-    for dof in model.jnt_dofadr[free]:
+    own = {int(model.body_rootid[joint.body]) for joint in robot.joints}
+    for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)):
+        dof, body = model.jnt_dofadr[joint], int(model.jnt_bodyid[joint])
         sunk = np.linalg.norm(moved[dof : dof + 3]) > _SUNK * model.stat.extent
         if sunk or np.linalg.norm(moved[dof + 3 : dof + 6]) > _TURNED:
-            return True
-    return False
+            return "the robot" if body in own else named("body", model.body(body).name, body)
+    return ""
 
 
 def _inertia(

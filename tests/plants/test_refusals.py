@@ -108,6 +108,12 @@ def test_an_mjcf_without_actuators_gets_a_motor_for_each_joint(tmp_path):
     assert (robot.joints[0].force_low, robot.joints[0].force_high) == (-5.0, 5.0)
     (said,) = [item for item in robot.findings if item.field == "actuator"]
     assert said.value == "none in the model" and "every hinge and slide joint" in said.advice
+    one = _read(tmp_path, BODY.format(""), "robot.xml", joints=["hin.*"])
+    assert [joint.name for joint in one.joints] == ["hinge"] and one.model.nactuator == 1
+    with pytest.raises(UserError, match="no joint matches 'knee'; .*hinge"):
+        _read(tmp_path, BODY.format(""), "robot.xml", joints=["knee"])
+    with pytest.raises(UserError, match="is no regular expression"):
+        _read(tmp_path, BODY.format(""), "robot.xml", joints=["("])
     some = _read(tmp_path, BODY.format('<actuator><motor joint="hinge"/></actuator>'), "some.xml")
     assert [one.name for one in some.joints] == ["hinge"]
     assert not [item for item in some.findings if item.field == "actuator"]
