@@ -143,3 +143,28 @@ def test_margins_of_a_robot_that_topples_propose_the_stand(capsys):
     assert "NO" in said and "topples on its free base; --base fixed is it on a stand" in said
     assert main(["margins", "--model", "pole.xml", "--kd", "0.8", "--base", "fixed"]) == 0
     assert "topples" not in capsys.readouterr().out
+
+
+def test_tuned_gains_say_that_they_hold_the_damping(capsys):
+    quick = ("--starts", "1", "--steps", "20", "--ensemble", "2", "--validate", "0")
+    asked = (
+        "--base",
+        "fixed",
+        "--actuator",
+        "hyq",
+        "--delay",
+        "0.002",
+        "--max-peak",
+        "1.8",
+        *quick,
+    )
+    assert main(["tune", *WHICH, *asked]) == 2
+    assert "swing: kd is 0, and there is no start from it; give --kd, or --damping drive" in (
+        capsys.readouterr().err
+    )
+    for damping, says, given in (("joint", False, ("--kd", "4")), ("drive", True, ())):
+        where = ("--damping", damping, "--out", damping)
+        assert main(["tune", *WHICH, *asked, *where, *given]) == 0
+        written = (Path(damping) / "gains.xml").read_text()
+        assert ("give them damping 0" in written) is says and "<position" in written
+    capsys.readouterr()

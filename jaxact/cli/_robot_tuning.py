@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 from tyro.conf import UseAppendAction, arg
 
 from jaxact.cli import _folders, _front, _mounting, _robot_margins, _robot_report, _warnings
@@ -254,9 +255,22 @@ def _distinct(rows: list[tuple[str, Specification]]) -> list[tuple[str, Specific
     return rows
 
 
+def _demand_kd(first: Situation) -> None:
+    """Refuse to start without a D gain, and say where it may be."""
+    plant, without = first.specification.plant, np.flatnonzero(first.kd == 0.0)
+    if plant is None or not without.size or plant.damping == "drive":
+        return
+    joint = first.names[int(without[0])][0]
+    raise UserError(
+        f"{joint}: kd is 0, and there is no start from it; give --kd, or --damping drive where the "
+        "model has the drive's D gain in <joint damping>"
+    )
+
+
 def _start(first: Situation, given: dict[str, Any]) -> Any:
     """The gains to be no worse than: those given, or that the model brings; None for none."""
     if first.kp is not None and first.kd is not None:
+        _demand_kd(first)
         return first.kp, first.kd
     alone: Sequence[str] = [name for name in ("kp", "kd") if name in given]
     if alone:

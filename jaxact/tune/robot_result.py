@@ -176,7 +176,8 @@ def toml_text(tuned: RobotTuned, held: Held | None, command: str = "") -> str:
 def mjcf_text(tuned: RobotTuned) -> str:
     """MuJoCo position actuators with the gains, for the joints of the model.
 
-    The actuators' lag and delay are not in them: MuJoCo's own are something else.
+    The actuators' lag and delay are not in them: MuJoCo's own are something else. Where the joints'
+    damping was moved into the drives, kv holds it, and a comment says so.
     """
     rows = [
         f"    <position name={quoteattr(actuator or joint)} joint={quoteattr(joint)} "
@@ -185,4 +186,8 @@ def mjcf_text(tuned: RobotTuned) -> str:
             tuned.situations[0].names, tuned.kp, tuned.kd, strict=True
         )
     ]
-    return f"<mujoco>\n  <actuator>\n{''.join(rows)}  </actuator>\n</mujoco>\n"
+    plant = tuned.situations[0].specification.plant
+    moved = plant is not None and plant.damping == "drive"
+    note = "  <!-- kv stands for the damping of these joints too: give them damping 0 -->\n"
+    body = f"{note * moved}  <actuator>\n{''.join(rows)}  </actuator>\n"
+    return f"<mujoco>\n{body}</mujoco>\n"
