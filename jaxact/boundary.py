@@ -28,6 +28,7 @@ def continuous_boundary(
     damping_ratio: float,
     delay: float,
     *,
+    velocity_filter: float = math.inf,
     kp_range: Range,
     kd_range: Range,
 ) -> list[BoundaryCurve]:
@@ -37,13 +38,14 @@ def continuous_boundary(
     natural_frequency: wn of the force servo [rad/s], > 0, inf = ideal
     damping_ratio: zeta [-], > 0, ignored if ideal
     delay: total delay td [s], >= 0
+    velocity_filter: cutoff of the first-order filter of the velocity [rad/s], > 0, inf = none
     kp_range, kd_range: (low, high) of the window [N/m], [N s/m]; an axis with low > 0 is sampled
         evenly in its logarithm, otherwise evenly
 
     Raises ValueError for an empty window or values out of their domain.
     """
     _check_window(kp_range, kd_range)
-    marginal = continuous_marginal(mass, natural_frequency, damping_ratio, delay)
+    marginal = continuous_marginal(mass, natural_frequency, damping_ratio, delay, velocity_filter)
     return _curves(marginal, mass, kp_range, kd_range)
 
 

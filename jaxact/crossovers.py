@@ -1,8 +1,8 @@
 """Where the loop gain is 1 and where the phase is critical: all of them, refined.
 
-Nothing is searched on a grid. The stationary points of |L| and of the phase are roots of cubics
-in w^2; between them both are monotone, so an interval holds at most one gain crossover, and which
-critical phases it holds is known from the phase at its ends.
+Nothing is searched on a grid. Between the stationary points of |L| and of the phase (`stationary`)
+both are monotone, so an interval holds at most one gain crossover, and which critical phases it
+holds is known from the phase at its ends.
 
 All arrays carry candidates on axis 0 and the batch behind it, so the fields of a loop have
 shape (1, ...).
@@ -15,107 +15,28 @@ import jax.numpy as jnp
 
 from jaxact.frequency import (
     JointLoop,
+    controller_response,
     log_gain,
     log_gain_slope,
     phase_slope,
     servo_denominator,
 )
+from jaxact.positive_roots import apart
 
 TURN = 2.0 * math.pi
-_CUBIC_STEPS = 44
 _BISECTIONS = 18
 _NEWTON_STEPS = 4
 _PHASE_BISECTIONS = 12
 _PHASE_NEWTON_STEPS = 5
 
 
-def positive_cubic_roots(
-    coefficients: list[jax.Array], scale: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """The roots y > 0 of c0 + c1 y + c2 y^2 + c3 y^3, and which there are, shape (3, ...).
-
-    coefficients: c0 ... c3, real, each of shape (1, ...)
-    scale: a typical size of the roots, shape (1, ...), > 0
-
-    With y = scale * s / (1 - s) it becomes a cubic on 0 < s < 1, whatever its degree; the roots of
-    its derivative split that into three parts, each bisected.
-    """
-    c = [a * scale**i for i, a in enumerate(coefficients)]
-    largest = jnp.maximum(
-        jnp.maximum(jnp.abs(c[0]), jnp.abs(c[1])), jnp.maximum(jnp.abs(c[2]), jnp.abs(c[3]))
-    )
-    c = [a / jnp.where(largest > 0, largest, 1.0) for a in c]
-    # Powers of s of sum_i c_i s^i (1 - s)^(3 - i).
-    p0 = c[0]
-    p1 = c[1] - 3.0 * c[0]
-    p2 = c[2] - 2.0 * c[1] + 3.0 * c[0]
-    p3 = c[3] - c[2] + c[1] - c[0]
-
-    def cubic(s: jax.Array) -> jax.Array:
-        return p0 + s * (p1 + s * (p2 + s * p3))
-
-    first, second = _quadratic_roots(p1, 2.0 * p2, 3.0 * p3)
-    left = jnp.concatenate([jnp.zeros_like(first), first, second])
-    right = jnp.concatenate([first, second, jnp.ones_like(first)])
-    rising = cubic(left) < 0.0
-    present = rising != (cubic(right) < 0.0)
-
-    def halve(_: int, bracket: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        low, high = bracket
-        middle = 0.5 * (low + high)
-        before = (cubic(middle) < 0.0) == rising
-        return jnp.where(before, middle, low), jnp.where(before, high, middle)
-
-    low, high = jax.lax.fori_loop(0, _CUBIC_STEPS, halve, (left, right))
-    s = 0.5 * (low + high)
-    # Where the degree is lower, s = 1 is a root that only rounding places inside.
-    rounding = 64.0 * jnp.finfo(s.dtype).eps
-    present = present & (s < 1.0 - rounding)
-    roots = scale * s / jnp.maximum(1.0 - s, rounding)
-    return jnp.where(present, roots, scale), present
-
-
-def _quadratic_roots(a: jax.Array, b: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Ordered real parts of the roots of a + b s + c s^2, clipped to [0, 1]."""
-    discriminant = jnp.sqrt(jnp.maximum(b * b - 4.0 * a * c, 0.0))
-    q = -0.5 * (b + jnp.where(b < 0, -discriminant, discriminant))
-    one = a / jnp.where(q == 0, 1.0, q)
-    two = q / jnp.where(c == 0, 1.0, c)
-    one = jnp.where(q == 0, 0.0, one)
-    two = jnp.where(c == 0, 1.0, two)
-    one, two = jnp.clip(one, 0.0, 1.0), jnp.clip(two, 0.0, 1.0)
-    return jnp.minimum(one, two), jnp.maximum(one, two)
-
-
-def gain_extremes(loop: JointLoop) -> jax.Array:
-    """The frequencies [rad/s] where |L| has its local minimum and maximum, shape (2, ...).
-
-    Only a lightly damped servo has them; otherwise they are harmless other frequencies.
-
-    With t = (w/wn)^2, a = (kp/wn)^2, b = kd^2, e = 4 zeta^2 - 2:
-    2 a + (3 a e + b) t + (4 a + 2 b e) t^2 + 3 b t^3 = 0.
-    """
-    ideal = jnp.isinf(loop.natural_frequency)
-    wn = jnp.where(ideal, 1.0, loop.natural_frequency)
-    a, b = (loop.kp / wn) ** 2, loop.kd**2
-    e = 4.0 * loop.damping_ratio**2 - 2.0
-    cubic = [2.0 * a, 3.0 * a * e + b, 4.0 * a + 2.0 * b * e, 3.0 * b]
-    t, present = positive_cubic_roots(cubic, jnp.ones_like(e))
-    # c0 > 0 and c3 >= 0: none or two of the three are there.
-    some = jnp.any(present, axis=0, keepdims=True)
-    low = jnp.min(jnp.where(present, t, jnp.inf), axis=0, keepdims=True)
-    high = jnp.max(jnp.where(present, t, 0.0), axis=0, keepdims=True)
-    low, high = jnp.where(some, low, 0.37), jnp.where(some, high, 1.13)
-    return wn * jnp.sqrt(jnp.concatenate([low, high]))
-
-
 def gain_crossovers(loop: JointLoop, extremes: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """All frequencies [rad/s] with |L(jw)| = 1 in ascending order, and which exist, (3, ...).
+    """All frequencies [rad/s] with |L(jw)| = 1 in ascending order, and which exist, (k + 1, ...).
 
-    extremes: of `gain_extremes`, shape (2, ...)
+    extremes: of `gain_extremes`, shape (k, ...)
 
     There are one or three: |L| falls from infinity to zero, with at most one rise between
-    the extremes. Slots of missing ones hold other frequencies.
+    the extremes (two where the velocity is filtered). Slots of missing ones hold other frequencies.
     """
     kp, kd, mass = jnp.abs(loop.kp), jnp.abs(loop.kd), loop.mass
     half = 0.5 * (kd / mass) ** 2
@@ -123,6 +44,9 @@ def gain_crossovers(loop: JointLoop, extremes: jax.Array) -> tuple[jax.Array, ja
     zeta2 = loop.damping_ratio**2
     deepest = jnp.where(zeta2 < 0.5, 4.0 * zeta2 * (1.0 - zeta2), 1.0)
     floor = jnp.minimum(rigid, loop.natural_frequency) / (1.0 + 2.0 * loop.damping_ratio)
+    if loop.velocity_filter is not None:
+        # Up to half its cutoff the filter takes at most a third from |C|; it never adds a quarter.
+        floor = jnp.minimum(floor, loop.velocity_filter)
     low_end = jnp.maximum(0.5 * floor, jnp.finfo(floor.dtype).tiny)
     high_end = jnp.maximum(2.0 * rigid / jnp.sqrt(deepest), 2.0 * low_end)
     inner = jnp.clip(extremes, low_end, high_end)
@@ -146,64 +70,16 @@ def gain_crossovers(loop: JointLoop, extremes: jax.Array) -> tuple[jax.Array, ja
 
     w = jax.lax.fori_loop(0, _NEWTON_STEPS, newton, jnp.sqrt(low * high))
     only = jnp.max(jnp.where(present, w, 0.0), axis=0, keepdims=True)
-    return jnp.where(present, w, only * _apart((0.55, 1.45, 3.1), w)), present
+    factors = (0.55, 1.45, 3.1, 0.71, 1.9)[: w.shape[0]]
+    return jnp.where(present, w, only * apart(factors, w)), present
 
 
 def _gain_above_one(loop: JointLoop, w: jax.Array) -> jax.Array:
     """|L(jw)| > 1 without a logarithm."""
     x2 = (w / loop.natural_frequency) ** 2
     servo = (1.0 - x2) ** 2 + 4.0 * loop.damping_ratio**2 * x2
-    return loop.kp**2 + (loop.kd * w) ** 2 > (loop.mass * w * w) ** 2 * servo
-
-
-def phase_extremes(loop: JointLoop) -> jax.Array:
-    """The frequencies [rad/s] where the phase turns, shape (3, ...); missing ones are harmless.
-
-    With r = kd/kp, v = 1/wn, y = w^2, R = |D|^2 = 1 + e v^2 y + v^4 y^2, e = 4 zeta^2 - 2:
-    r R - (1 + r^2 y) 2 zeta v (1 + v^2 y) - td (1 + r^2 y) R = 0.
-    """
-    kp, kd, td = loop.kp, loop.kd, loop.delay
-    size = jnp.where(kp > 0, kp, jnp.maximum(kd, jnp.finfo(kd.dtype).tiny))
-    a, r = jnp.where(kp > 0, 1.0, 0.0), kd / size
-    v = 1.0 / loop.natural_frequency
-    v2, e = v * v, 4.0 * loop.damping_ratio**2 - 2.0
-    g = 2.0 * loop.damping_ratio * v
-    cubic = [
-        a * (r - a * (g + td)),
-        a * r * e * v2 - g * (a * a * v2 + r * r) - td * (a * a * e * v2 + r * r),
-        a * r * v2 * v2 - g * v2 * r * r - td * (a * a * v2 * v2 + e * v2 * r * r),
-        -td * r * r * v2 * v2,
-    ]
-    lag = g + td + 0.1 * v
-    balance = jnp.where(lag > 0, (r + lag) * lag, r * r)
-    scale = 1.0 / jnp.where(balance > 0, balance, 1.0)
-    y, present = positive_cubic_roots(cubic, scale)
-    return jnp.sqrt(jnp.where(present, y, scale * _apart((0.31, 0.83, 2.7), y)))
-
-
-def _apart(factors: tuple[float, ...], like: jax.Array) -> jax.Array:
-    """Distinct factors along axis 0, for slots that hold nothing: points must not coincide."""
-    column = jnp.asarray(factors, dtype=like.dtype)
-    return column.reshape((-1,) + (1,) * (like.ndim - 1))
-
-
-def insert_sorted(rows: jax.Array, value: jax.Array) -> jax.Array:
-    """`value`, shape (1, ...), put in its place among rows ascending along axis 0, shape (k, ...).
-
-    out_i = max(row_{i-1}, min(value, row_i)): elementwise, so vectorised over the batch.
-    """
-    edge = jnp.full_like(value, jnp.inf)
-    below = jnp.concatenate([-edge, rows])
-    above = jnp.concatenate([rows, edge])
-    return jnp.maximum(below, jnp.minimum(value, above))
-
-
-def sort_rows(values: jax.Array) -> jax.Array:
-    """Sorted along axis 0, by insertion: made for a handful of rows and a large batch."""
-    rows = values[:1]
-    for i in range(1, values.shape[0]):
-        rows = insert_sorted(rows, values[i : i + 1])
-    return rows
+    stiff, rate = controller_response(loop, w)
+    return stiff**2 + rate**2 > (loop.mass * w * w) ** 2 * servo
 
 
 def phase_crossovers(
@@ -249,8 +125,8 @@ def phase_crossovers(
 def _phase_at_once(loop: JointLoop, w: jax.Array) -> jax.Array:
     """`phase` by one arctangent: for kp > 0, kd >= 0 the two parts together stay within a turn."""
     real, imaginary = servo_denominator(loop, w)
-    rate = loop.kd * w
-    lead = jnp.arctan2(rate * real - loop.kp * imaginary, loop.kp * real + rate * imaginary)
+    stiff, rate = controller_response(loop, w)
+    lead = jnp.arctan2(rate * real - stiff * imaginary, stiff * real + rate * imaginary)
     return lead - w * loop.delay
 
 
@@ -287,17 +163,24 @@ def _solve_phase(
 
 
 def marginal_phasor(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Real and imaginary part of P(w) = D(jw) exp(j w td): marginal kp = m w^2 Re P, kd = m w Im P.
+    """P(w) = D(jw) exp(j w td) as a pair: marginal kp = m w^2 P_0, kd = m w P_1.
+
+    Of P its real and imaginary part; a filter of the velocity makes them Re P - w tau Im P and
+    (1 + (w tau)^2) Im P.
 
     w: frequency [rad/s]
     """
     real, imaginary = servo_denominator(loop, w)
     cosine, sine = jnp.cos(w * loop.delay), jnp.sin(w * loop.delay)
-    return real * cosine - imaginary * sine, real * sine + imaginary * cosine
+    real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
+    if loop.velocity_filter is None:
+        return real, imaginary
+    turn = w / loop.velocity_filter
+    return real - turn * imaginary, (1.0 + turn * turn) * imaginary
 
 
 def slowdown_residual(loop: JointLoop, w: jax.Array) -> jax.Array:
-    """Re P - m kp / kd^2 (Im P)^2 [-]: zero where (kp k^2, kd k) meets the marginal curve.
+    """P_0 - m kp / kd^2 P_1^2 [-]: zero where (kp k^2, kd k) meets the marginal curve.
 
     w: frequency [rad/s]
     """
@@ -317,7 +200,10 @@ def slowdown_frequency(loop: JointLoop) -> jax.Array:
     high = jnp.minimum(jnp.where(loop.delay > 0, by_delay, jnp.inf), loop.natural_frequency)
     high = jnp.where(jnp.isfinite(high), high, 1.0)
     guess = loop.kd / jnp.maximum(lag * jnp.sqrt(loop.mass * jnp.abs(loop.kp)), tiny)
-    low = jnp.maximum(0.2 * jnp.minimum(guess, high), 1e6 * tiny)
+    guess = jnp.minimum(guess, high)
+    if loop.velocity_filter is not None:
+        guess = jnp.minimum(guess, loop.velocity_filter)
+    low = jnp.maximum(0.2 * guess, 1e6 * tiny)
 
     def halve(_: int, bracket: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = bracket

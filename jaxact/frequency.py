@@ -7,7 +7,12 @@ The open-loop phase is known without unwrapping, so it is measured from the crit
     phase(w) = arg L(jw) + pi = arg(kp + j kd w) - arg D(jw) - w delay,
     D(jw) = 1 - (w/wn)^2 + 2 j zeta w/wn,
 
-and the loop passes the negative real axis wherever `phase` is a multiple of 2 pi.
+and the loop passes the negative real axis wherever `phase` is a multiple of 2 pi. Where the
+velocity is filtered, kp + kd s becomes C(s) = kp + kd s / (1 + s tau), tau = 1 / velocity_filter:
+
+    C(jw) = kp(w) + j w kd(w),  kd(w) = kd / (1 + (w tau)^2),  kp(w) = kp + kd(w) w^2 tau,
+
+or, as a fraction of polynomials, C(s) = (kp + (kd + kp tau) s) / (1 + s tau).
 All functions are elementwise: the fields of the loop and the frequencies broadcast.
 """
 
@@ -20,7 +25,15 @@ import jax.numpy as jnp
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["kp", "kd", "mass", "natural_frequency", "damping_ratio", "delay"],
+    data_fields=[
+        "kp",
+        "kd",
+        "mass",
+        "natural_frequency",
+        "damping_ratio",
+        "delay",
+        "velocity_filter",
+    ],
     meta_fields=[],
 )
 @dataclass(frozen=True)
@@ -35,6 +48,8 @@ class JointLoop:
     natural_frequency: wn of the force servo [rad/s], > 0, inf = ideal
     damping_ratio: zeta of the force servo [-], > 0, any finite value if ideal
     delay: sum of command, measurement and output delay [s], >= 0
+    velocity_filter: cutoff of the first-order filter of the velocity that kd acts on [rad/s], > 0,
+        inf = none; None: no loop of the batch has one, and nothing is computed for it
     """
 
     kp: jax.Array
@@ -43,13 +58,37 @@ class JointLoop:
     natural_frequency: jax.Array
     damping_ratio: jax.Array
     delay: jax.Array
+    velocity_filter: jax.Array | None = None
 
 
 def broadcast_loop(loop: JointLoop) -> JointLoop:
     """The same loop with all fields as floating-point arrays of one common shape."""
-    values = [jnp.asarray(getattr(loop, f.name)) for f in fields(loop)]
+    given = [getattr(loop, f.name) for f in fields(loop)]
+    values = [jnp.asarray(value) for value in given if value is not None]
     dtype = jnp.result_type(*values, float)
     return JointLoop(*jnp.broadcast_arrays(*(v.astype(dtype) for v in values)))
+
+
+def filter_lag(loop: JointLoop) -> jax.Array | float:
+    """tau = 1 / velocity_filter [s], 0 where there is no filter."""
+    return 0.0 if loop.velocity_filter is None else 1.0 / loop.velocity_filter
+
+
+def lead_gain(loop: JointLoop) -> jax.Array:
+    """kd + kp tau [N s/m], of C(s) = (kp + (kd + kp tau) s) / (1 + s tau)."""
+    return loop.kd if loop.velocity_filter is None else loop.kd + loop.kp * filter_lag(loop)
+
+
+def controller_response(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Real and imaginary part of C(jw) = kp + j w kd / (1 + j w tau) [N/m].
+
+    w: frequency [rad/s]
+    """
+    if loop.velocity_filter is None:
+        return loop.kp, loop.kd * w
+    turn = w / loop.velocity_filter
+    rate = loop.kd * w / (1.0 + turn * turn)
+    return loop.kp + rate * turn, rate
 
 
 def servo_denominator(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -67,7 +106,8 @@ def log_gain(loop: JointLoop, w: jax.Array) -> jax.Array:
     w: frequency [rad/s], > 0
     """
     real, imaginary = servo_denominator(loop, w)
-    control = loop.kp**2 + (loop.kd * w) ** 2
+    stiff, rate = controller_response(loop, w)
+    control = stiff**2 + rate**2
     servo = real**2 + imaginary**2
     return 0.5 * jnp.log(control / servo) - jnp.log(loop.mass * w * w)
 
@@ -78,10 +118,13 @@ def log_gain_slope(loop: JointLoop, w: jax.Array) -> jax.Array:
     w: frequency [rad/s], > 0
     """
     real, imaginary = servo_denominator(loop, w)
-    rate = (loop.kd * w) ** 2
+    rate = (lead_gain(loop) * w) ** 2
     x2 = (w / loop.natural_frequency) ** 2
     servo = real**2 + imaginary**2
     control = rate / (loop.kp**2 + rate)
+    if loop.velocity_filter is not None:
+        turn2 = (w / loop.velocity_filter) ** 2
+        control = control - turn2 / (1.0 + turn2)
     return control - 2.0 - 2.0 * x2 * (x2 - 1.0 + 2.0 * loop.damping_ratio**2) / servo
 
 
@@ -91,7 +134,8 @@ def phase(loop: JointLoop, w: jax.Array) -> jax.Array:
     w: frequency [rad/s], >= 0
     """
     real, imaginary = servo_denominator(loop, w)
-    lead = jnp.arctan2(loop.kd * w, loop.kp)
+    stiff, rate = controller_response(loop, w)
+    lead = jnp.arctan2(rate, stiff)
     return lead - jnp.arctan2(imaginary, real) - w * loop.delay
 
 
@@ -102,7 +146,11 @@ def phase_slope(loop: JointLoop, w: jax.Array) -> jax.Array:
     """
     real, imaginary = servo_denominator(loop, w)
     x = w / loop.natural_frequency
-    lead = loop.kp * loop.kd * w / (loop.kp**2 + (loop.kd * w) ** 2)
+    lead_rate = lead_gain(loop) * w
+    lead = loop.kp * lead_rate / (loop.kp**2 + lead_rate**2)
+    if loop.velocity_filter is not None:
+        turn = w / loop.velocity_filter
+        lead = lead - turn / (1.0 + turn * turn)
     lag = 2.0 * loop.damping_ratio * x * (1.0 + x * x) / (real**2 + imaginary**2)
     return lead - lag - w * loop.delay
 
@@ -113,7 +161,8 @@ def loop_response(loop: JointLoop, w: jax.Array) -> jax.Array:
     w: frequency [rad/s], > 0
     """
     real, imaginary = servo_denominator(loop, w)
-    control = jax.lax.complex(loop.kp + 0.0 * w, loop.kd * w)
+    stiff, rate = controller_response(loop, w)
+    control = jax.lax.complex(stiff + 0.0 * w, rate)
     shift = jax.lax.complex(jnp.cos(w * loop.delay), -jnp.sin(w * loop.delay))
     return -control * shift / (loop.mass * w * w * jax.lax.complex(real, imaginary))
 

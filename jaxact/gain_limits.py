@@ -54,17 +54,19 @@ def continuous_limits(
     damping_ratio: float,
     delay: float,
     *,
+    velocity_filter: float = math.inf,
     kp: float,
     kd: float,
 ) -> AxisLimits:
     """How far kp alone and kd alone may move from (kp, kd) in the continuous loop.
 
-    mass, natural_frequency, damping_ratio, delay: as in `continuous_boundary`
+    mass, natural_frequency, damping_ratio, delay, velocity_filter: as in `continuous_boundary`
     kp, kd: the gains to start from [N/m], [N s/m], > 0
 
     Raises ValueError for values out of their domain.
     """
-    return _limits(continuous_marginal(mass, natural_frequency, damping_ratio, delay), mass, kp, kd)
+    plant = (mass, natural_frequency, damping_ratio, delay, velocity_filter)
+    return _limits(continuous_marginal(*plant), mass, kp, kd)
 
 
 def sampled_limits(

@@ -5,6 +5,9 @@ Continuous, on s = jw, with x = w/wn:
     kp = m w^2 ((1 - x^2) cos(w td) - 2 zeta x sin(w td))
     kd = m w   ((1 - x^2) sin(w td) + 2 zeta x cos(w td)),    and the line kp = 0.
 
+With kp = m w^2 R and kd = m w I without one, a filter 1 / (1 + s tau) of the velocity makes them
+m w^2 (R - w tau I) and m w (1 + (w tau)^2) I.
+
 Sampled, on z = exp(j w T): the two real unknowns of 1 + kp Gp(z) + kd Gv(z) = 0, and the lines of
 z = 1 (kp = 0) and z = -1. NumPy at the edge, float64.
 """
@@ -33,7 +36,8 @@ class Marginal:
     """The marginal gains of one plant.
 
     gains: (kp, kd) of a marginal root at w [rad/s]
-    modulus: |kp + j w kd| of it [N/m], as a function of w; None if all frequencies are of interest
+    modulus: between what |kp + j w kd| of it is [N/m], whatever the delay, as a function of w; None
+        if all frequencies are of interest
     nyquist: pi/T [rad/s], inf for the continuous loop
     at_nyquist: Gp(-1), Gv(-1), 0 for the continuous loop
     lag: longest delay in the phase [s], for the density of the grid
@@ -41,20 +45,25 @@ class Marginal:
     """
 
     gains: Gains
-    modulus: Callable[[np.ndarray], np.ndarray] | None
+    modulus: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None
     nyquist: float
     at_nyquist: tuple[float, float]
     lag: float
     count: Count
 
 
-def continuous_marginal(mass: float, wn: float, damping_ratio: float, delay: float) -> Marginal:
+def continuous_marginal(
+    mass: float, wn: float, damping_ratio: float, delay: float, velocity_filter: float = math.inf
+) -> Marginal:
     """Of the continuous loop; mass [kg], wn [rad/s], zeta [-], total delay [s].
+
+    velocity_filter: cutoff of the filter of the velocity [rad/s], inf = none
 
     Raises ValueError for values out of their domain.
     """
     zeta = 1.0 if math.isinf(wn) else damping_ratio
     _check_plant(mass, wn, zeta, delay)
+    _check_filter(velocity_filter)
 
     def servo(w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         x = w / wn
@@ -63,14 +72,21 @@ def continuous_marginal(mass: float, wn: float, damping_ratio: float, delay: flo
     def gains(w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         real, imaginary = servo(w)
         cosine, sine = np.cos(w * delay), np.sin(w * delay)
-        kp = mass * w * w * (real * cosine - imaginary * sine)
-        return kp, mass * w * (real * sine + imaginary * cosine)
+        real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
+        turn = w / velocity_filter
+        kp = mass * w * w * (real - turn * imaginary)
+        return kp, mass * w * (1.0 + turn * turn) * imaginary
 
-    def modulus(w: np.ndarray) -> np.ndarray:
-        return mass * w * w * np.hypot(*servo(w))
+    def modulus(w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        size = mass * w * w * np.hypot(*servo(w))
+        # The singular values of (R, I) -> (R - w tau I, (1 + (w tau)^2) I).
+        turn2 = (w / velocity_filter) ** 2
+        determinant, norm2 = 1.0 + turn2, 1.0 + turn2 + (1.0 + turn2) ** 2
+        largest = np.sqrt(0.5 * (norm2 + np.sqrt(np.maximum(norm2**2 - 4.0 * determinant**2, 0.0))))
+        return size * determinant / largest, size * largest
 
     def count(kp: np.ndarray, kd: np.ndarray) -> np.ndarray:
-        return _count_continuous(kp, kd, (mass, wn, zeta, delay))
+        return _count_continuous(kp, kd, (mass, wn, zeta, delay, velocity_filter))
 
     return Marginal(gains, modulus, math.inf, (0.0, 0.0), delay, count)
 
@@ -92,8 +108,9 @@ def sampled_marginal(
     """
     zeta = 1.0 if math.isinf(wn) else damping_ratio
     _check_plant(mass, wn, zeta, delay)
-    if not (0 < control_period < math.inf and velocity_filter > 0):
-        raise ValueError("control_period and velocity_filter must be positive")
+    if not 0 < control_period < math.inf:
+        raise ValueError("control_period must be positive")
+    _check_filter(velocity_filter)
     numbers = (mass, wn, zeta, delay, control_period, velocity_filter)
     with jax.enable_x64(True):
         zero = jnp.asarray(0.0)
@@ -145,6 +162,11 @@ def _check_plant(mass: float, wn: float, zeta: float, delay: float) -> None:
         raise ValueError("the delay must be finite and not negative")
 
 
+def _check_filter(velocity_filter: float) -> None:
+    if not velocity_filter > 0:
+        raise ValueError("velocity_filter must be positive")
+
+
 def window_grid(marginal: Marginal, mass: float, kp_range: Range, kd_range: Range) -> np.ndarray:
     """Frequencies that can lie in the window, dense in their logarithm and in the phase."""
     largest = [max(abs(a), abs(b)) for a, b in (kp_range, kd_range)]
@@ -155,9 +177,9 @@ def window_grid(marginal: Marginal, mass: float, kp_range: Range, kd_range: Rang
         low = min(low, 1e-3 * marginal.nyquist)
         return frequency_grid(low, marginal.nyquist * (1.0 - 1e-9), marginal.lag)
     w = np.geomspace(1e-9 * unit, 1e9 * unit, 20_001)
-    size = marginal.modulus(w)
-    possible = size <= 1.1 * np.hypot(largest[0], w * largest[1])
-    possible &= size >= 0.9 * np.hypot(smallest[0], w * smallest[1])
+    least, most = marginal.modulus(w)
+    possible = least <= 1.1 * np.hypot(largest[0], w * largest[1])
+    possible &= most >= 0.9 * np.hypot(smallest[0], w * smallest[1])
     if not possible.any():
         return np.zeros(0)
     return frequency_grid(w[possible][0], w[possible][-1], marginal.lag)
@@ -181,11 +203,14 @@ def _is_continuous(marginal: Marginal) -> bool:
     return math.isinf(marginal.nyquist)
 
 
-def _count_continuous(
-    kp: np.ndarray, kd: np.ndarray, plant: tuple[float, float, float, float]
-) -> np.ndarray:
-    """Unstable roots of the continuous loop, in chunks of one compiled shape."""
+def _count_continuous(kp: np.ndarray, kd: np.ndarray, plant: tuple[float, ...]) -> np.ndarray:
+    """Unstable roots of the continuous loop, in chunks of one compiled shape.
+
+    plant: mass, wn, zeta, delay, cutoff of the filter of the velocity
+    """
     counts = []
+    if math.isinf(plant[-1]):
+        plant = plant[:-1]
     with jax.enable_x64(True):
         for start in range(0, len(kp), _CHUNK):
             part = slice(start, start + _CHUNK)

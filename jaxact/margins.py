@@ -7,7 +7,7 @@ its distance to the boundary are given all the same.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -17,14 +17,10 @@ import jax.numpy as jnp
 from jaxact.crossovers import (
     TURN,
     gain_crossovers,
-    gain_extremes,
-    insert_sorted,
     marginal_phasor,
     phase_crossovers,
-    phase_extremes,
     slowdown_frequency,
     slowdown_residual,
-    sort_rows,
 )
 from jaxact.frequency import (
     JointLoop,
@@ -35,7 +31,9 @@ from jaxact.frequency import (
     phase_slope,
 )
 from jaxact.peaks import locate_peaks, peak_slopes, peak_values
+from jaxact.positive_roots import insert_sorted, sort_rows
 from jaxact.roots import encirclements
+from jaxact.stationary import gain_extremes, phase_extremes
 
 _TILE = 256
 
@@ -65,7 +63,8 @@ _TILE = 256
 class Margins:
     """Margins of a batch of loops, each of the batch's shape; NaN where the loop is unstable.
 
-    A loop has one or three gain crossovers, never more, and all are found, so nothing can overflow.
+    A loop has one or three gain crossovers (at most five where its velocity is filtered), never
+    more, and all are found, so nothing can overflow.
 
     stable: bool
     unstable_roots: closed-loop roots not in the open left half plane, int32
@@ -122,7 +121,7 @@ def margins(loop: JointLoop) -> Margins:
 class _Found(NamedTuple):
     """What the search found: frequencies [rad/s], constant, candidates on axis 0 and loops on 1.
 
-    gain, gain_present: gain crossovers, shape (3, n)
+    gain, gain_present: gain crossovers, shape (3, n), or (5, n) with a filter of the velocity
     phase, level, direction, phase_present: critical crossings as `phase_crossovers` gives them
     peaks: of |S|, |T|, |S - 1/2|, shape (3, n)
     slow: of `slowdown_frequency`, shape (1, n)
@@ -181,7 +180,11 @@ def _peak_nodes(
     pairs = jnp.stack([points[:-1], middle], axis=1).reshape((-1, *points.shape[1:]))
     rows = jnp.concatenate([start, first, pairs, points[-1:], last, end])
     # The factors keep points apart that round numbers would make equal.
-    for extra in (1.037 * corner, 0.963 * rigid):
+    extras = [1.037 * corner, 0.963 * rigid]
+    if loop.velocity_filter is not None:
+        finite = jnp.isfinite(loop.velocity_filter)
+        extras.append(1.019 * jnp.where(finite, loop.velocity_filter, rigid))
+    for extra in extras:
         rows = insert_sorted(rows, extra)
     return jnp.maximum(rows, jnp.finfo(rows.dtype).tiny * 1e6)
 
@@ -304,7 +307,7 @@ def _log_slowdown(loop: JointLoop, w: jax.Array, unused: jax.Array) -> jax.Array
     w: constant, of `slowdown_frequency` [rad/s]
     unused: where the result does not matter, and a harmless loop is put in its place
     """
-    safe = JointLoop(*(jnp.where(unused, 1.0, getattr(loop, f.name)) for f in fields(loop)))
+    safe = jax.tree.map(lambda a: jnp.where(unused, 1.0, a), loop)
     w = jnp.where(unused, 0.5, w)
     residual, slope = jax.jvp(lambda x: slowdown_residual(safe, x), (w,), (w,))
     w = _newton_frequency(w, residual, slope)

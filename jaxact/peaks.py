@@ -4,6 +4,8 @@ With N = (kp + j kd w) exp(-j w td) and M = -m w^2 D(jw), so that L = N / M:
 
     S = M / (M + N),    T = N / (M + N),    S - 1/2 = (M - N) / (2 (M + N)).
 
+A filter of the velocity gives M the factor 1 + j w tau, and N the gain kd + kp tau for kd.
+
 A sharp peak means that L passes -1 closely; then the unit circle or the negative real axis is
 crossed within the width of the peak. Candidates clustered around every such crossing, and around
 the corners of L, therefore miss none.
@@ -12,7 +14,7 @@ the corners of L, therefore miss none.
 import jax
 import jax.numpy as jnp
 
-from jaxact.frequency import JointLoop, servo_denominator
+from jaxact.frequency import JointLoop, filter_lag, lead_gain, servo_denominator
 
 _REFINEMENTS = 8
 _CANDIDATES = 2
@@ -40,10 +42,13 @@ def peak_grid(nodes: jax.Array) -> jax.Array:
 def squared_parts(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, ...]:
     """|M|^2, |N|^2, |M - N|^2 and |M + N|^2 at w [rad/s]."""
     real, imaginary = servo_denominator(loop, w)
+    if loop.velocity_filter is not None:
+        turn = w / loop.velocity_filter
+        real, imaginary = real - turn * imaginary, imaginary + turn * real
     inertia = -loop.mass * w * w
     m_re, m_im = inertia * real, inertia * imaginary
     cosine, sine = jnp.cos(w * loop.delay), jnp.sin(w * loop.delay)
-    rate = loop.kd * w
+    rate = lead_gain(loop) * w
     n_re, n_im = loop.kp * cosine + rate * sine, rate * cosine - loop.kp * sine
     plus = (m_re + n_re) ** 2 + (m_im + n_im) ** 2
     minus = (m_re - n_re) ** 2 + (m_im - n_im) ** 2
@@ -112,9 +117,11 @@ def peak_slopes(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array]:
     """
     v = 1.0 / loop.natural_frequency
     v2, g = v * v, 2.0 * loop.damping_ratio * v
-    m, kp, kd, td, w2 = loop.mass, loop.kp, loop.kd, loop.delay, w * w
+    m, kp, kd, td, w2 = loop.mass, loop.kp, lead_gain(loop), loop.delay, w * w
     m_re = (-m * w2 * (1.0 - v2 * w2), -m * w * (2.0 - 4.0 * v2 * w2), -m * (2.0 - 12.0 * v2 * w2))
     m_im = (-m * g * w2 * w, -3.0 * m * g * w2, -6.0 * m * g * w)
+    if loop.velocity_filter is not None:
+        m_re, m_im = _times_filter(m_re, m_im, filter_lag(loop), w)
     cosine, sine = jnp.cos(w * td), jnp.sin(w * td)
     real, imaginary = kp * cosine + kd * w * sine, kd * w * cosine - kp * sine
     real_1, imaginary_1 = kd * sine + td * imaginary, kd * cosine - td * real
@@ -132,6 +139,22 @@ def peak_slopes(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array]:
         [a + b for a, b in zip(m_im, n_im, strict=True)],
     )
     return top[0] - bottom[0], top[1] - bottom[1]
+
+
+Derivatives = tuple[jax.Array, jax.Array, jax.Array]
+
+
+def _times_filter(
+    re: Derivatives, im: Derivatives, lag: jax.Array | float, w: jax.Array
+) -> tuple[Derivatives, Derivatives]:
+    """F (1 + j w lag) and its derivatives, from those of F in real and imaginary parts."""
+
+    def times_w(f: Derivatives) -> Derivatives:
+        return w * f[0], f[0] + w * f[1], 2.0 * f[1] + w * f[2]
+
+    real = [a - lag * b for a, b in zip(re, times_w(im), strict=True)]
+    imaginary = [a + lag * b for a, b in zip(im, times_w(re), strict=True)]
+    return (real[0], real[1], real[2]), (imaginary[0], imaginary[1], imaginary[2])
 
 
 def _log_slopes(re: list[jax.Array], im: list[jax.Array]) -> tuple[jax.Array, jax.Array]:

@@ -1,14 +1,17 @@
 """Closed-loop roots: how many are unstable (argument principle), and the rightmost one.
 
 Delta(s) = m s^2 (s^2 + 2 zeta wn s + wn^2) / wn^2 + (kp + kd s) exp(-s delay)
+
+With a filter of the velocity the first term takes the factor 1 + s tau, and kd becomes kd + kp tau.
 """
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.crossovers import TURN, gain_crossovers, gain_extremes
-from jaxact.frequency import JointLoop, broadcast_loop, phase
+from jaxact.crossovers import TURN, gain_crossovers
+from jaxact.frequency import JointLoop, broadcast_loop, filter_lag, lead_gain, phase
+from jaxact.stationary import gain_extremes
 
 _NODES = 24
 _STARTS = 10
@@ -18,8 +21,8 @@ _NEWTON_STEPS = 24
 def encirclements(phases: jax.Array, present: jax.Array, loop: JointLoop) -> jax.Array:
     """Number of closed-loop roots with positive real part, from the phase at gain crossovers.
 
-    phases: phase(w) at the gain crossovers in ascending order [rad], shape (3, ...)
-    present: which of them exist, shape (3, ...)
+    phases: phase(w) at the gain crossovers in ascending order [rad], shape (k, ...)
+    present: which of them exist, shape (k, ...)
     loop: fields of shape (1, ...)
 
     Between crossovers with |L| > 1 the curve passes the critical ray once for every multiple of
@@ -90,10 +93,14 @@ def characteristic(loop: JointLoop, s: jax.Array) -> tuple[jax.Array, jax.Array]
     lag = 2.0 * loop.damping_ratio * v
     servo, servo_slope = 1.0 + s * (lag + s * v * v), lag + 2.0 * s * v * v
     shift = jnp.exp(-s * loop.delay)
-    control = loop.kp + loop.kd * s
+    if loop.velocity_filter is not None:
+        tau = filter_lag(loop)
+        servo, servo_slope = servo * (1.0 + s * tau), servo_slope * (1.0 + s * tau) + servo * tau
+    rate = lead_gain(loop)
+    control = loop.kp + rate * s
     value = loop.mass * s * s * servo + control * shift
     slope = loop.mass * s * (2.0 * servo + s * servo_slope)
-    return value, slope + (loop.kd - loop.delay * control) * shift
+    return value, slope + (rate - loop.delay * control) * shift
 
 
 def _rightmost(loop: JointLoop) -> jax.Array:
@@ -141,16 +148,20 @@ def _collocation_roots(loop: JointLoop) -> jax.Array:
 def _collocation_matrix(loop: JointLoop) -> jax.Array:
     """x' = A x of one loop, x = (q, v, f, f'/wn, u(t - theta_1 td), ..., u(t - td)).
 
-    The command u = -(kp q + kd v) travels along the nodes as du/dt = -du/dtheta / td.
+    The command u = -(kp q + kd v) travels along the nodes as du/dt = -du/dtheta / td. Where the
+    velocity is filtered, it is a fifth state before them.
     """
     ideal, late = jnp.isinf(loop.natural_frequency), loop.delay > 0
     wn = jnp.where(ideal, 1.0, loop.natural_frequency)
-    size = 4 + _NODES
+    filtered = loop.velocity_filter is not None
+    own = 5 if filtered else 4
     travel = jnp.asarray(_differentiation_matrix(_NODES), dtype=loop.kp.dtype)
     speed = jnp.where(late, 2.0 / jnp.where(late, loop.delay, 1.0), 0.0)
-    unit = jnp.eye(size, dtype=loop.kp.dtype)
+    unit = jnp.eye(own + _NODES, dtype=loop.kp.dtype)
     position, velocity, force, rate = unit[0], unit[1], unit[2], unit[3]
-    command = -(loop.kp * position + loop.kd * velocity)
+    cutoff = jnp.inf if loop.velocity_filter is None else loop.velocity_filter
+    sensed = jnp.where(jnp.isinf(cutoff), velocity, unit[4]) if filtered else velocity
+    command = -(loop.kp * position + loop.kd * sensed)
     delayed = jnp.where(late, unit[-1], command)
 
     # The ideal servo has no state of its own: those two decay by themselves.
@@ -158,10 +169,14 @@ def _collocation_matrix(loop: JointLoop) -> jax.Array:
     force_row = jnp.where(ideal, -force, wn * rate)
     rate_row = wn * (delayed - force) - 2.0 * loop.damping_ratio * wn * rate
     rate_row = jnp.where(ideal, -rate, rate_row)
-    history = speed * (jnp.outer(travel[1:, 0], command) + travel[1:, 1:] @ unit[4:])
+    history = speed * (jnp.outer(travel[1:, 0], command) + travel[1:, 1:] @ unit[own:])
     # Without delay the history is idle.
-    history = history - jnp.where(late, 0.0, 1.0) * unit[4:]
-    return jnp.concatenate([jnp.stack([velocity, push, force_row, rate_row]), history])
+    history = history - jnp.where(late, 0.0, 1.0) * unit[own:]
+    rows = [velocity, push, force_row, rate_row]
+    if filtered:
+        finite = jnp.where(jnp.isinf(cutoff), 1.0, cutoff)
+        rows.append(finite * (velocity * jnp.isfinite(cutoff) - unit[4]))
+    return jnp.concatenate([jnp.stack(rows), history])
 
 
 def _differentiation_matrix(order: int) -> np.ndarray:

@@ -22,7 +22,8 @@ PACKAGE = ROOT / "jaxact"
 # Layers from low to high; a module imports only from its own layer and lower ones. A package stands
 # for all its modules unless one is named itself.
 ANALYSIS = (
-    "frequency", "crossovers", "roots", "peaks", "lobes", "margins", "boundary",
+    "frequency", "positive_roots", "stationary", "crossovers", "roots", "peaks", "lobes",
+    "margins", "boundary",
     "sampled", "pulse", "sampled_roots", "sampled_search", "sampled_margins", "marginal",
     "gain_limits", "multiloop", "multiloop_disk", "multiloop_limits", "robot_margins",
     "robot_delay",

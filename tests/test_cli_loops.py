@@ -240,3 +240,57 @@ def test_help_names_units_examples_and_defaults(capsys, verb):
     said = " ".join(capsys.readouterr().out.split())
     assert leaving.value.code == 0
     assert "examples:" in said and "[N/m]" in said and "(default: 400)" in said
+
+
+LOOP = ("--mass", "0.02", "--wn", "300", "--zeta", "0.7", "--delay", "0.002", "--kp", "80",
+        "--kd", "1.5")  # fmt: skip
+
+
+def test_margins_know_of_the_filter_in_continuous_time_and_sampled(capsys):
+    filtered = ("--velocity", "differenced", "--velocity-filter", "300", "inf")
+    said = _said(capsys, "margins", *LOOP, *filtered, "--control-rate", "2000", "--json")
+    rows = [json.loads(line) for line in said.splitlines()]
+    assert [row["loop"]["velocity_filter"] for row in rows] == [300.0, "inf"]
+    gain = [row["gain_margin"] for row in rows]
+    assert gain == pytest.approx([1.384931, 2.438635], rel=1e-6)
+    # Slower sampling only takes from it: 0.25 ms of hold, 0.25 ms of differencing.
+    sampled = [row["sampled"]["gain_margin"] for row in rows]
+    assert 0.8 * gain[0] < sampled[0] < gain[0] and 0.7 * gain[1] < sampled[1] < gain[1]
+
+
+FILTER = 'velocity = "differenced"\n[axes]\nvelocity_filter = [300.0]\n'
+
+
+def test_a_file_says_which_velocity_and_what_linear_loops_leave_out(capsys, tmp_path):
+    file = tmp_path / "sweep.toml"
+    file.write_text(f"{FILTER}control_rate = [2000]\n[parameters]\nforce_limit = 9\n")
+    assert main(["margins", *("--loops", str(file)), "--json"]) == 0
+    said = capsys.readouterr()
+    assert "linear loops are without force_limit" in said.err and said.err.count("\n") == 1
+    row = json.loads(said.out)
+    same = ("--velocity", "differenced", "--velocity-filter", "300", "--control-rate", "2000")
+    typed = json.loads(_said(capsys, "margins", *same, "--json"))
+    assert row["sampled"] == typed["sampled"] and row["gain_margin"] == typed["gain_margin"]
+    file.write_text("[[loop]]\nvelocity_filter = 300\n")
+    file.rename(tmp_path.parent / "loops.toml")
+    loops = str(tmp_path.parent / "loops.toml")
+    said = _mistake(capsys, "margins", "--loops", loops)
+    assert 'allowed: with velocity "differenced"' in said
+    assert "Mt" in _said(capsys, "margins", "--loops", loops, "--velocity", "differenced")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("margins", "--velocity-filter", "300"), "--velocity-filter: filters differenced"),
+        (("bode", "--velocity-filter", "300", "--control-rate", "1000"), "--velocity-filter:"),
+        (("simulate", "--velocity-filter", "300"), "--velocity-filter: filters differenced"),
+        (("step", "--velocity-filter", "300"), "--velocity-filter: filters differenced"),
+        (("tune", "--velocity-filter", "300"), "--velocity-filter: filters differenced"),
+        (("simulate", "--velocity", "differenced", "--velocity-noise", "0.1"), "--velocity-noise:"),
+        (("margins", "--velocity", "differenced"), "--velocity differenced: has no effect"),
+        (("tune", "--velocity", "differenced"), "--velocity differenced: tuning in continuous"),
+    ],
+)  # fmt: skip
+def test_what_the_velocity_does_not_have_is_refused_by_name(capsys, arguments, message):
+    assert message in _mistake(capsys, *arguments)

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import arg
 
+from jaxact.cli import _warnings
 from jaxact.errors import UserError, nearest, shown
 from jaxact.sweep import reading, toml
 from jaxact.sweep.axes import MOST_SAMPLES
@@ -42,11 +43,13 @@ class Loops:
     values: every parameter of the table by its short name, shape (n,) each
     labels: what tells them apart, with units, e.g. `HyQ, delay 1 ms`
     said: parameters that were given, rather than left at their defaults
+    velocity: of the specification that lists them, None where nothing does
     """
 
     values: dict[str, np.ndarray]
     labels: tuple[str, ...]
     said: frozenset[str] = frozenset()
+    velocity: str | None = None
 
     def __len__(self) -> int:
         """Number of loops."""
@@ -250,8 +253,29 @@ def expanded(specification: Specification) -> Loops:
         columns.append([_word(name, value) for value in spread.ravel()])
     said = frozenset((*specification.parameters, *samples.coords))
     if not columns:
-        return Loops(values, (loop_name(specification),) * len(samples), said)
-    return Loops(values, tuple(", ".join(words) for words in zip(*columns, strict=True)), said)
+        labels = (loop_name(specification),) * len(samples)
+    else:
+        labels = tuple(", ".join(words) for words in zip(*columns, strict=True))
+    return Loops(values, labels, said, specification.velocity)
+
+
+# Parameters that a picture of linear loops, or their margins, need not mention: what the loop
+# starts from, how far it goes, and what shifts it without changing how it responds.
+_NO_MATTER = (
+    "actuator", "sample", "gain_scale", "setpoint", "initial_position", "initial_velocity",
+    "rest_amplitude", "name",
+)  # fmt: skip
+
+
+def say_what_is_left_out(loops: Loops) -> None:
+    """Warn of parameters that a file gives and that linear loops do not have."""
+    extra = loops.said - {*LINEAR, "control_rate", *_NO_MATTER}
+    left_out = sorted(
+        name for name in extra
+        if name in PARAMETERS and np.any(loops.values[name] != PARAMETERS[name].default)
+    )  # fmt: skip
+    if left_out:
+        _warnings.warn(f"linear loops are without {', '.join(left_out)}: left out here")
 
 
 def _word(name: str, value: Any) -> str:
@@ -284,7 +308,9 @@ def loop_name(specification: Specification, values: Mapping[str, float] | None =
         actuator = quantity(known)
     else:
         actuator = f"wn {quantity(own['wn'], 'rad/s')}, ζ {own['zeta']:g}"
+    cutoff = own["velocity_filter"]
+    words = f", velocity filter {quantity(cutoff, 'rad/s')}" if np.isfinite(cutoff) else ""
     delay = own["delay"] + own["measurement_delay"] + own["output_delay"]
     if np.isnan(delay):
-        return f"{actuator}, delays as each joint has them"
-    return f"{actuator}, delay {quantity(delay, 's')}"
+        return f"{actuator}, delays as each joint has them{words}"
+    return f"{actuator}, delay {quantity(delay, 's')}{words}"

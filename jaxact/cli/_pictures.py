@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from tyro.conf import arg
 
 from jaxact.cli import _loops
 from jaxact.errors import UserError, nearest, shown
+from jaxact.sweep.checks import OF_VELOCITY, check_velocity
 
 # Which loops: every option takes several values, and all combinations are drawn.
 Linear = _loops.options((*_loops.LINEAR, "control_rate"), several=True)
@@ -42,20 +45,50 @@ Out = Annotated[
 VELOCITIES = ("sampled", "differenced")
 
 
-def chosen_loops(parameters: Any, file: Path | None, velocity: str) -> tuple[_loops.Loops, bool]:
-    """The loops that the options name, and whether they are to be sampled as well.
+@dataclass(frozen=True)
+class Chosen:
+    """What the options name: the loops, whether to sample them as well, and with which velocity."""
+
+    loops: _loops.Loops
+    sampled: bool
+    velocity: str
+
+
+def chosen_loops(parameters: Any, file: Path | None, velocity: str) -> Chosen:
+    """The loops that the options name.
 
     parameters: of type `Linear`
     file: of loops, None for none
-    velocity: checked here
+    velocity: as given; "differenced" too where the file says so
+
+    Raises UserError for options that have no effect on any of the loops.
     """
     if velocity not in VELOCITIES:
         raise UserError(f"--velocity {shown(velocity)}; {nearest(velocity, VELOCITIES)}")
     given = _loops.given(parameters)
     if file is None:
-        return _loops.combinations(given, velocity=velocity), "control_rate" in given
-    loops = _loops.from_file(file, given)
-    return loops, "control_rate" in given or "control_rate" in loops.said
+        loops = _loops.combinations(given, velocity=velocity)
+        sampled = "control_rate" in given
+    else:
+        loops = _loops.from_file(file, given)
+        sampled = "control_rate" in given or "control_rate" in loops.said
+        velocity = "differenced" if loops.velocity == "differenced" else velocity
+        check_velocities(loops, velocity, file)
+    filters = loops.values["velocity_filter"]
+    if file is None and velocity == "differenced" and not sampled and np.isinf(filters).all():
+        raise UserError(
+            "--velocity differenced: has no effect in continuous time without a filter; add"
+            " --control-rate or --velocity-filter"
+        )
+    _loops.say_what_is_left_out(loops)
+    return Chosen(loops, sampled, velocity)
+
+
+def check_velocities(loops: _loops.Loops, velocity: str, file: Path) -> None:
+    """Raise UserError where loops of a file have what their kind of velocity does without."""
+    for name in OF_VELOCITY:
+        key = f"{file}: {name}"
+        check_velocity(name, loops.values[name], key, differenced=velocity == "differenced")
 
 
 def draw(
@@ -70,21 +103,26 @@ def draw(
     from jaxact.plot import look
 
     look.check_output(out)
-    loops, sampled = chosen_loops(parameters, file, velocity)
+    chosen = chosen_loops(parameters, file, velocity)
 
     from jaxact.cli._responses import responses
 
-    drawn = responses(loops, sampled=sampled, velocity=velocity)
-    figure = picture(drawn, title=title, footer=footer(loops))
+    drawn = responses(chosen.loops, sampled=chosen.sampled, velocity=chosen.velocity)
+    figure = picture(drawn, title=title, footer=footer(chosen.loops, chosen.velocity))
     look.write(figure, out, title=title or f"jaxact {picture.__name__}")
     print(f"wrote {out}")
 
 
-def footer(loops: _loops.Loops) -> str:
-    """The gains and the mass, where all loops share them."""
+def footer(loops: _loops.Loops, velocity: str) -> str:
+    """The gains, the mass and the filter where all loops share them, and what the velocity is."""
     words = []
     for name, unit in (("kp", "N/m"), ("kd", "N s/m"), ("mass", "kg")):
         values = loops.values[name]
         if (values == values[0]).all():
             words.append(f"{name} {values[0]:g} {unit}")
+    if velocity == "differenced":
+        words.append("velocity differenced")
+        cutoff = loops.values["velocity_filter"]
+        if (cutoff == cutoff[0]).all() and np.isfinite(cutoff[0]):
+            words[-1] += f" and filtered at {cutoff[0]:g} rad/s"
     return ", ".join(words)

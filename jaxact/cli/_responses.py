@@ -139,7 +139,7 @@ def responses(loops: Loops, *, sampled: bool, velocity: str) -> list[LoopRespons
 
 def _distinct(loops: Loops) -> list[int]:
     """The first of all loops that differ in their control rate only."""
-    names = ("kp", "kd", "mass", "wn", "zeta")
+    names = ("kp", "kd", "mass", "wn", "zeta", "velocity_filter")
     rows = zip(*(loops.values[name] for name in names), _total_delay(loops.values), strict=True)
     first: dict[tuple[float, ...], int] = {}
     for index, row in enumerate(rows):
@@ -168,8 +168,11 @@ def _joint_loop(values: Mapping[str, Any]) -> Any:
     from jaxact.frequency import JointLoop
 
     names = ("kp", "kd", "mass", "wn", "zeta")
+    cutoff = values["velocity_filter"]
     return JointLoop(
-        *(jnp.asarray(values[name]) for name in names), jnp.asarray(_total_delay(values))
+        *(jnp.asarray(values[name]) for name in names),
+        jnp.asarray(_total_delay(values)),
+        velocity_filter=jnp.asarray(cutoff) if np.isfinite(cutoff).any() else None,
     )
 
 

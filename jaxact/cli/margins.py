@@ -99,13 +99,14 @@ def main(
     from jaxact.sweep import at_once
 
     _files.check_output(csv, ".csv", overwrite=overwrite)
-    chosen, sampled = chosen_loops(parameters, loops, velocity)
+    asked = chosen_loops(parameters, loops, velocity)
+    chosen = asked.loops
 
     from jaxact.cli import _responses
 
     found = {"": _responses.margins(chosen)}
-    if sampled:
-        found["sampled_"] = _responses.sampled_margins(chosen, velocity)
+    if asked.sampled:
+        found["sampled_"] = _responses.sampled_margins(chosen, asked.velocity)
     if csv is not None:
         _files.write(csv, lambda file: file.write(_csv_text(chosen, found).encode()))
     if store is not None:

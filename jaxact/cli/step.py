@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import OmitArgPrefixes, arg
 
 from jaxact.cli import _loops
-from jaxact.cli._pictures import LoopsFile, Out, Title, footer
+from jaxact.cli._pictures import LoopsFile, Out, Title, check_velocities, footer
 from jaxact.errors import UserError
 from jaxact.sweep.parameters import PARAMETERS
 
@@ -57,10 +57,14 @@ def main(
         "precision": "float64",
     }  # fmt: skip
     given = _loops.given(parameters)
+    if loops is None:
+        chosen = _loops.combinations(given, **static)
+    else:
+        chosen = _loops.from_file(loops, given)
+        if chosen.velocity == "differenced":
+            static["velocity"] = velocity = "differenced"
+        check_velocities(chosen, velocity, loops)
     specification = _loops.specified(static)
-    chosen = (
-        _loops.combinations(given, **static) if loops is None else _loops.from_file(loops, given)
-    )
     if len(chosen) > MOST_LOOPS:
         raise UserError(
             f"{len(chosen)} loops are too many for one picture (at most {MOST_LOOPS}); "
@@ -73,7 +77,7 @@ def main(
     runs = single.simulate_all(specification, chosen.samples)
     drawn = [_response(run, label) for run, label in zip(runs, chosen.labels, strict=True)]
     look.write(
-        step(drawn, title=title, footer=footer(chosen), until=duration),
+        step(drawn, title=title, footer=footer(chosen, velocity), until=duration),
         out,
         title=title or "jaxact step",
     )

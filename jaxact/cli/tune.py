@@ -272,6 +272,12 @@ def _nominal(chosen: _loops.Loops, velocity: str, *, sampled: bool) -> Ensemble:
     """The plant that was named, as an ensemble of one."""
     from jaxact.tune.ensemble import Sampling, ensemble
 
+    if not sampled and velocity == "differenced":
+        raise UserError(
+            "--velocity differenced: tuning in continuous time neither differences nor filters the"
+            " velocity; add --control-rate"
+        )
+
     own = chosen.one(0)
     delay = own["delay"] + own["measurement_delay"] + own["output_delay"]
     sampling = None

@@ -12,7 +12,7 @@ import functools
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -102,12 +102,12 @@ def exact_boundary(
         values[name] = float(found[0])
     servo = values["mass"], values["wn"], values["zeta"]
     delay = values["delay"] + values["measurement_delay"] + values["output_delay"]
-    window = {"kp_range": kp_range, "kd_range": kd_range}
+    window: dict[str, Any] = {"kp_range": kp_range, "kd_range": kd_range}
+    window |= {"velocity_filter": values["velocity_filter"]}
     continuous = continuous_boundary(*servo, delay, **window)
     sampled = sampled_boundary(
-        *servo, delay, 1.0 / values["control_rate"], velocity=velocity_of(part),
-        velocity_filter=values["velocity_filter"], **window,
-    )  # fmt: skip
+        *servo, delay, 1.0 / values["control_rate"], velocity=velocity_of(part), **window
+    )
     return ExactBoundary(tuple(continuous), tuple(sampled))
 
 

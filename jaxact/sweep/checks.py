@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.sweep.axes import MOST_LOOPS, Axis
-from jaxact.sweep.parameters import ROBOT_ONLY
+from jaxact.sweep.parameters import ROBOT_ONLY, base, of
 from jaxact.sweep.specification import Specification
 
 # Longest history of a signal that a loop keeps, in control periods.
 LONGEST_HISTORY = 4096
 _DELAYS = ("delay", "output_delay", "measurement_delay", "setpoint_delay")
+# The filter of the differenced velocity, and the sensor of the sampled one.
+_FILTER = "velocity_filter"
+OF_VELOCITY = (
+    _FILTER, "velocity_resolution", "velocity_noise", "velocity_bias", "velocity_bias_walk",
+)  # fmt: skip
 # Most physics steps of one rollout.
 MOST_STEPS = 100_000_000
 FEWEST_CONTROL_PERIODS = 10
@@ -28,6 +33,7 @@ def check(specification: Specification) -> None:
     _check_axes(specification, axes)
     _check_actuator(specification, axes)
     _check_torque_speed_line(specification, axes)
+    _check_velocity(specification, axes)
     rates = _rates(specification, axes)
     _check_steps(specification, rates)
     _check_duration(specification, rates)
@@ -91,6 +97,39 @@ def _check_torque_speed_line(specification: Specification, axes: dict[str, Axis]
         raise UserError(
             f"{missing}: a torque-speed line needs stall_force and no_load_speed, both finite"
         )
+
+
+def _check_velocity(specification: Specification, axes: dict[str, Axis]) -> None:
+    """What the sensor of the other kind of velocity has would be ignored silently."""
+    differenced = specification.velocity == "differenced"
+    for name, value in specification.parameters.items():
+        if base(name) in OF_VELOCITY and not isinstance(value, str):
+            check_velocity(name, [value], f"parameters.{name}", differenced=differenced)
+    for name, axis in axes.items():
+        if base(name) in OF_VELOCITY:
+            check_velocity(name, axis.ends, f"axes.{name}", differenced=differenced)
+
+
+def check_velocity(name: str, values: Iterable[float], key: str, *, differenced: bool) -> None:
+    """Raise UserError for a parameter that the velocity's sensor of the other kind has.
+
+    name: of the parameter, or its key for some joints
+    values: that it has
+    key: how the message names it
+    differenced: whether the velocity is differenced
+    """
+    on_differenced = base(name) == _FILTER
+    if on_differenced == differenced or all(value == of(name).default for value in values):
+        return
+    if on_differenced:
+        raise UserError(
+            f"{key}: filters differenced positions, and a sampled velocity has no such filter;"
+            ' allowed: with velocity "differenced"'
+        )
+    raise UserError(
+        f"{key}: is of the velocity's own sensor, which a differenced position does without;"
+        ' allowed: with velocity "sampled"'
+    )
 
 
 def _rates(specification: Specification, axes: dict[str, Axis]) -> np.ndarray:

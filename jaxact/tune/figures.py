@@ -7,6 +7,7 @@ rounding. Derivatives are by the logarithms of the gains and by the members' par
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -142,7 +143,9 @@ def _figures(
         found = sampled_margins(loop, max_delay_steps=steps)
     result = {name: getattr(found, name) for name in _ALWAYS}
     # The hold delays by half a period: what is defined in continuous time sees it so.
-    held = JointLoop(kp, kd, mass, wn, zeta, delay + hold)
+    filtered = sampling is not None and math.isfinite(sampling.velocity_filter)
+    cutoff = jnp.full_like(kp, sampling.velocity_filter) if sampling and filtered else None
+    held = JointLoop(kp, kd, mass, wn, zeta, delay + hold, cutoff)
 
     def settled(value: jax.Array) -> jax.Array:
         return jnp.where(found.stable, value, jnp.nan)

@@ -15,7 +15,12 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxact.frequency import JointLoop, complementary_sensitivity, servo_denominator
+from jaxact.frequency import (
+    JointLoop,
+    complementary_sensitivity,
+    controller_response,
+    servo_denominator,
+)
 
 _POINTS = 1500
 _DECADES = 7.0
@@ -41,10 +46,11 @@ def noise_gain(loop: JointLoop, period: float) -> jax.Array:
 def follows(loop: JointLoop, w: jax.Array) -> jax.Array:
     """ln |q / r| at w [rad/s]: how the position follows the setpoint; any shape.
 
-    q / r = kp / (kp + j kd w) T(jw): the velocity's setpoint is zero.
+    q / r = kp / C(jw) T(jw): the velocity's setpoint is zero.
     """
     real, imaginary = servo_denominator(loop, w)
-    control = jax.lax.complex(loop.kp + 0.0 * w, loop.kd * w)
+    stiff, rate = controller_response(loop, w)
+    control = jax.lax.complex(stiff + 0.0 * w, rate)
     shift = jax.lax.complex(jnp.cos(w * loop.delay), -jnp.sin(w * loop.delay))
     open_part = -loop.mass * w * w * jax.lax.complex(real, imaginary)
     return jnp.log(loop.kp) - jnp.log(jnp.abs(open_part + control * shift))
