@@ -23,9 +23,11 @@ from jaxact import actuator as _actuator
 from jaxact import controller as _controller
 from jaxact import delay as _delay
 from jaxact import sensor as _sensor
+from jaxact import setpoint_path as _setpoint
 from jaxact.actuator import Response
 from jaxact.controller import Setpoint
 from jaxact.drive_options import Drive, DriveOptions, options
+from jaxact.measuring_instant import Capture, capture_at, older_for
 from jaxact.sensor import Draws, SensorCoefficients, SensorState
 
 __all__ = [
@@ -61,6 +63,7 @@ class DriveState:
         sensor: state of the sensor.
         measurements: lines of positions and velocities as they were captured.
         setpoints: line of setpoints.
+        held: setpoint that the policy gave last (a policy slower than the controller only).
     """
 
     commands: _delay.Line
@@ -72,21 +75,7 @@ class DriveState:
     sensor: SensorState
     measurements: tuple[_delay.Line, _delay.Line] | None
     setpoints: tuple[_delay.Line, _delay.Line, _delay.Line] | None
-
-
-@dataclass(frozen=True)
-class Capture:
-    """Where in a control period the delayed measurement is taken.
-
-    Attributes:
-        here: 1 in the physics step that contains the instant, else 0; shape (substeps, joints).
-        offset: time of the instant from the start of that step [s], shape (joints,).
-        response: response of the force loop from the start of that step to the instant.
-    """
-
-    here: jax.Array
-    offset: jax.Array
-    response: Response
+    held: _setpoint.Held | None = None
 
 
 @dataclass(frozen=True)
@@ -100,6 +89,7 @@ class Coefficients:
         older_share: share of each physics step under the older command [-]; (substeps, joints).
         command_at, measurement_at, setpoint_at: selectors of the delay lines.
         setpoint_share: share of the older setpoint [-].
+        policy_ticks: control ticks in a period of the policy [-]; None where it is as fast.
         capture: where the measurement is taken; None without measurement delay.
         sensor: coefficients of the sensor.
     """
@@ -112,6 +102,7 @@ class Coefficients:
     measurement_at: tuple[jax.Array, ...] | jax.Array | None
     setpoint_at: tuple | None
     setpoint_share: jax.Array | None
+    policy_ticks: jax.Array | None
     capture: Capture | None
     sensor: SensorCoefficients
 
@@ -132,38 +123,9 @@ class Force:
     partial: tuple[jax.Array, jax.Array] | None
 
 
-for _class in (DriveState, Capture, Coefficients, Force):
+for _class in (DriveState, Coefficients, Force):
     jax.tree_util.register_dataclass(
         _class, data_fields=[item.name for item in fields(_class)], meta_fields=[]
-    )
-
-
-def _older_for(step: jax.Array, switched: tuple[jax.Array, jax.Array], index) -> jax.Array:
-    """Time under the older command in a physics step [s]; the switch is (step number, offset).
-
-    Written by cases rather than by clipping, whose derivative is half the right one at a boundary.
-    """
-    number, offset = switched
-    partly = jnp.where(offset < step, offset, step)
-    return jnp.where(index < number, step, jnp.where(index == number, partly, 0.0))
-
-
-def _capture(drive: Drive, options: DriveOptions, step, switched, remainder) -> Capture:
-    """Where the measurement falls: `remainder` before the end of a period."""
-    actuator = drive.actuator
-    instant = drive.control_period - remainder
-    # An instant at the very end of a step belongs to that step, so that no delay means no look-up
-    # in the next one.
-    index = jnp.clip(jnp.ceil(instant / step - 1e-4) - 1.0, 0.0, options.substeps - 1.0)
-    index = jax.lax.stop_gradient(index)
-    offset = instant - index * step
-    older_for = _older_for(offset, switched, index)
-    return Capture(
-        here=jnp.stack([(index == i).astype(offset.dtype) for i in range(options.substeps)]),
-        offset=offset,
-        response=_actuator.response(
-            actuator.natural_frequency, actuator.damping_ratio, offset, older_for
-        ),
     )
 
 
@@ -193,17 +155,17 @@ def prepare(drive: Drive, options: DriveOptions, shape: tuple[int, ...] = ()) ->
     step = period / options.substeps
     whole, switch = _delay.split(actuator.delay + drive.output_delay, period)
     switched = _delay.split(switch, step)
-    older_for = jnp.stack([_older_for(step, switched, i) for i in range(options.substeps)])
+    older = jnp.stack([older_for(step, switched, i) for i in range(options.substeps)])
     responses = jax.vmap(
-        lambda older: _actuator.response(
-            actuator.natural_frequency, actuator.damping_ratio, step, older
+        lambda share: _actuator.response(
+            actuator.natural_frequency, actuator.damping_ratio, step, share
         )
-    )(older_for)
+    )(older)
     measurement_at = capture = setpoint_at = share = None
     if options.measurement_slots:
         late, remainder = _delay.split(drive.sensor.delay, period)
         measurement_at = _delay.weights(late, options.measurement_slots)
-        capture = _capture(drive, options, step, switched, remainder)
+        capture = capture_at(drive, options, step, switched, remainder)
     if options.setpoint_slots:
         late, remainder = _delay.split(drive.controller.setpoint_delay, period)
         setpoint_at = (
@@ -215,11 +177,16 @@ def prepare(drive: Drive, options: DriveOptions, shape: tuple[int, ...] = ()) ->
         drive=drive,
         step=step,
         responses=responses,
-        older_share=older_for / step,
+        older_share=older / step,
         command_at=_delay.weights(whole, options.command_slots),
         measurement_at=measurement_at,
         setpoint_at=setpoint_at,
         setpoint_share=share,
+        policy_ticks=(
+            _setpoint.ticks_of_policy(jnp.asarray(drive.policy_period), period)
+            if options.held_setpoint
+            else None
+        ),
         capture=capture,
         sensor=_sensor.prepare(drive.sensor, period),
     )
@@ -266,24 +233,10 @@ def init(
         sensor=_sensor.init(coefficients.drive.sensor, options.sensor, position, velocity),
         measurements=measurements,
         setpoints=setpoints,
+        held=None
+        if coefficients.policy_ticks is None
+        else _setpoint.begin(position, coefficients.policy_ticks),
     )
-
-
-def _late_setpoint(coefficients: Coefficients, lines, setpoint: Setpoint):
-    """Push a setpoint and read it as it was, linear between the ticks around that time."""
-    lines = tuple(
-        _delay.push(line, line_value + jnp.zeros_like(coefficients.drive.controller.kp))
-        for line, line_value in zip(
-            lines, (setpoint.position, setpoint.velocity, setpoint.force), strict=True
-        )
-    )
-    newer_at, older_at = coefficients.setpoint_at
-    share = coefficients.setpoint_share
-    late = (
-        (1.0 - share) * _delay.read(line, newer_at) + share * _delay.read(line, older_at)
-        for line in lines
-    )
-    return lines, Setpoint(*late)
 
 
 def tick(
@@ -304,7 +257,8 @@ def tick(
         position: of the plant now [m or rad], shape (joints,); with a measurement delay the drive
             uses what `capture` stored instead.
         velocity: of the plant now [m/s or rad/s], shape (joints,).
-        setpoint: given now; it reaches the controller after the setpoint delay.
+        setpoint: given now; it reaches the controller after the setpoint delay, where a policy is
+            slower than the controller only if it ticks now.
         draws: random numbers of this tick, from `jaxact.sensor.draw`; needed only where
             `options.random`.
 
@@ -314,9 +268,13 @@ def tick(
     if state.measurements is not None:
         where = coefficients.measurement_at
         position, velocity = (_delay.read(line, where) for line in state.measurements)
-    setpoints = state.setpoints
+    held, setpoints = state.held, state.setpoints
+    if held is not None:
+        held = _setpoint.hold(held, setpoint, coefficients.policy_ticks)
+        setpoint = held.setpoint
     if setpoints is not None:
-        setpoints, setpoint = _late_setpoint(coefficients, setpoints, setpoint)
+        at, share = coefficients.setpoint_at, coefficients.setpoint_share
+        setpoints, setpoint = _setpoint.late(setpoints, setpoint, at, share, velocity)
     sensor, (measured, rate) = _sensor.step(
         coefficients.sensor, options.sensor, state.sensor, position, velocity, draws
     )
@@ -336,6 +294,7 @@ def tick(
         newer=newer,
         sensor=sensor,
         setpoints=setpoints,
+        held=held,
     )
     return state, command
 

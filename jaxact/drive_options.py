@@ -27,6 +27,7 @@ class Drive:
         sensor: measurement delay, bias, noise, resolution, velocity filter.
         output_delay: delay of the force after the actuator [s].
         control_period: T [s], one number for all joints.
+        policy_period: time between new setpoints [s], a multiple of T; 0 for one at every tick.
     """
 
     controller: Controller
@@ -34,6 +35,7 @@ class Drive:
     sensor: Sensor = field(default_factory=Sensor)
     output_delay: jax.Array | float = 0.0
     control_period: jax.Array | float = 1e-3
+    policy_period: jax.Array | float = 0.0
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,7 @@ class DriveOptions:
         quantised_command: the D/A converter has a resolution.
         limited: a force limit or a force-speed line exists.
         rate_limited: a force rate limit exists.
+        held_setpoint: a policy gives setpoints more slowly than the controller ticks.
         staged: results that several later ones need are computed once and kept, rather than left to
             the compiler, which on CPUs computes them anew for each; changes nothing else.
     """
@@ -63,6 +66,7 @@ class DriveOptions:
     quantised_command: bool = False
     limited: bool = False
     rate_limited: bool = False
+    held_setpoint: bool = False
     staged: bool = False
 
     @property
@@ -82,19 +86,27 @@ class DriveOptions:
         )
 
     def linearised(self) -> DriveOptions:
-        """The same drive without noise, quantisation and limits."""
+        """The same drive without noise, quantisation, limits and a hold of the setpoint."""
         return replace(
             self,
             sensor=SensorOptions(differenced=self.sensor.differenced),
             quantised_command=False,
             limited=False,
             rate_limited=False,
+            held_setpoint=False,
         )
 
 
 jax.tree_util.register_dataclass(
     Drive,
-    data_fields=["controller", "actuator", "sensor", "output_delay", "control_period"],
+    data_fields=[
+        "controller",
+        "actuator",
+        "sensor",
+        "output_delay",
+        "control_period",
+        "policy_period",
+    ],
     meta_fields=[],
 )
 
@@ -141,4 +153,5 @@ def options(drive: Drive, *, substeps: int = 1, differenced: bool = False) -> Dr
         quantised_command=used(drive.controller.command_resolution),
         limited=finite(actuator.force_limit, actuator.stall_force),
         rate_limited=finite(actuator.force_rate_limit),
+        held_setpoint=bool(np.any(np.asarray(drive.policy_period) > 1.5 * np.asarray(period))),
     )

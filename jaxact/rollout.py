@@ -200,9 +200,12 @@ def evaluate(
         See `jaxact.metrics.Metrics`.
     """
     if growth_rate is None:
+        # Whether a policy holds the setpoint is none of the loop's business.
+        free = replace(state, drive=replace(state.drive, held=None))
         growth_rate = _growth.growth_rate(
-            prepared, options, state, setpoint, growth or GrowthOptions()
-        )
+            prepared, replace(options, held_setpoint=False), free, setpoint,
+            growth or GrowthOptions(),
+        )  # fmt: skip
     start, _ = prepared.plant.measure(state.plant)
     _, running, envelopes = run(
         prepared,
@@ -294,6 +297,8 @@ def follow(
         share = jnp.broadcast_to(prepared.drive.older_share, shape)
         older, newer = state.drive.older[None], state.drive.newer[None]
         delayed = share * older + (1.0 - share) * newer
+        # What a slower policy said last.
+        given = given if state.drive.held is None else state.drive.held.setpoint
         held = jnp.broadcast_to(given.position, shape), jnp.broadcast_to(output.command, shape)
         row = (held[0], record.position, record.velocity, held[1], delayed, record.force)
         return state, (row, kept, output)

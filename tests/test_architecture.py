@@ -33,7 +33,9 @@ LAYERS = (
     ("delay", "held", "threefry", "characteristic", "krylov"),
     ("packing", "programs", "single_kernel"),
     ("actuator", "sensor", "controller"),
+    ("setpoint_path",),
     ("drive_options",),
+    ("measuring_instant",),
     ("drive",),
     ("drive_history",),
     ("plants",),
@@ -62,6 +64,8 @@ SIMULATION = (
     "drive",
     "drive_history",
     "drive_options",
+    "measuring_instant",
+    "setpoint_path",
     "actuator",
     "threefry",
 )

@@ -18,6 +18,7 @@ PERFECT = {
     "command_resolution": 0.0, "position_noise": 0.0, "velocity_noise": 0.0, "position_bias": 0.0,
     "velocity_bias": 0.0, "position_bias_walk": 0.0, "velocity_bias_walk": 0.0,
     "velocity_filter": INF, "force_rate_limit": INF, "stall_force": INF, "no_load_speed": INF,
+    "policy_rate": INF,
 }  # fmt: skip
 
 

@@ -35,6 +35,7 @@ def check(specification: Specification) -> None:
     _check_torque_speed_line(specification, axes)
     _check_velocity(specification, axes)
     rates = _rates(specification, axes)
+    _check_policy(specification, axes, rates)
     _check_steps(specification, rates)
     _check_duration(specification, rates)
     _check_delays(specification, axes, rates)
@@ -144,6 +145,28 @@ def _rates(specification: Specification, axes: dict[str, Axis]) -> np.ndarray:
             " give a list of rates"
         )
     return np.array(axis.ends) if axis.sampled else axis.values
+
+
+def _check_policy(specification: Specification, axes: dict[str, Axis], rates: np.ndarray) -> None:
+    """A policy ticks with the controller, every so many periods."""
+    policy = axes.get("policy_rate")
+    given = np.array([specification.nominal["policy_rate"]]) if policy is None else policy.values
+    if policy is not None and policy.sampled:
+        raise UserError("axes.policy_rate: drawn from a range it divides no rate; give a list")
+    slow = given[np.isfinite(given)]
+    if not len(slow):
+        return
+    if "control_rate" in axes and axes["control_rate"].sampled:
+        raise UserError("axes.control_rate: drawn from a range, no policy_rate divides it")
+    for rate in rates:
+        for policy_rate in slow:
+            ticks = rate / policy_rate
+            if round(ticks) < 1 or abs(ticks - round(ticks)) > 1e-6 * ticks:
+                allowed = rate / max(math.ceil(ticks), 1)
+                raise UserError(
+                    f"policy_rate = {policy_rate:g} Hz does not divide the control rate"
+                    f" {rate:g} Hz; allowed e.g.: {allowed:.9g}"
+                )
 
 
 def _check_steps(specification: Specification, rates: np.ndarray) -> None:

@@ -98,6 +98,7 @@ def drive_of(values: Values) -> Drive:
         ),
         output_delay=values["output_delay"],
         control_period=1.0 / values["control_rate"],
+        policy_period=1.0 / values["policy_rate"],
     )
 
 

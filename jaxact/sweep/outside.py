@@ -285,7 +285,9 @@ def followed(
             older, newer = np.asarray(state.drive.older), np.asarray(state.drive.newer)
             delayed = share * older + (1.0 - share) * newer
             # Copies, as these are views of everything that the loops carry.
-            held = np.array(state.setpoint.position), np.array(state.command)
+            slow = state.drive.held  # by a policy
+            given = state.setpoint if slow is None else slow.setpoint
+            held = np.array(given.position), np.array(state.command)
             rows.append((held[0], position, velocity, held[1], delayed, np.asarray(force)))
             if place == 0:
                 configurations.append(simulations.configuration())

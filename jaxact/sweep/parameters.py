@@ -104,6 +104,11 @@ _TABLE = (
         "control_rate", "control rate", "Hz", 1000.0, 0.1, 1e6, False,
         "Rate at which the controller runs; its output is held in between.",
     ),
+    Parameter(
+        "policy_rate", "policy rate", "Hz", INF, 0.1, 1e6, True,
+        "Rate at which setpoints are given, held in between; divides the control rate, and changes"
+        " neither stability nor margins; inf: as the control rate.",
+    ),
     _at_least_zero(
         "position_resolution", "position resolution", "m", 0.0, 1e6,
         "Size of one count of the position encoder; 0: none.",
@@ -208,7 +213,10 @@ ROBOT_ONLY = (
     "contact_friction",
 )  # fmt: skip
 # What one number serves for all joints of a robot.
-SHARED = ("gain_scale", "mass", "control_rate", "payload", "contact_friction", "rest_amplitude")
+SHARED = (
+    "gain_scale", "mass", "control_rate", "policy_rate", "payload", "contact_friction",
+    "rest_amplitude",
+)  # fmt: skip
 
 # Actuators by name: (wn [rad/s], zeta), as the reference study identified them.
 PRESETS: dict[str, tuple[float, float]] = {
