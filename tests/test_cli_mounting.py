@@ -94,8 +94,10 @@ def test_a_specification_says_the_same(capsys):
     told = json.loads(capsys.readouterr().out)
     typed = _margins(capsys, "--base", "fixed", "--damping", "drive")
     assert told["growth_rate"] == typed["growth_rate"]
-    assert main(["margins", "--spec", "stool.toml", "--base", "free", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["base"] == "free"
+    other = ("--set", "plant.base=held", "--set", "plant.damping=joint", "--json")
+    assert main(["margins", "--spec", "stool.toml", *other]) == 0
+    row = json.loads(capsys.readouterr().out)
+    assert (row["base"], row["damping"], row["joints"][0]["kd"]) == ("held", "joint", 0.0)
 
 
 def test_check_says_what_was_done(capsys):
@@ -123,6 +125,7 @@ def test_a_motion_is_simulated_on_the_stand(capsys):
         ("render", ("--base", "held"), "--base: is for a robot; give one with --model"),
         ("margins", (*WHICH, "--base", "table"), "--base 'table'; allowed: free, fixed, held"),
         ("simulate", (*WHICH, "--damping", "drives"), "--damping 'drives'; did you mean 'drive'?"),
+        ("simulate", (*WHICH, "--set", "damping=drive"), "--set 'damping=drive': of a robot, "),
         ("simulate", (*WHICH, "--set", "plant.base=up"), "plant.base = 'up'; allowed: free, "),
     ],
 )

@@ -16,13 +16,16 @@ if TYPE_CHECKING:
 
 def found(plant: Plant, robot: Robot) -> OnStand | str:
     """What the gains bear, or why that is not known; "" where the model brings none."""
+    import mujoco
+    import numpy as np
+
     from jaxact.sweep import on_stand
 
     if not on_stand.brings_gains(robot) or any("mujoco" in item.engines for item in robot.findings):
         return ""
     try:
         return on_stand.on_stand(plant, robot)
-    except UserError as error:
+    except (UserError, mujoco.FatalError, np.linalg.LinAlgError) as error:
         return str(error)
 
 

@@ -163,6 +163,8 @@ def _apply(document: dict[str, Any], override: str) -> str:
         # a pattern may hold dots
         section, dot, rest = given.strip().partition(".")
         keys = [section, rest] if dot and section in SECTIONS[:2] else [given.strip()]
+    if keys == ["damping"] and value in ("joint", "drive"):
+        raise UserError(f"{shown(override)}: of a robot, write it as plant.damping={value}")
     if len(keys) == 1 and keys[0] not in (*OPTIONS, *SECTIONS):
         name = canonical(keys[0])
         if not known(name) and name != "actuator":
@@ -171,7 +173,7 @@ def _apply(document: dict[str, Any], override: str) -> str:
         if not varied:
             document["axes"].pop(name, None)
         keys = ["axes" if varied else "parameters", name]
-    elif len(keys) > 1:
+    elif len(keys) > 1 and keys[0] in SECTIONS[:2]:
         keys[1] = canonical(keys[1])
     table = document
     for key in keys[:-1]:
