@@ -84,6 +84,10 @@ def scaled(H: np.ndarray, accuracy: float = _ACCURACY) -> tuple[float, np.ndarra
     level *= 1.0 + _SHY
     for _ in range(_CENTRES):
         weights = _centre(unit, weights, level)
+        # Near the best bound F is singular but for rounding, which may lead anywhere: what was
+        # found before is a bound all the same.
+        if not (np.isfinite(weights).all() and weights.min() > _TINY * weights.max()):
+            break
         now = _largest(unit, weights)
         if now < best:
             best, kept = now, weights
@@ -111,11 +115,18 @@ def _centre(H: np.ndarray, weights: np.ndarray, level: float) -> np.ndarray:
     system[joints, joints] = 0.0
     right = np.zeros(joints + 1)
     for _ in range(_NEWTON):
-        turned = np.linalg.inv(np.tensordot(weights, parts, 1)) @ parts
+        try:
+            turned = np.linalg.inv(np.tensordot(weights, parts, 1)) @ parts
+        except np.linalg.LinAlgError:
+            break
         right[:joints] = np.trace(turned, axis1=1, axis2=2).real
         flat = turned.reshape(joints, -1), turned.transpose(0, 2, 1).reshape(joints, -1)
-        system[:joints, :joints] = curvature = (flat[0] @ flat[1].T).real
-        step = np.linalg.solve(system, right)[:joints]
+        curvature = (flat[0] @ flat[1].T).real
+        system[:joints, :joints] = curvature
+        try:
+            step = np.linalg.solve(system, right)[:joints]
+        except np.linalg.LinAlgError:
+            break
         decrement = float(np.sqrt(max(step @ curvature @ step, 0.0)))
         # Damped, so that F stays positive: Newton's step for a self-concordant function.
         weights = weights + step / (1.0 + decrement if decrement > 0.25 else 1.0)

@@ -27,6 +27,8 @@ _FURTHEST = 1e9
 _HALVINGS, _BISECTIONS = 40, 44
 # How far beside a crossing stability is looked at, of its distance.
 _BESIDE = 1e-4
+# A root that turns by less than this in a period does not turn [rad].
+_STILL = 1e-9
 # Imaginary parts below this share are rounding.
 _ROUNDING = 1e-9
 # Periods within which all delays are tried, and how finely: a delay that is no whole period changes
@@ -51,9 +53,9 @@ class Crossing:
     value: complex
 
 
-def excess(M: np.ndarray) -> float:
-    """How far the spectral radius of a matrix is above 1, beyond doubt: negative is stable."""
-    return float(np.max(np.abs(scipy.linalg.eigvals(M)), initial=0.0)) - (1.0 + MARGINAL)
+def unstable(M: np.ndarray) -> bool:
+    """Whether the spectral radius of a matrix is above 1, beyond doubt."""
+    return bool(np.max(np.abs(scipy.linalg.eigvals(M)), initial=0.0) > 1.0 + MARGINAL)
 
 
 def followed(S: np.ndarray) -> np.ndarray:
@@ -125,12 +127,18 @@ def factor(crossing: Crossing) -> float:
 
 
 def gain_limit(
-    loop: Multiloop, matrices: Matrices, candidates: list[Crossing], *, up: bool
+    loop: Multiloop,
+    matrices: Matrices,
+    candidates: list[Crossing],
+    *,
+    up: bool,
+    bad: Callable[[np.ndarray], bool] = unstable,
 ) -> tuple[float, float]:
     """The nearest factor on all gains at which stability changes, above or below 1.
 
     matrices: M, N, C of the loop
     candidates: from `gain_factors`
+    bad: what a loop with this matrix is, or is not; of its growing roots only those count
 
     Returns the factor (inf above, 0 below if there is none) and its frequency w T [rad] (inf).
     """
@@ -138,8 +146,8 @@ def gain_limit(
     feedback = N @ C
     sign = 1.0 if up else -1.0
 
-    def unstable(distance: float) -> bool:
-        return excess(M + math.expm1(sign * distance) * feedback) > 0.0
+    def fails(distance: float) -> bool:
+        return bad(M + math.expm1(sign * distance) * feedback)
 
     ahead = sorted(
         (item for item in candidates if (factor(item) > 1.0) == up),
@@ -149,25 +157,25 @@ def gain_limit(
     between = [0.5 * (near + far) for near, far in pairwise(distances)]
     # Stability may change at a crossing only: it is looked at between them.
     stops = [*between, *(1.5 * last + 0.1 for last in distances[-1:])]
-    start, now = 0.0, unstable(0.0)
+    start, now = 0.0, fails(0.0)
     for item, beyond in zip(ahead, stops, strict=True):
-        if unstable(beyond) != now:
+        if fails(beyond) != now:
             exact = refined(loop, item)
             at = abs(math.log(factor(exact)))
-            if unstable(at - _BESIDE * at) != now or unstable(at + _BESIDE * at) == now:
+            if fails(at - _BESIDE * at) != now or fails(at + _BESIDE * at) == now:
                 # Another crossing, between two points of the grid.
-                at = _switch(unstable, start, beyond)
+                at = _switch(fails, start, beyond)
             return math.exp(sign * at), exact.angle
         start = beyond
     return (math.inf if up else 0.0), math.inf
 
 
-def _switch(unstable: Callable[[float], bool], low: float, high: float) -> float:
+def _switch(fails: Callable[[float], bool], low: float, high: float) -> float:
     """Where a loop changes from stable to unstable, or back, by bisection to rounding."""
-    first = unstable(low)
+    first = fails(low)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if unstable(middle) == first else (low, middle)
+        low, high = (middle, high) if fails(middle) == first else (low, middle)
     return 0.5 * (low + high)
 
 
@@ -187,13 +195,17 @@ def later(matrices: Matrices, periods: int) -> np.ndarray:
 
 
 def delay_limit(
-    later_by: Callable[[float], Matrices], period: float, candidates: list[Crossing]
+    later_by: Callable[[float], Matrices],
+    period: float,
+    candidates: list[Crossing],
+    bad: Callable[[np.ndarray], bool] = unstable,
 ) -> tuple[float, float]:
     """The smallest delay of all commands, on top of what they have, that destabilises [s].
 
     later_by: extra delay of a part of a period [s], in [0, T] -> M, N, C
     period: T [s]
-    candidates: crossings with Re s = 1/2 of the loop as it is, which is stable
+    candidates: crossings with Re s = 1/2 of the loop as it is
+    bad: what the loop as it is is not, see `gain_limit`
 
     Returns the delay (inf if there is none) and its frequency w T [rad] (inf).
     """
@@ -205,7 +217,7 @@ def delay_limit(
         found = _marginal(later_by, period, item, guess)
         if found is not None and found[0] < best:
             best, where = found
-    early = _early(later_by, period, min(best, float(_TRIED)) * (1.0 - 1e-9))
+    early = _early(later_by, period, min(best, float(_TRIED)) * (1.0 - 1e-9), bad)
     if early is not None:
         best, where = early
     return best * period, where
@@ -242,7 +254,10 @@ def _marginal(
 
 
 def _early(
-    later_by: Callable[[float], Matrices], period: float, last: float
+    later_by: Callable[[float], Matrices],
+    period: float,
+    last: float,
+    bad: Callable[[np.ndarray], bool],
 ) -> tuple[float, float] | None:
     """An unstable delay before the last one, by trying [periods]; None if there is none."""
 
@@ -250,14 +265,16 @@ def _early(
         whole = math.floor(delay)
         return later(later_by((delay - whole) * period), whole)
 
-    def unstable(delay: float) -> bool:
-        return excess(matrix(delay)) > 0.0
+    def fails(delay: float) -> bool:
+        return bad(matrix(delay))
 
     before = 0.0
     for delay in np.linspace(0.0, last, max(2, math.ceil(_PARTS * last)) + 1)[1:]:
-        if unstable(delay):
-            found = _switch(unstable, before, float(delay))
+        if fails(float(delay)):
+            found = _switch(fails, before, float(delay))
             values = scipy.linalg.eigvals(matrix(found))
-            return found, float(abs(np.angle(values[np.argmax(np.abs(values))])))
+            # Delay changes nothing that does not turn.
+            turning = np.where(np.abs(np.angle(values)) > _STILL, np.abs(values), 0.0)
+            return found, float(abs(np.angle(values[np.argmax(turning)])))
         before = float(delay)
     return None

@@ -12,7 +12,6 @@ Seiler, Packard, Gahinet, "An introduction to disk margins" (2020).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +19,11 @@ import numpy as np
 from jaxact import multiloop as _multiloop
 from jaxact import multiloop_disk as _disk
 from jaxact import multiloop_limits as _limits
+from jaxact import robot_modes as _modes
 from jaxact.errors import UserError
-from jaxact.multiloop import Matrices, Multiloop
+from jaxact.multiloop import Multiloop
+from jaxact.robot_changes import Changes, Limits, changes
+from jaxact.robot_modes import Mode, Robot
 
 _TURN = 2.0 * math.pi
 
@@ -90,22 +92,6 @@ class WholeMargins:
 
 
 @dataclass(frozen=True)
-class Mode:
-    """A motion of the closed loop, or its response to the force that it amplifies most.
-
-    growth_rate: [1/s], negative if it decays; 0 of a response
-    frequency: [rad/s]
-    damping_ratio: [-], 1 where it does not oscillate; 0 of a response
-    participation: share of each joint in the kinetic energy of the joints, shape (m,); sums to 1
-    """
-
-    growth_rate: float
-    frequency: float
-    damping_ratio: float
-    participation: np.ndarray
-
-
-@dataclass(frozen=True)
 class RobotMargins:
     """How stable a robot is, and how much of it is left.
 
@@ -117,10 +103,14 @@ class RobotMargins:
         there is none
     log_gain_to_boundary: the magnitude of its logarithm, > 0 if stable (inf if there is none), < 0
         if unstable (-inf)
+    period: control period T [s]
+    shaking_rate, toppling_rate: growth rate of the fastest motion that swings, and of the fastest
+        one that does not [1/s]; -inf if there is none, see `jaxact.robot_modes`
+    changes: where it begins, or ceases, to shake or to topple
     whole: margins of all loops at once, None if unstable
     joints: margins of each joint, in the robot's order; empty if unstable
-    critical: the mode nearest to shaking: the fastest growing one of an unstable robot, the least
-        damped one of a stable robot
+    critical: the fastest growing mode that swings of a robot that shakes, else the fastest growing
+        one of an unstable robot, the least damped one of a stable robot
     slowest: the mode that decays last
     at_peak: the response at the peak of the largest singular value of S, None if unstable
     """
@@ -131,6 +121,10 @@ class RobotMargins:
     growth_rate: float
     gain_to_boundary: float | None
     log_gain_to_boundary: float
+    period: float
+    shaking_rate: float
+    toppling_rate: float
+    changes: Changes
     whole: WholeMargins | None
     joints: tuple[JointMargins, ...]
     critical: Mode
@@ -138,29 +132,35 @@ class RobotMargins:
     at_peak: Mode | None
 
     @property
+    def verdict(self) -> str:
+        """`stable`, `shakes`, `topples`, or `shakes and topples`."""
+        return " and ".join(self._faults) or "stable"
+
+    @property
+    def _faults(self) -> list[str]:
+        words = {"shakes": self.shaking_rate, "topples": self.toppling_rate}
+        growing = math.log1p(_limits.MARGINAL)  # a period's share of it is no growth
+        return [word for word, rate in words.items() if rate * self.period > growing]
+
+    @property
+    def first_to_shake(self) -> np.ndarray | None:
+        """Shares of the joints in what shakes first, shape (m,); None if nothing does.
+
+        Of a robot that shakes, in how it shakes; else in how it would with more delay, or if no
+        delay makes it shake, with more gain.
+        """
+        if "shakes" in self._faults:
+            return self.critical.participation
+        change = self.changes.more_delay or self.changes.more_gain
+        return None if change is None else change.participation
+
+    @property
     def ranking(self) -> list[int]:
-        """Numbers of the joints, the one nearest to shaking first: by their disk margins."""
-        return sorted(range(len(self.joints)), key=lambda i: self.joints[i].disk_margin)
-
-
-@dataclass(frozen=True)
-class Robot:
-    """What margins are asked for; n states, m joints.
-
-    matrices: M, N, C over one control period, see `jaxact.multiloop`
-    velocities: of the joints at the ticks, rows of shape (m, n)
-    inertias: that forces on the joints feel [kg or kg m^2], shape (m,)
-    names: of the joints
-    period: control period T [s]
-    later_by: extra delay of all commands [s], from 0 to T -> M, N, C
-    """
-
-    matrices: Matrices
-    velocities: np.ndarray
-    inertias: np.ndarray
-    names: tuple[str, ...]
-    period: float
-    later_by: Callable[[float], Matrices]
+        """Numbers of the joints, the one that shakes first at the top; by their shares in that."""
+        shares = self.first_to_shake
+        if shares is None:
+            return sorted(range(len(self.joints)), key=lambda i: self.joints[i].disk_margin)
+        return np.argsort(-shares, kind="stable").tolist()
 
 
 def robot_margins(robot: Robot) -> RobotMargins:
@@ -172,7 +172,7 @@ def robot_margins(robot: Robot) -> RobotMargins:
     loop = _multiloop.multiloop(*robot.matrices, robot.period)
     _demand_answers(robot, loop)
     radius = float(np.max(np.abs(loop.roots), initial=0.0))
-    unstable = int(np.sum(~(np.abs(loop.roots) <= 1.0 + _limits.MARGINAL)))
+    unstable = int(np.sum(_modes.growing(loop.roots)))
     angle = _multiloop.grid(loop)
     S = _multiloop.sensitivity(loop, angle)
     # At the ends of the axis it is real but for rounding.
@@ -182,14 +182,16 @@ def robot_margins(robot: Robot) -> RobotMargins:
     factors = [factor for factor, _ in gains if 0.0 < factor < math.inf]
     nearest = min(factors, key=lambda factor: abs(math.log(factor)), default=None)
     distance = math.inf if nearest is None else abs(math.log(nearest))
-    whole, at_peak = None, None
+    whole, at_peak, delay = None, None, None
     joints: tuple[JointMargins, ...] = ()
     if not unstable:
         joints = _of_joints(robot, loop, angle, S)
-        whole = _of_all(robot, loop, angle, S, followed, gains)
-        at_peak = _response(robot, loop, whole.sensitivity_peak_frequency)
+        turned = _limits.crossings(angle, followed, lambda s: s.real - 0.5)
+        delay = _limits.delay_limit(robot.later_by, robot.period, turned)
+        whole = _of_all(robot, loop, angle, S, gains, delay)
+        at_peak = _modes.response(robot, loop, whole.sensitivity_peak_frequency)
     growth = math.log(radius) / robot.period if radius > 0.0 else -math.inf
-    slowest = _mode(robot, loop, int(np.argmax(np.abs(loop.roots))))
+    slowest = _modes.mode(robot, loop, int(np.argmax(np.abs(loop.roots))))
     return RobotMargins(
         stable=not unstable,
         unstable_roots=unstable,
@@ -197,20 +199,31 @@ def robot_margins(robot: Robot) -> RobotMargins:
         growth_rate=growth,
         gain_to_boundary=nearest,
         log_gain_to_boundary=-distance if unstable else distance,
+        shaking_rate=_modes.fastest(loop.roots, robot.period, swing=True),
+        toppling_rate=_modes.fastest(loop.roots, robot.period, swing=False),
+        period=robot.period,
+        changes=changes(robot, loop, angle, followed, Limits(gains, delay)),
         whole=whole,
         joints=joints,
-        critical=slowest if unstable else _mode(robot, loop, _least_damped(loop)),
+        critical=_critical(robot, loop, slowest),
         slowest=slowest,
         at_peak=at_peak,
     )
 
 
+def _critical(robot: Robot, loop: Multiloop, slowest: Mode) -> Mode:
+    growing = _modes.growing(loop.roots)
+    shaking = _modes.largest(loop, growing & _modes.swinging(loop.roots))
+    if shaking is not None:
+        return _modes.mode(robot, loop, shaking)
+    return slowest if growing.any() else _modes.mode(robot, loop, _modes.least_damped(loop))
+
+
 def _gain_limits(robot: Robot, loop: Multiloop, angle: np.ndarray, followed: np.ndarray):
     """(factor, w T) of the limits above and below the present gains."""
     candidates = _limits.gain_factors(angle, followed)
-    return tuple(
-        _limits.gain_limit(loop, robot.matrices, candidates, up=up) for up in (True, False)
-    )
+    up, down = (_limits.gain_limit(loop, robot.matrices, candidates, up=up) for up in (True, False))
+    return up, down
 
 
 def _of_all(
@@ -218,8 +231,8 @@ def _of_all(
     loop: Multiloop,
     angle: np.ndarray,
     S: np.ndarray,
-    followed: np.ndarray,
     gains: tuple[tuple[float, float], tuple[float, float]],
+    later: tuple[float, float],
 ) -> WholeMargins:
     period, unit = robot.period, np.eye(S.shape[-1])
     # S, T = I - S, and the disk margin's (S - T)/2 = S - I/2
@@ -231,10 +244,8 @@ def _of_all(
 
     columns = [np.linalg.svd(S - part, compute_uv=False)[:, 0] for part in shifted]
     peak, where = _multiloop.peaks(angle, np.stack(columns, axis=1), largest)
-    turned = _limits.crossings(angle, followed, lambda s: s.real - 0.5)
-    delay, delay_at = _limits.delay_limit(robot.later_by, period, turned)
     disk, disk_at = _disk.largest_bound(loop, angle, S)
-    (up, up_at), (down, down_at) = gains
+    (up, up_at), (down, down_at), (delay, delay_at) = *gains, later
     return WholeMargins(
         gain_margin=up,
         gain_margin_frequency=up_at / period,
@@ -356,45 +367,3 @@ def _demand_answers(robot: Robot, loop: Multiloop) -> None:
             f"{still[0]}{more}: the joint's command moves nothing at this posture; its gains are "
             "zero, or contacts or limits hold it"
         )
-
-
-def _least_damped(loop: Multiloop) -> int:
-    """Number of the root with the smallest damping ratio."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rates = np.log(loop.roots)
-        damping = -rates.real / np.abs(rates)
-    return int(np.argmin(np.where(np.isfinite(damping), damping, np.inf)))
-
-
-def _mode(robot: Robot, loop: Multiloop, number: int) -> Mode:
-    """The motion that belongs to one root."""
-    rate = np.log(loop.roots[number]) / robot.period
-    U = loop.triangular
-    # The eigenvector of a triangular matrix: the rows below its root are zero.
-    vector = np.zeros(len(U), complex)
-    vector[number] = 1.0
-    shifted = U[:number, :number] - U[number, number] * np.eye(number)
-    vector[:number] = np.linalg.lstsq(shifted, -U[:number, number])[0]
-    return Mode(
-        growth_rate=float(rate.real),
-        frequency=float(abs(rate.imag)),
-        damping_ratio=float(-rate.real / (abs(rate) or 1.0)),
-        participation=participation(robot, loop, loop.vectors @ vector),
-    )
-
-
-def _response(robot: Robot, loop: Multiloop, frequency: float) -> Mode:
-    """What the joints do under the forces that S amplifies most, at one frequency [rad/s]."""
-    angle = frequency * robot.period
-    _, _, rows = np.linalg.svd(_multiloop.sensitivity(loop, np.array([angle]))[0])
-    moved = _multiloop.states(loop, angle, rows[0].conj())
-    return Mode(0.0, frequency, 0.0, participation(robot, loop, moved))
-
-
-def participation(robot: Robot, loop: Multiloop, states: np.ndarray) -> np.ndarray:
-    """Share of each joint in I |v|^2; equal shares of a motion in which no joint moves."""
-    # A joint that no force moves feels an infinite inertia.
-    inertias = np.where(np.isfinite(robot.inertias), robot.inertias, 0.0)
-    energy = inertias * np.abs(robot.velocities[:, loop.kept] @ states) ** 2
-    total = float(energy.sum())
-    return energy / total if total > 0.0 else np.full(len(energy), 1.0 / len(energy))

@@ -25,8 +25,8 @@ ANALYSIS = (
     "frequency", "positive_roots", "stationary", "crossovers", "roots", "peaks", "lobes",
     "margins", "boundary",
     "sampled", "pulse", "sampled_roots", "sampled_search", "sampled_margins", "marginal",
-    "gain_limits", "multiloop", "multiloop_disk", "multiloop_limits", "robot_margins",
-    "robot_delay",
+    "gain_limits", "multiloop", "multiloop_disk", "multiloop_limits", "robot_changes",
+    "robot_delay", "robot_margins", "robot_modes",
 )  # fmt: skip
 LAYERS = (
     ("errors", "status"),

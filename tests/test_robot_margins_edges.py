@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from jaxact.errors import UserError
-from jaxact.robot_margins import Robot, robot_margins
+from jaxact.robot_margins import robot_margins
+from jaxact.robot_modes import Robot
 
 
 def _robot(reach, inertias=(1.0, 1.0), coupling=0.0):

@@ -12,7 +12,7 @@ import numpy as np
 from jaxact.cli._warnings import RESIDUAL
 
 if TYPE_CHECKING:
-    from jaxact.robot_margins import Mode
+    from jaxact.robot_modes import Mode
     from jaxact.sweep.specification import Specification
     from jaxact.sweep.stiction import Stiction
     from jaxact.sweep.whole_robot import WholeRobot

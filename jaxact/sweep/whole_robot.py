@@ -15,7 +15,8 @@ from jaxact.multiloop import Curves, Matrices, curves, multiloop
 from jaxact.plants import friction, mounting
 from jaxact.programs import Program
 from jaxact.robot_delay import DelayBorne, delay_borne
-from jaxact.robot_margins import Robot, RobotMargins, robot_margins
+from jaxact.robot_margins import RobotMargins, robot_margins
+from jaxact.robot_modes import Robot
 from jaxact.sweep import engines, kernel, outside, plans
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.robots import Scene
@@ -108,8 +109,9 @@ def _compiled(case: Case, setting: Setting) -> tuple[Template, Program]:
         loop = kernel.linear_loop(case, template, values, moved)
         found = robot_loop.period_map(robot_loop.with_later_commands(loop, extra), options)
         like = jnp.zeros(loop.plant.shape)
-        gains = loop.drive.controller
-        return found, robot_loop.felt_inertias(loop.plant), gains.kp + like, gains.kd + like
+        gains, delay = loop.drive.controller, loop.drive.actuator.delay
+        inertias = robot_loop.felt_inertias(loop.plant)
+        return found, inertias, gains.kp + like, gains.kd + like, delay + like
 
     return template, Program(lambda: matrices, ("matrices", case, setting))
 
@@ -135,7 +137,7 @@ def _one(
         found = computed(extra)[0]
         return found.M, found.N, found.C
 
-    found, inertias, kp, kd = computed(0.0)
+    found, inertias, kp, kd, delay = computed(0.0)
     scene, basis = template.scene, template.basis
     assert scene is not None and basis is not None
     robot = Robot(
@@ -145,6 +147,7 @@ def _one(
         names=scene.labels,
         period=1.0 / values["control_rate"],
         later_by=matrices,
+        delay=float(delay.min()),
     )
     return WholeRobot(
         robot=robot,
