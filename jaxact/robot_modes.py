@@ -17,6 +17,9 @@ from jaxact import multiloop as _multiloop
 from jaxact.multiloop import Matrices, Multiloop
 from jaxact.multiloop_limits import MARGINAL
 
+# A root that turns by less than this in a period does not turn [rad].
+_STILL = 1e-9
+
 
 @dataclass(frozen=True)
 class Robot:
@@ -112,7 +115,7 @@ def mode(robot: Robot, loop: Multiloop, number: int) -> Mode:
     vector[:number] = np.linalg.lstsq(shifted, -U[:number, number])[0]
     return Mode(
         growth_rate=float(rate.real),
-        frequency=float(abs(rate.imag)),
+        frequency=float(abs(rate.imag)) if abs(rate.imag) > _STILL / robot.period else 0.0,
         damping_ratio=float(-rate.real / (abs(rate) or 1.0)),
         participation=participation(robot, loop.kept, loop.vectors @ vector),
     )

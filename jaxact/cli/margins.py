@@ -76,11 +76,15 @@ def main(
     dry_friction_left_out, stiction (joint, push, strongest, shaking, amplitude, frequency,
     sentence; null where friction holds nothing that shakes), residual, neutral_directions,
     control_period, physics_step, stable, unstable_roots, spectral_radius, growth_rate,
-    gain_to_boundary, log_gain_to_boundary; all (null if unstable) with gain_margin,
+    gain_to_boundary, log_gain_to_boundary, verdict (stable, shakes, topples, shakes and topples),
+    shaking_rate, toppling_rate; changes (more_gain, less_gain, more_delay, less_delay,
+    topple_more_gain, topple_less_gain: value, frequency, participation of the nearest factor or
+    delay at which it begins or ceases to shake or topple); all (null if unstable) with gain_margin,
     gain_reduction_margin, delay_margin, sensitivity_peak, complementary_peak, disk_margin and the
     frequency of each, modulus_margin, unscaled_disk_margin; joints with name, kp, kd and the
-    margins above; ranking (names, nearest to shaking first); critical_mode, slowest_mode,
-    response_at_peak with growth_rate, frequency, damping_ratio, participation by joint.
+    margins above; ranking (names, the one that shakes first at the top); critical_mode,
+    slowest_mode, response_at_peak with growth_rate, frequency, damping_ratio, participation by
+    joint.
 
     examples:
       jaxact margins --mass 0.7 --kp 400 --kd 20 --actuator starleth --delay 5e-3

@@ -11,7 +11,9 @@ from jaxact.multiloop import Curves
 from jaxact.plot import look
 from jaxact.plot.response import number
 from jaxact.plot.sheet import sheet
+from jaxact.robot_changes import Change
 from jaxact.robot_margins import RobotMargins
+from jaxact.robot_modes import Mode
 
 # Joints whose curves are named in the legend: the nearest to shaking, or those that move most.
 MOST_NAMED = 5
@@ -27,8 +29,9 @@ def whole_robot(
     curves, margins: of the same loop
     title, footer: above and below
 
-    The bars are the joints' shares in the kinetic energy of the mode nearest to shaking, and of the
-    response at the peak of the largest singular value of S.
+    The bars are the joints' shares in the kinetic energy of the least damped or fastest growing
+    mode, of what shakes first with more delay, and of the response at the peak of the largest
+    singular value of S.
     """
     shares = margins.critical.participation
     named = (margins.ranking or np.argsort(-shares, kind="stable").tolist())[:MOST_NAMED]
@@ -103,7 +106,13 @@ def _shares(axes: Axes, names: tuple[str, ...], margins: RobotMargins) -> None:
     places = np.arange(len(names), dtype=float)
     critical = margins.critical
     kind = "least damped mode" if margins.stable else "fastest growing mode"
-    motions = [(critical, look.BLUE, f"{kind}, {number(critical.frequency)} rad/s")]
+    motions: list[tuple[Mode | Change, str, str]] = [
+        (critical, look.BLUE, f"{kind}, {number(critical.frequency)} rad/s")
+    ]
+    later = margins.changes.more_delay
+    if later is not None:
+        label = f"shakes {number(1e3 * later.value)} ms later, {number(later.frequency)} rad/s"
+        motions.append((later, look.VERMILION, label))
     if margins.at_peak is not None:
         at_peak = margins.at_peak
         motions.append((at_peak, look.ORANGE, f"response at Ms, {number(at_peak.frequency)} rad/s"))

@@ -123,7 +123,7 @@ def held(
     Returns None where nothing is to be said: no dry friction, or no growing oscillation.
     """
     plant, mode = specification.plant, found.margins.critical
-    if plant is None or mode.growth_rate <= 0.0 or mode.frequency == 0.0:
+    if plant is None or "shakes" not in found.margins.verdict:
         return None
     scene = robots.scene(plant)
     if not _rubs(scene, values):

@@ -1,0 +1,120 @@
+"""What shakes and what topples, against closed forms and rollouts in plain MuJoCo."""
+
+import mujoco
+import numpy as np
+import pytest
+from quickly import compiled_quickly as compiled_quickly
+
+from jaxact import robot_modes
+from jaxact.sweep import reading, whole_robot
+
+# Two joints apart from each other: one upright in gravity, one that turns about the vertical.
+UPRIGHT = """<mujoco><option timestep="0.001"/><worldbody>
+<body><joint name="upright" axis="0 1 0" armature="1e-6"/>
+<geom size="0.01" pos="0 0 1" mass="2"/></body>
+<body pos="2 0 0"><joint name="turning" axis="0 0 1" armature="0.05"/>
+<geom size="0.01" mass="0.1"/></body></worldbody>
+<actuator><motor joint="upright"/><motor joint="turning"/></actuator></mujoco>"""
+GRAVITY = 9.81
+
+
+def found(folder, *overrides):
+    (folder / "upright.xml").write_text(UPRIGHT)
+    document = """engine = "mujoco"
+    plant.model = "upright.xml"
+    plant.posture = "keyframe"
+    [parameters]
+    control_rate = 1000
+    "kp@upright" = 10
+    "kd@upright" = 20
+    "kp@turning" = 20
+    "kd@turning" = 4
+    [axes]
+    feedforward = [0.0]"""
+    (one,) = whole_robot.evaluate(reading.parse(document, folder, overrides))
+    return one
+
+
+def rollout(gains, ticks, seconds=6.0):
+    """Joint positions after a kick, the command late by whole ticks; nothing of jaxact."""
+    model = mujoco.MjModel.from_xml_string(UPRIGHT)
+    data = mujoco.MjData(model)
+    data.qvel[:] = 1e-6
+    kp, kd = np.array(gains).T
+    late, path = [np.zeros(2)] * ticks, []
+    for _ in range(round(seconds / 0.001)):
+        late.append(-kp * data.qpos - kd * data.qvel)
+        data.ctrl = late.pop(0)
+        mujoco.mj_step(model, data)
+        path.append(data.qpos.copy())
+        if np.abs(path[-1]).max() > 0.05:
+            break
+    return np.array(path)
+
+
+@pytest.fixture(scope="module")
+def toppling(tmp_path_factory):
+    return found(tmp_path_factory.mktemp("upright"))
+
+
+def test_too_soft_an_upright_joint_topples(toppling):
+    margins = toppling.margins
+    assert margins.verdict == "topples" and not margins.stable and margins.whole is None
+    # J s^2 + kd s + kp - m g l = 0
+    expected = np.roots([2.0, 20.0, 10.0 - 2.0 * GRAVITY]).max()
+    assert margins.toppling_rate == pytest.approx(expected, rel=2e-3)
+    assert margins.critical.frequency == 0.0 and margins.critical.participation[0] > 0.999
+    path = rollout([(10.0, 20.0), (20.0, 4.0)], 0, 12.0)
+    np.testing.assert_allclose(
+        np.log(path[-1, 0] / path[-2001, 0]) / 2.0, margins.toppling_rate, rtol=1e-2
+    )
+
+
+def test_it_stops_toppling_where_the_spring_holds_the_weight(toppling):
+    change = toppling.margins.changes.topple_more_gain
+    assert change.value == pytest.approx(2.0 * GRAVITY / 10.0, rel=1e-4)
+    assert change.frequency == 0.0 and change.participation[0] > 0.999
+    assert toppling.margins.changes.topple_less_gain is None
+
+
+def test_a_robot_that_topples_has_its_margins_to_shaking(toppling):
+    changes = toppling.margins.changes
+    assert changes.more_delay.participation[1] > 0.999  # the joint that has kd/J = 80 1/s
+    ticks = changes.more_delay.value / 0.001
+    gains = [(10.0, 20.0), (20.0, 4.0)]
+    before = np.abs(rollout(gains, int(np.floor(0.95 * ticks)))[:, 1])
+    after = np.abs(rollout(gains, int(np.ceil(1.05 * ticks)))[:, 1])
+    assert before[-500:].max() < before[:500].max() < after.max()
+    borne = toppling.delay_borne
+    assert borne.topples and not borne.shakes and not borne.stable
+    assert borne.delay == pytest.approx(changes.more_delay.value, rel=1e-6)
+    assert toppling.margins.ranking == [1, 0]
+    assert changes.more_gain.participation[1] > 0.999 and changes.more_gain.value > 2.0
+
+
+def test_what_shakes_says_where_it_stops(tmp_path, toppling):
+    later = toppling.margins.changes.more_delay.value
+    margins = found(tmp_path, f"delay={1.2 * later}", "kp@upright=100").margins
+    assert margins.verdict == "shakes" and margins.shaking_rate == margins.growth_rate > 0.0
+    assert margins.changes.more_delay is None
+    assert margins.changes.less_delay.value == pytest.approx(0.2 * later, rel=1e-3)
+    assert margins.changes.less_delay.participation[1] > 0.999
+    factor = margins.changes.less_gain.value
+    assert 0.5 < factor < 1.0
+    inside = found(tmp_path, f"delay={1.2 * later}", "kp@upright=100",
+                   f"gain_scale={0.99 * factor}").margins  # fmt: skip
+    assert "shakes" not in inside.verdict
+
+
+def test_both_are_said(tmp_path, toppling):
+    later = toppling.margins.changes.more_delay.value
+    margins = found(tmp_path, f"delay={1.2 * later}").margins
+    assert margins.verdict == "shakes and topples"
+    assert margins.critical.participation[1] > 0.999  # what shakes, not what grows fastest
+
+
+def test_roots_are_sorted_by_how_they_move():
+    roots = np.array([1.01, 0.9, 1.01 * np.exp(0.3j), -1.2, np.exp(0.02 + 0.01j), 0.0])
+    assert robot_modes.growing(roots).tolist() == [True, False, True, True, True, False]
+    assert robot_modes.swinging(roots).tolist()[:5] == [False, False, True, True, False]
+    assert robot_modes.fastest(roots, 0.5, swing=True) == pytest.approx(2.0 * np.log(1.2))
