@@ -125,7 +125,10 @@ def test_an_unstable_robot_has_null_margins(capsys):
     arguments = ("--model", "arm.xml", "--set", "gain_scale=100", "--actuator", "starleth")
     row = json.loads(_said(capsys, *arguments, "--json"))
     assert row["stable"] is False and row["unstable_roots"] > 0 and row["growth_rate"] > 0.0
-    assert row["all"] is None and row["response_at_peak"] is None and row["ranking"] == []
+    assert row["all"] is None and row["response_at_peak"] is None and row["verdict"] == "shakes"
+    shares = [row["critical_mode"]["participation"][name] for name in row["ranking"]]
+    assert len(shares) == 2 and shares == sorted(shares, reverse=True)
+    assert row["changes"]["less_gain"]["value"] < 1.0 and row["changes"]["more_delay"] is None
     for joint in row["joints"]:
         assert joint["kp"] > 0 and joint["disk_margin"] is None and joint["gain_margin"] is None
     assert 0.0 < row["gain_to_boundary"] < 1.0 and row["log_gain_to_boundary"] < 0.0

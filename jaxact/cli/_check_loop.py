@@ -71,16 +71,20 @@ def _bears(loop: Loop) -> str:
     from jaxact.plot.wording import quantity
 
     borne = loop.borne
-    where = f" at {quantity(borne.frequency, 'rad/s')}" if loop.oscillates else ""
-    if not borne.stable:
-        what = "shake" if loop.oscillates else "do not hold the posture"
+    where = f" at {quantity(borne.frequency, 'rad/s')}"
+    if borne.shakes:
         return (
-            f"{what} even without more delay: {loop.joint}{where}, growing by "
+            f"shake even without more delay: {loop.joint}{where}, growing by "
             f"{borne.growth_rate:.3g} 1/s"
         )
+    bears = f"bear {quantity(borne.delay, 's')} of delay; then {loop.joint} shakes{where}"
     if math.isinf(borne.delay):
-        return "bear any delay"
-    return f"bear {quantity(borne.delay, 's')} of delay; then {loop.joint} shakes{where}"
+        bears = "bear any delay"
+    if borne.topples:
+        return (
+            f"do not hold the posture, which is left by {borne.growth_rate:.3g} 1/s; they {bears}"
+        )
+    return bears
 
 
 def _of_damping(known: OnStand) -> list[str]:
@@ -115,9 +119,10 @@ def _of_base(known: OnStand) -> list[str]:
     borne = known.free.borne
     if borne.stable:
         return [f"With its base free, standing, the gains {_bears(known.free)}."]
-    if known.free.oscillates:
+    if not borne.topples:
         return [f"With its base free the gains {_bears(known.free)}."]
     return [
-        f"With its base free the robot topples, by {borne.growth_rate:.3g} 1/s, whatever the "
-        "drives do in time: --base fixed leaves only its joints and drives."
+        f"With its base free the robot topples, by {borne.growth_rate:.3g} 1/s, for want of a "
+        "balance controller, whatever the drives do in time: --base fixed leaves only its joints "
+        "and drives."
     ]

@@ -297,9 +297,9 @@ def _joint_table(found: WholeRobot) -> Any:
 def _advice(found: WholeRobot) -> str:
     if found.margins.verdict == "topples":
         return (
-            "It topples without shaking: what is missing is a balance controller or a stand "
-            "(--base fixed), not another drive. Margins of an unstable loop mean nothing; those "
-            "above are to where it begins to shake."
+            "It topples without shaking: what is missing is a balance controller, not another "
+            "drive. Margins of an unstable loop mean nothing; those above are to where it begins "
+            "to shake."
         )
     factor = found.margins.gain_to_boundary
     if factor is None:
@@ -311,10 +311,9 @@ def _advice(found: WholeRobot) -> str:
 
 def _stand(specification: Specification, found: WholeRobot) -> str:
     """Of a robot that topples: how the margins of its joints and drives are had."""
-    plant, mode = specification.plant, found.margins.critical
-    # Two roots that are equal but for rounding have a little of a frequency.
-    oscillates = mode.frequency > mode.growth_rate
-    if plant is None or plant.base != "free" or oscillates or not found.floating:
+    plant = specification.plant
+    topples = "topples" in found.margins.verdict
+    if plant is None or plant.base != "free" or not topples or not found.floating:
         return ""
     return " The robot topples on its free base; --base fixed is it on a stand."
 

@@ -40,11 +40,6 @@ class Loop:
         """The joint that moves most in that motion."""
         return self.names[int(np.argmax(self.borne.participation))]
 
-    @property
-    def oscillates(self) -> bool:
-        """Whether that motion is one; equal real roots have a little of a frequency by rounding."""
-        return self.borne.stable or self.borne.frequency > self.borne.growth_rate
-
 
 @dataclass(frozen=True)
 class OnStand:
