@@ -65,10 +65,10 @@ def main(
 
     JSON: model, keyframe, digest, physics_step [s], degrees_of_freedom; engines that can simulate
     it (warp where it is installed); on_stand with control_rate [Hz], hidden_gains (joints),
-    friction, falls (why), and as_it_is, in_drive, stuck, free, of each joint, stable, shakes, topples, growth_rate
-    [1/s], delay [s] and frequency [rad/s]; joints with name, actuator, kind, kp, kd, force_limits,
-    setpoint_limits, setpoint, setpoint_velocity, delay and setpoint_delay [s],
-    natural_frequency [rad/s], damping_ratio, inertia, inertia_others_held, joint_damping,
+    friction, falls (why), and as_it_is, in_drive, stuck, free, of each joint, stable, shakes,
+    topples, growth_rate [1/s], delay [s] and frequency [rad/s]; joints with name, actuator, kind,
+    kp, kd, force_limits, setpoint_limits, setpoint, setpoint_velocity, delay and setpoint_delay
+    [s], natural_frequency [rad/s], damping_ratio, inertia, inertia_others_held, joint_damping,
     joint_friction, armature (what the joint itself has), bandwidth [rad/s]; findings with where,
     field, value, mjx, action, advice, engines. SI units; null: none.
 
