@@ -139,7 +139,7 @@ def run(
     verify: bool,
     out: Path | None,
     json: bool,
-) -> None:
+) -> bool:
     """Tune a robot, hold the gains against rollouts, print, and write a folder.
 
     options: of a robot
@@ -154,7 +154,8 @@ def run(
     out: folder to write, None for none
     json: print an object instead of tables
 
-    Raises UserError for anything that does not fit.
+    Returns whether everything that was asked for is certified. Raises UserError for anything that
+    does not fit.
     """
     if not (options.validate >= 0.0 and math.isfinite(options.validate)):
         raise UserError(f"--validate {options.validate:g}: give seconds, 0 for none")
@@ -204,6 +205,7 @@ def run(
             print(f"wrote {out}")
     if held is not None:
         _warn_of(*held.stable)
+    return tuned.certified
 
 
 def _warn_of(stable: int, rollouts: int) -> None:

@@ -42,6 +42,7 @@ def report(tuned: Tuned, loops: _loops.Loops, sampled: bool, velocity: str) -> d
         "objective_name": tuned.goal.objective,
         "objective_before": _plain(tuned.value_before),
         "margins": {"before": rows[0] if tuned.before is not None else None, "after": rows[-1]},
+        "worst": _worst(tuned),
         "certified": tuned.certified,
         "feasible": tuned.feasible,
         "improved": tuned.improved,
@@ -62,6 +63,21 @@ def report(tuned: Tuned, loops: _loops.Loops, sampled: bool, velocity: str) -> d
         "evaluations": tuned.evaluations,
         "seconds": tuned.seconds,
     }  # fmt: skip
+
+
+def _worst(tuned: Tuned) -> dict[str, Any] | None:
+    """Figures at their worst over an ensemble, before and after; None for a single loop."""
+    from jaxact.tune.result import worst
+
+    if len(tuned.members) == 1:
+        return None
+    sides = {"before": tuned.before is not None, "after": True}
+    return {
+        side: {n: _plain(v) for n, v in worst(tuned, before=side == "before").items()}
+        if there
+        else None
+        for side, there in sides.items()
+    }
 
 
 def _plain(value: float | None) -> Any:
@@ -86,30 +102,25 @@ def table(document: dict[str, Any], unit: str) -> str:
     from jaxact.cli.margins import UNITS
     from jaxact.plot.wording import quantity
 
-    before, after = document["margins"]["before"], document["margins"]["after"]
     shown = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     shown.add_column("")
-    if before is not None:
-        shown.add_column("before", justify="right")
-    shown.add_column("after", justify="right")
+    columns = _columns(document)
+    for label in columns:
+        shown.add_column(label, justify="right")
 
     def cell(value: Any, units: str) -> str:
         if value is None:
             return "-"
         return value.replace("inf", "∞") if isinstance(value, str) else quantity(value, units)
 
-    def row(name: str, *values: Any, units: str = "1") -> None:
-        shown.add_row(
-            name, *(cell(v, units) for v in values if before is not None or v is values[-1])
-        )
-
-    units = "" if unit == "1" else unit
-    row(
-        document["objective_name"], document["objective_before"], document["objective"], units=units
-    )
+    name, units = document["objective_name"], "" if unit == "1" else unit
+    # The objective is one of all members.
+    values = [document["objective_before" if "before" in label else "objective"]
+              if "nominal" not in label else None for label in columns]  # fmt: skip
+    shown.add_row(name, *(cell(value, units) for value in values))
     for name in _SHOWN:
-        old = None if before is None else before[name]
-        row(name.replace("_", " "), old, after[name], units=UNITS[name])
+        cells = (cell(figures.get(name), UNITS[name]) for figures in columns.values())
+        shown.add_row(name.replace("_", " "), *cells)
     console = Console(width=100, highlight=False)
     with console.capture() as captured:
         console.print(shown)
@@ -131,17 +142,35 @@ def table(document: dict[str, Any], unit: str) -> str:
     return "\n".join(words)
 
 
+def _columns(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Figures by the title of their column: of the nominal loop, and of the worst member."""
+    columns = {}
+    for side in ("before", "after"):
+        nominal = document["margins"][side]
+        if nominal is None:
+            continue
+        if document["worst"] is None:
+            columns[side] = nominal
+            continue
+        columns[f"{side}, nominal"] = nominal
+        columns[f"{side}, worst of {document['members']}"] = document["worst"][side]
+    return columns
+
+
 def write_folder(
     folder: Path, tuned: Tuned, loops: _loops.Loops, sampled: bool, velocity: str, joint: str,
-    command: str,
+    command: str, nominal: dict[str, Any],
 ) -> None:  # fmt: skip
-    """Gains as TOML and MJCF, and the pictures, into a folder that is there."""
+    """Gains as TOML and MJCF, and the pictures, into a folder that is there.
+
+    nominal: figures of the nominal loop with the gains, as `report` has them
+    """
     from jaxact.cli import _responses
     from jaxact.plot import look, tuning
     from jaxact.plot.sensitivity import sensitivity
     from jaxact.tune.result import mjcf_text, toml_text
 
-    (folder / "gains.toml").write_text(toml_text(tuned, command), encoding="utf-8")
+    (folder / "gains.toml").write_text(toml_text(tuned, command, nominal), encoding="utf-8")
     (folder / "gains.xml").write_text(mjcf_text(tuned, joint), encoding="utf-8")
     footer = tuned.verdict
     after = tuned.kp, tuned.kd

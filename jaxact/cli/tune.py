@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from jaxact.tune.ensemble import Ensemble
     from jaxact.tune.goal import Goal
 
+# Exit code of a result that does not meet what was asked.
+NOT_MET = 1
+
 Parameters = _loops.options((*_loops.LINEAR, "control_rate"), several=False)
 
 
@@ -129,7 +132,8 @@ def main(
     on the exact margins from several starts. With --uncertainty they hold for every actuator in
     the box: samples, corners and its worst interior point. With --control-rate the margins are
     those of the sampled loop. Gains are never worse than --kp and --kd, where they are given. What
-    cannot be met is said, with the closest value that can. All units are SI, delays in seconds.
+    cannot be met is said, with the closest value that was found, and the exit code is 1; it is the
+    best of all starts and of a grid, and no proof. All units are SI, delays in seconds.
 
     With --model: gains of a robot's joints, or of --groups of them, against the peaks of the
     largest singular values of S and T (and the multi-loop disk margin) of the robot linearised at
@@ -164,11 +168,13 @@ def main(
         if joint != "joint":
             raise UserError("--joint: is for a single joint; a robot's are named by its model")
         _cache.prepare(wanted=not no_cache)
-        _robot_tuning.run(
+        certified = _robot_tuning.run(
             robot, given, goal, velocity=velocity, uncertainty=uncertainty, number=ensemble,
             seed=seed, starts=starts, steps=steps, pareto=pareto, verify=verify, out=out,
             json=json,
         )  # fmt: skip
+        if not certified:
+            raise SystemExit(NOT_MET)
         return
     start = _start(given)
     chosen = _loops.combinations({n: (v,) for n, v in given.items()}, velocity=velocity)
@@ -202,7 +208,8 @@ def main(
     if out is not None:
         with _folders.whole_folder(out) as folder:
             command = shlex.join(["jaxact", *sys.argv[1:]])
-            _tuning.write_folder(folder, tuned, loops, sampled, velocity, joint, command)
+            nominal = document["margins"]["after"]
+            _tuning.write_folder(folder, tuned, loops, sampled, velocity, joint, command, nominal)
             if front is not None:
                 _front.write(folder, front, goal.max_peak)
     print(_tuning.as_json(document) if json else _tuning.table(document, unit))
@@ -210,6 +217,8 @@ def main(
         print("\n" + _front.table(front))
     if out is not None and not json:
         print(f"wrote {out}")
+    if not tuned.certified:
+        raise SystemExit(NOT_MET)
 
 
 def _start(given: dict[str, Any]) -> tuple[float, float] | None:

@@ -304,6 +304,7 @@ def _joint(original: mujoco.MjModel, model: mujoco.MjModel, start: _Start, drive
         setpoint_delay=0.0 if motor else law.delay,
         natural_frequency=wn,
         damping_ratio=zeta,
+        **selection.own(original, law),
     )
 
 

@@ -32,6 +32,9 @@ class Joint:
         setpoint_velocity: velocity setpoint that the keyframe's ctrl asks for; 0 if none.
         setpoint_delay: of the setpoint, lifted from a servo's own delay [s].
         natural_frequency, damping_ratio: force loop lifted from a motor's filter; nan if none.
+        gear: what a position servo's input is, in setpoints at the joint; 1 of other actuators.
+        own_armature, own_damping: of the actuator itself, which the converted model has in its
+            joint, as an actuator of that gear would have them [kg or kg m^2], [N s/m or N m s/rad].
     """
 
     name: str
@@ -54,6 +57,9 @@ class Joint:
     setpoint_delay: float = 0.0
     natural_frequency: float = math.nan
     damping_ratio: float = math.nan
+    gear: float = 1.0
+    own_armature: float = 0.0
+    own_damping: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -142,3 +142,18 @@ def joint_limits(model: mujoco.MjModel, driven: Driven) -> tuple[float, float]:
             return -math.inf, math.inf
     low, high = model.jnt_actfrcrange[joint]
     return float(low), float(high)
+
+
+def own(model: mujoco.MjModel, law: Law) -> dict[str, float]:
+    """Gear of a position servo as MuJoCo's own element has it, and the actuator's own inertia.
+
+    Returns:
+        The values of `jaxact.plants.robot.Joint` by name.
+    """
+    plain = law.commands == POSITION and law.offset == 0.0 and not law.integrated
+    servo = plain and math.isclose(law.scale * law.moment, 1.0, rel_tol=1e-9)
+    gear = law.moment if servo else 1.0
+    ratio = (float(model.actuator_gear[model.actuator_outadr[law.index], 0]) / gear) ** 2
+    armature = ratio * float(model.actuator_armature[law.index])
+    damping = ratio * float(model.actuator_damping[law.index]) + law.viscous / gear**2
+    return {"gear": gear, "own_armature": armature, "own_damping": damping}

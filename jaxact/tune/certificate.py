@@ -111,10 +111,32 @@ def over_all(over: np.ndarray, goal: Goal) -> float:
     return float(np.sum(tail_weights(over, goal.tail) * over))
 
 
-def sentence(certificate: Certificate, goal: Goal, closest: Sequence[Check] = ()) -> str:
+@dataclass(frozen=True)
+class Effort:
+    """How far a search has looked, so that what it did not find can be judged.
+
+    starts: from which it descended
+    screened: gains that were looked at beside them, over orders of magnitude
+    """
+
+    starts: int
+    screened: int
+
+    def __str__(self) -> str:
+        starts = f"{self.starts} start{'' if self.starts == 1 else 's'}"
+        return f"from {starts} and {self.screened:,} gains over orders of magnitude"
+
+
+def sentence(
+    certificate: Certificate,
+    goal: Goal,
+    closest: Sequence[Check] = (),
+    effort: Effort | None = None,
+) -> str:
     """What is guaranteed, or why not, in one sentence.
 
     closest: the checks where the constraints are missed by as little as possible
+    effort: of the search; what it did not find is not proven not to be there
     """
     if certificate.met:
         of = "the loop" if certificate.members == 1 else f"all {certificate.members} members"
@@ -126,18 +148,27 @@ def sentence(certificate: Certificate, goal: Goal, closest: Sequence[Check] = ()
     if certificate.stable and inside > MET and all(check.met for check in certificate.checks):
         return f"a point inside the box exceeds its bounds by {_percent(inside)}"
     missed = [check for check in closest if not check.met]
+    far = "" if effort is None else f", {effort}"
+    kp = f" with kp >= {goal.min_kp:g}" if goal.min_kp > 0 else ""
     if not certificate.stable:
-        kp = f" with kp >= {goal.min_kp:g}" if goal.min_kp > 0 else ""
-        return f"infeasible: no gains{kp} were found that make every member stable"
+        return (
+            f"found infeasible: no gains{kp} that make every member stable{far}; "
+            f"{_NO_PROOF} are none"
+        )
     if not missed:
-        return "the constraints cannot be met together"
+        return f"found infeasible: no gains{kp} that meet the constraints together{far}"
     worst = max(missed, key=lambda check: check.excess)
-    limit = "below" if worst.excess > 0 and worst.constraint.startswith("max") else "above"
-    kp = f" at kp >= {goal.min_kp:g}" if goal.min_kp > 0 else ""
+    most = worst.constraint.startswith("max")
+    end, sign, beyond = ("smallest", "<=", "smaller") if most else ("largest", ">=", "larger")
+    figure = worst.figure.replace("_", " ")
     return (
-        f"infeasible: {worst.figure.replace('_', ' ')} cannot get {limit} {worst.value:.6g}{kp}, "
-        f"asked for {worst.bound:g} ({worst.constraint}), at {worst.member}"
+        f"found infeasible: the {end} {figure}{kp} that was found is {worst.value:.6g}, asked for "
+        f"{sign} {worst.bound:g} ({worst.constraint}), at {worst.member}{far}; {_NO_PROOF} is none "
+        f"{beyond}"
     )
+
+
+_NO_PROOF = "this is no proof that there"
 
 
 def _percent(excess: float) -> str:

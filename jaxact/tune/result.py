@@ -3,19 +3,50 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from jaxact import __version__
 from jaxact.sweep import toml
+from jaxact.tune import figures
 from jaxact.tune.ensemble import PARAMETERS
 from jaxact.tune.goal import OBJECTIVES
 from jaxact.tune.run import Tuned
 
+# Figure -> whether its largest value is the worst.
+_WORST = {
+    "sensitivity_peak": True,
+    "complementary_peak": True,
+    "gain_margin": False,
+    "delay_margin": False,
+    "disk_margin": False,
+}
 
-def document(tuned: Tuned, command: str = "") -> dict[str, Any]:
+
+def worst(tuned: Tuned, *, before: bool = False) -> dict[str, float | None]:
+    """Each figure at its worst over all members, exact; None where a member is unstable.
+
+    before: with the gains of the start
+    """
+    gains = tuned.before if before else (tuned.kp, tuned.kd)
+    assert gains is not None
+    kp, kd = np.log(gains)
+    found = figures.evaluate(kp, kd, tuned.members, tuned.members.sampling)
+    if not found.stable.all():
+        return dict.fromkeys(_WORST)
+    ends = {name: np.max if large else np.min for name, large in _WORST.items()}
+    return {name: float(np.exp(end(found.log[name]))) for name, end in ends.items()}
+
+
+def document(
+    tuned: Tuned, command: str = "", nominal: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """The result as tables of plain values.
 
     command: that made it
+    nominal: figures of the nominal loop by name, None where they are not known
     """
     import jax
 
@@ -51,13 +82,20 @@ def document(tuned: Tuned, command: str = "") -> dict[str, Any]:
         "asked": asked,
         "assumed": assumed,
         "guaranteed": guaranteed,
+        **({"nominal": _tables(nominal)} if nominal is not None else {}),
+        **({"worst": _tables(worst(tuned))} if len(tuned.members) > 1 else {}),
         "versions": {"jaxact": __version__, "jax": jax.__version__},
     }
 
 
-def toml_text(tuned: Tuned, command: str = "") -> str:
+def _tables(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of the figures that have a value."""
+    return {name: figures[name] for name in _WORST if figures[name] is not None}
+
+
+def toml_text(tuned: Tuned, command: str = "", nominal: Mapping[str, Any] | None = None) -> str:
     """The result as TOML; arguments as for `document`."""
-    return toml.dumps(document(tuned, command))
+    return toml.dumps(document(tuned, command, nominal))
 
 
 def mjcf_text(tuned: Tuned, joint: str = "joint") -> str:

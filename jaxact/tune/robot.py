@@ -18,6 +18,7 @@ import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.tune import robot_brute, robot_tracking
+from jaxact.tune.certificate import Effort
 from jaxact.tune.goal import Goal, check
 from jaxact.tune.groups import Groups
 from jaxact.tune.optimize import Descended, Descent
@@ -33,9 +34,9 @@ from jaxact.tune.robot_search import (
     descended,
     hardest,
     stabilised,
-    starts_around,
     usual,
 )  # fmt: skip
+from jaxact.tune.robot_starts import Screened, apart, screened
 from jaxact.tune.robot_tracking import Wish
 from jaxact.tune.robot_tuned import Gains, RobotTuned, Spent, judged, no_path
 from jaxact.tune.robot_uncertainty import NOMINAL, corners, joined, sample
@@ -77,12 +78,12 @@ def tune(
     begun = time.perf_counter()
     _check(situations, goal, groups, start)
     wish = _checked(wish, groups, verify=verify)
-    case, x, tried = _begun(situations, goal, groups, start, number, seed)
+    case, x, known = _begun(situations, goal, groups, start, number, seed)
     if not case.stable(x):
         nowhere = Reached(case, Found(x, -np.inf, np.inf, 0, 0), None, None)
-        spent = Spent(tried, 0, begun)
+        spent = Spent(known.tried, 0, begun, Effort(0, known.tried))
         return judged(situations, nowhere, no_path(x), spent, start=start)
-    paths, found = _searched(case, x, starts, steps, seed)
+    paths, found = _searched(case, x, known, starts, steps)
     reached = exchanged(case, situations, found, seed)
     aside, gap = reached.found.x, None
     if wish is not None and reached.found.violation <= MET:
@@ -90,7 +91,8 @@ def tune(
     if verify and reached.found.violation <= MET:
         reached, gap = _verified(reached)
     found = reached.found
-    spent = Spent(tried + found.evaluations, steps + found.steps, begun)
+    effort = Effort(starts, known.tried)
+    spent = Spent(known.tried + found.evaluations, steps + found.steps, begun, effort)
     return judged(situations, reached, paths, spent, start=start, gap=gap, aside=aside)
 
 
@@ -101,26 +103,37 @@ def _begun(
     start: Gains | None,
     number: int,
     seed: int,
-) -> tuple[RobotCase, np.ndarray, int]:
-    """All loops of the box, log-gains at which they are stable (if any), and the loops tried."""
+) -> tuple[RobotCase, np.ndarray, Screened]:
+    """All loops of the box, log-gains near the start, and those with which all loops are stable."""
     spans = situations[0].spans
     members = joined(sample(spans, number, seed), corners(spans)) if spans else NOMINAL
-    loops = open_loops(situations, members)
-    x = usual(situations, groups) if start is None else groups.log_gains(*start)
-    low, high = bounds(goal, groups, x)
-    case = RobotCase(tabulate(loops), groups, goal, low, high)
-    return case, *stabilised(case, situations, np.clip(x, low, high))
+    plain = usual(situations, groups)
+    x = plain if start is None else groups.log_gains(*start)
+    low, high = bounds(goal, groups, x, plain)
+    case = RobotCase(tabulate(open_loops(situations, members)), groups, goal, low, high)
+    x = np.clip(x, low, high)
+    inertia = np.min([one.inertias for one in situations], axis=0)
+    known = screened(case, x, inertia, max(one.lag for one in situations), seed)
+    stable = np.array([case.stable(x) for x in known.x], bool)
+    known = replace(known, x=known.x[stable], value=known.value[stable],
+                    violation=known.violation[stable])  # fmt: skip
+    there, tried = (x, 0) if case.stable(x) else stabilised(case, situations, x)
+    if not case.stable(there):
+        there = known.x[0] if len(known.x) else there
+    return case, there, replace(known, tried=known.tried + tried)
 
 
 def _searched(
-    case: RobotCase, x: np.ndarray, starts: int, steps: int, seed: int
+    case: RobotCase, x: np.ndarray, known: Screened, starts: int, steps: int
 ) -> tuple[Descended, Found]:
-    """The paths of a descent from around x, and the best of their ends, polished."""
+    """The paths of a descent from many gains, and the best of their ends, polished."""
     near = approached(case, x)
-    first = starts_around(case, near.x, starts, seed)
+    others = apart(known, starts)[: starts - 1]
+    first = np.concatenate([near.x[None], others])
+    first = first[np.arange(starts) % len(first)]
     small = hardest(case, near.x)
     paths = descended(small, first, Descent(steps=steps, polish=0))
-    found = best_of(case, near, paths)
+    found = best_of(case, near, paths, others)
     tried = near.evaluations + first.shape[0] * steps * len(small.table.loops)
     return paths, more(found, tried, near.steps)
 

@@ -14,8 +14,8 @@ from jaxact.tune.robot_figures import extended, growth_rates, refined, tabulate
 from jaxact.tune.robot_loops import OpenLoops, Situation, open_loops, together
 from jaxact.tune.robot_rows import Found, RobotCase, excess, more, polished, rescued
 
-# How often it does.
-_EXCHANGES = 12
+# How often it does, and how far a peak may be off where the bounds cannot be met anyway [ln].
+_EXCHANGES, _OFF = 12, 1e-3
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def exchanged(case: RobotCase, situations: Sequence[Situation], found: Found, se
         over = known.excess(case.goal).max(initial=-np.inf)
         if not np.isfinite(over):
             break
-        if over > max(found.violation, 0.0) + MET:
+        if over > max(found.violation, 0.0) + (MET if found.met else _OFF):
             angles = np.stack([known.angle[name] for name in case.goal.wanted], axis=1)
             case = replace(case, table=refined(case.table, np.maximum(angles, 1e-9)))
         else:

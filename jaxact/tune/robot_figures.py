@@ -147,6 +147,14 @@ def peaks(table: Table, kp: np.ndarray, kd: np.ndarray, figures: Sequence[str]) 
     return {name: _peaks(table, S, kp, kd, name) for name in figures}
 
 
+def highest(
+    table: Table, kp: np.ndarray, kd: np.ndarray, figures: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """ln of the highest peak of each figure of every loop on the table, not refined; (l,) each."""
+    S = sensitivity(table.response, kp, kd)
+    return {name: _table(_shifted(S, name), name).max(axis=1) for name in figures}
+
+
 def columns(
     table: Table, kp: np.ndarray, kd: np.ndarray, figures: Sequence[str], depth: float
 ) -> np.ndarray:

@@ -6,12 +6,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from jaxact import __version__
-from jaxact.sweep import toml
+from jaxact.plants import elements
+from jaxact.sweep import robots, toml
 from jaxact.sweep.parameters import base
 from jaxact.tune.exposure import exposed
 from jaxact.tune.goal import OBJECTIVES
@@ -174,20 +174,10 @@ def toml_text(tuned: RobotTuned, held: Held | None, command: str = "") -> str:
 
 
 def mjcf_text(tuned: RobotTuned) -> str:
-    """MuJoCo position actuators with the gains, for the joints of the model.
+    """MuJoCo position actuators with the gains, in place of the model's own.
 
-    The actuators' lag and delay are not in them: MuJoCo's own are something else. Where the joints'
-    damping was moved into the drives, kv holds it, and a comment says so.
+    The drives' lag and delay are not in them: MuJoCo's own are something else.
     """
-    rows = [
-        f"    <position name={quoteattr(actuator or joint)} joint={quoteattr(joint)} "
-        f'kp="{float(kp)!r}" kv="{float(kd)!r}"/>\n'
-        for (joint, actuator), kp, kd in zip(
-            tuned.situations[0].names, tuned.kp, tuned.kd, strict=True
-        )
-    ]
     plant = tuned.situations[0].specification.plant
-    moved = plant is not None and plant.damping == "drive"
-    note = "  <!-- kv stands for the damping of these joints too: give them damping 0 -->\n"
-    body = f"{note * moved}  <actuator>\n{''.join(rows)}  </actuator>\n"
-    return f"<mujoco>\n{body}</mujoco>\n"
+    assert plant is not None
+    return elements.actuators(robots.scene(plant).robot, tuned.kp, tuned.kd)

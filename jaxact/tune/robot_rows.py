@@ -143,6 +143,11 @@ class Found:
     evaluations: int
     steps: int
 
+    @property
+    def met(self) -> bool:
+        """Whether all bounds hold."""
+        return self.violation <= MET
+
 
 def more(found: Found, evaluations: int, steps: int = 0) -> Found:
     """The same, with what else it took."""
@@ -178,12 +183,14 @@ def polished(
     aim: bool = True,
     steps: int = _COARSE.steps,
     fresh: bool = True,
+    fine: bool = True,
 ) -> Found:
     """The best log-gains near x, where all loops are stable.
 
     aim: False leaves the objective out
     steps: most linear programmes, of those that take large steps
     fresh: False where x is nearly the best already
+    fine: False leaves out the last digits
 
     Only loops that are near their bounds are computed at every step, and at the frequencies of
     their peaks; all are looked at in between, and join if they turn out to matter.
@@ -210,9 +217,10 @@ def polished(
         kept |= _columns(case, near, there, stage)
         if not missed.any() or beyond.max() <= max(over.max(), _SLIGHT):
             x, over = there, beyond
-            if not missed.any() and (stage is _FINE or not aim):
+            last = stage is _FINE or not (aim and fine)
+            if not missed.any() and last:
                 break
-            stage = _FINE if aim else stage
+            stage = stage if last else _FINE
     whole = rows(case, x, aim=aim)
     return Found(x, float(whole.worst_value[0]), float(whole.violation[0]), tried, number)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -15,20 +16,17 @@ from jaxact.tune.joint import STARTS as TABLE
 from jaxact.tune.optimize import Descended, Descent, descend
 from jaxact.tune.polish import MET
 from jaxact.tune.robot_loops import Situation
-from jaxact.tune.robot_rows import Found, RobotCase, excess, part, polished, rescued
-from jaxact.tune.run import candidates
+from jaxact.tune.robot_rows import Found, RobotCase, excess, part, polished, rescued, rows
 
 # Log-gains stay this near to where the search begins.
 _REACH = 8.0
-# Spread of the starts around a point that is fine, in ln kp and ln kd, and how high peaks of a
-# start may be [ln].
-_SPREAD, _HIGHEST = (1.0, 0.6), 2.0
-# How often a start is brought nearer.
-_HALVINGS = 5
 # Bounds exceeded by more than this are the boundary's doing [ln]; linear programmes away from it.
 _BESIDE, _APPROACH = 1.5, 4
-# Ends of the descent that are polished.
-_POLISHED = 2
+# Points that are polished roughly, how far apart they are [ln], and how many of them to the end
+# where none meets the bounds.
+_POLISHED, _SAME, _CLOSEST = 4, 0.05, 2
+# Where on a path that ended unstable to look for a stable point.
+_BACKWARDS = (0.9, 0.75, 0.5, 0.25, 0.1, 0.0)
 
 
 def usual(situations: Sequence[Situation], groups: Groups) -> np.ndarray:
@@ -39,9 +37,12 @@ def usual(situations: Sequence[Situation], groups: Groups) -> np.ndarray:
     return groups.log_gains(b * inertia / lag**2, a * inertia / lag)
 
 
-def bounds(goal: Goal, groups: Groups, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest log-gains, shape (2 g,) each: those of the goal, and not far from x."""
-    low, high = x - _REACH, x + _REACH
+def bounds(goal: Goal, groups: Groups, *x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest and largest log-gains, shape (2 g,) each: those of the goal, and not far from x.
+
+    x: one or more log-gains, shape (2 g,) each
+    """
+    low, high = np.min(x, axis=0) - _REACH, np.max(x, axis=0) + _REACH
     kp = slice(0, len(groups))
     with np.errstate(divide="ignore"):
         least, most = np.log([goal.min_kp, goal.max_kp])
@@ -75,29 +76,6 @@ def approached(case: RobotCase, x: np.ndarray) -> Found:
     return Found(x, -np.inf, max(over, 2.0 * MET), len(case.table.loops), 1)
 
 
-def starts_around(case: RobotCase, x: np.ndarray, number: int, seed: int) -> np.ndarray:
-    """x, and points around it at which all loops are stable and none is near its boundary."""
-    from scipy.stats import qmc
-
-    size = len(x)
-    power = max(number - 1, 1).bit_length()
-    points = qmc.Sobol(size, scramble=True, rng=seed).random_base2(power)[: number - 1]
-    reach = np.repeat(_SPREAD, size // 2)
-    small = hardest(case, x)
-    found = [x]
-    limit = max(_HIGHEST, float(excess(small, x).max(initial=-np.inf)) + 1.0)
-    for offset in (2.0 * points - 1.0) * reach:
-        for _ in range(_HALVINGS):
-            there = np.clip(x + offset, case.low, case.high)
-            if small.stable(there) and excess(small, there).max(initial=-np.inf) < limit:
-                found.append(there)
-                break
-            offset = 0.5 * offset
-        else:
-            found.append(x)
-    return np.array(found)
-
-
 def hardest(case: RobotCase, x: np.ndarray) -> RobotCase:
     """The same with a few loops only: the worst at x, and one at least of every situation."""
     over = excess(case, x)
@@ -119,19 +97,56 @@ def descended(case: RobotCase, first: np.ndarray, how: Descent) -> Descended:
     return jax.tree.map(np.asarray, found)
 
 
-def best_of(case: RobotCase, near: Found, paths: Descended) -> Found:
-    """The best of the ends of the descent, polished; no worse than the point that was fine."""
-    best = near
-    for x in candidates(0, paths)[:_POLISHED]:
-        x = np.clip(x, case.low, case.high)
-        if not case.stable(x):
-            continue
-        found = polished(case, x)
-        best = found if _better(found, best) else best
-    return polished(case, near.x) if best is near else best
+def best_of(case: RobotCase, near: Found, paths: Descended, others: np.ndarray) -> Found:
+    """The best of all that is known, polished: ends of the descent, and where it began.
+
+    near: a point that is fine
+    others: log-gains at which all loops are stable, shape (k, 2 g)
+    """
+    ends = [_stable_end(case, paths, start) for start in range(paths.gains.shape[1])]
+    points = [
+        near.x,
+        *others,
+        *(np.clip(end, case.low, case.high) for end in ends if end is not None),
+    ]
+    seen = sorted((_seen(case, x) for x in points), key=_rank)
+    kept: list[Found] = []
+    for one in seen:
+        if len(kept) < _POLISHED and all(np.abs(one.x - k.x).max() > _SAME for k in kept):
+            kept.append(one)
+    # Roughly first: the last digits of what loses take longest.
+    rough = sorted((polished(case, one.x, fine=False) for one in kept), key=_rank)
+    last = [polished(case, one.x) for one in rough[: 1 if rough[0].met else _CLOSEST]]
+    best = min([*rough, *last], key=_rank)
+    spent = [*seen, *rough, *last]
+    return replace(
+        best,
+        evaluations=sum(one.evaluations for one in spent),
+        steps=sum(one.steps for one in spent),
+    )
 
 
-def _better(one: Found, other: Found) -> bool:
-    if max(one.violation, other.violation) <= MET:
-        return one.value > other.value
-    return one.violation < other.violation
+def _stable_end(case: RobotCase, paths: Descended, start: int) -> np.ndarray | None:
+    """The end of a start's path, or the last of a few points before it at which loops are stable.
+
+    The descent follows peaks alone, which it may jump over, and has no word of stability.
+    """
+    path = paths.path[0, start]
+    back = [path[int(len(path) * share)] for share in _BACKWARDS]
+    for x in (paths.gains[0, start], *back):
+        x = np.clip(np.asarray(x, float), case.low, case.high)
+        if np.isfinite(x).all() and case.stable(x):
+            return x
+    return None
+
+
+def _seen(case: RobotCase, x: np.ndarray) -> Found:
+    """What is known of a point."""
+    known = rows(case, x)
+    number = len(case.table.loops)
+    return Found(x, float(known.worst_value[0]), float(known.violation[0]), number, 1)
+
+
+def _rank(one: Found) -> tuple[bool, float]:
+    """Smaller is better: what meets the bounds by its value, then what exceeds them least."""
+    return not one.met, -one.value if one.met else one.violation

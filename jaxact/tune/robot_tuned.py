@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxact.tune import robot_certificate
-from jaxact.tune.certificate import Certificate, Check, sentence
+from jaxact.tune.certificate import Certificate, Check, Effort, sentence
 from jaxact.tune.goal import Goal
 from jaxact.tune.groups import Groups
 from jaxact.tune.optimize import Descended
@@ -112,11 +112,13 @@ class Spent:
     evaluations: loops evaluated, smooth and exact
     iterations: steps of descent and polish
     begun: time of the beginning [s]
+    effort: of the search for the best gains, None where it only went on from some
     """
 
     evaluations: int
     iterations: int
     begun: float
+    effort: Effort | None = None
 
 
 def judged(
@@ -148,8 +150,9 @@ def judged(
         after_score, before_score = scores
         if not wins(goal, after_score, certificate, before_score, own):
             gains, found, certificate, value, improved = start, before, own, value_before, False
+            closest = certificate.checks if infeasible else ()
     certificate = replace(certificate, agreeing=_agreeing(paths), gap=gap)
-    words = sentence(certificate, goal, closest)
+    words = sentence(certificate, goal, closest, spent.effort)
     if not improved:
         words = f"the start cannot be improved upon; {words}"
     return RobotTuned(

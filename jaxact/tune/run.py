@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.tune import brute, joint
-from jaxact.tune.certificate import Certificate, Check, certify, over_all, sentence
+from jaxact.tune.certificate import Certificate, Check, Effort, certify, over_all, sentence
 from jaxact.tune.ensemble import Ensemble
 from jaxact.tune.goal import Goal, check
 from jaxact.tune.joint import Case
@@ -228,8 +228,12 @@ def _closest(
     """The points where the worst violation is smallest; the objective does not count."""
     problem = joint.problem(cases, timed, aim=False)
     nearest = polish(problem, found.x, bounds[:, 0], bounds[:, 1])
-    for place in np.argsort(paths.violation, axis=1)[:, :3].T:
-        start = np.take_along_axis(paths.gains, place[:, None, None], axis=1)[:, 0].astype(float)
+    over_plane = np.array([
+        found.x[i] if met else brute.nearest(case, timed).x
+        for i, (case, met) in enumerate(zip(cases, found.feasible, strict=True))
+    ])  # fmt: skip
+    others = [over_plane, *_least_violating(paths)]
+    for start in others:
         again = polish(problem, start, bounds[:, 0], bounds[:, 1])
         closer = again.violation < nearest.violation
         nearest = Polished(
@@ -237,6 +241,15 @@ def _closest(
             np.where(closer, again.violation, nearest.violation), nearest.evaluations,
         )  # fmt: skip
     return nearest
+
+
+def _least_violating(paths: Descended) -> list[np.ndarray]:
+    """The three ends of every case that violate its constraints least, shape (cases, 2) each."""
+    places = np.argsort(paths.violation, axis=1)[:, :3].T
+    return [
+        np.take_along_axis(paths.gains, place[:, None, None], axis=1)[:, 0].astype(float)
+        for place in places
+    ]
 
 
 def objective_value(case: Case, x: np.ndarray, timed: Any) -> float:
@@ -285,6 +298,7 @@ def result_of(
         value_before = objective_value(case, own, timed) if before.stable else float("nan")
         if not wins(goal, value, certificate, value_before, before):
             x, value, certificate, improved = own, value_before, before, False
+            closest = certificate.checks if infeasible else ()
     ends = np.where(paths.violation <= _SMOOTH, paths.value, -np.inf)
     top = ends.max()
     agreeing = float(np.mean(ends >= top - 0.01)) if np.isfinite(top) else 0.0
@@ -299,7 +313,8 @@ def result_of(
             value = objective_value(case, x, timed)
             certificate = replace(certify(case, x), agreeing=agreeing, gap=gap)
         evaluations += tried.evaluations * len(case.members)
-    words = sentence(certificate, goal, closest)
+    effort = Effort(paths.gains.shape[0], brute.GRID**2)
+    words = sentence(certificate, goal, closest, effort)
     if not improved:
         words = f"the start cannot be improved upon; {words}"
     kp, kd = start if start is not None and not improved else map(float, np.exp(x))
