@@ -90,7 +90,8 @@ def fake_plan(specification, samples, *, loops=10**6):
     """A plan that no device was asked for."""
     return Planned(
         tile=specification.tile or 64, loops=loops, devices=1, engine=specification.engine,
-        digest="", platform="cpu", device="1 x none", memory=0, peak=0, seconds=0.0, measured=False,
+        digest="", platform="cpu", device="1 x none", memory=0, peak=0, seconds=0.0, startup=0.0,
+        measured=False,
     )  # fmt: skip
 
 

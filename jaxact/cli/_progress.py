@@ -1,4 +1,4 @@
-"""The progress bar of long work: done, rate and time left, on a terminal only."""
+"""What long work is doing: a bar with rate and time left, or its phases; on a terminal only."""
 
 from __future__ import annotations
 
@@ -52,3 +52,26 @@ def bar(total: int, *, quiet: bool = False) -> Iterator[Callable[[int, int], Non
             progress.update(task, description="simulating", completed=done, total=total)
 
         yield move
+
+
+@contextlib.contextmanager
+def phases(*, quiet: bool = False) -> Iterator[Callable[[str], None]]:
+    """A function that says on standard error what is being done now, and for how long already.
+
+    quiet: show nothing; nothing is shown either where standard error is no terminal
+    """
+    if quiet or not sys.stderr.isatty():
+        yield lambda text: _signals.check()
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("starting", total=None)
+
+        def say(text: str) -> None:
+            _signals.check()
+            progress.update(task, description=text)
+
+        yield say

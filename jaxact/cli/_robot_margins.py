@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import UseAppendAction, arg
 
-from jaxact.cli import _loops, _mounting, _robot_tables, _warnings
+from jaxact.cli import _loops, _mounting, _progress, _robot_tables, _warnings
 from jaxact.errors import UserError, nearest, shown
 
 if TYPE_CHECKING:
@@ -124,8 +124,11 @@ def show(options: Options, given: dict[str, Any], velocity: str, *, json: bool) 
     from jaxact.sweep.samples import expand
 
     samples = expand(specification)
-    found = whole_robot.evaluate(specification, samples)
-    held = stiction.each(specification, samples, found)
+    with _progress.phases(quiet=json) as phase:
+        phase("settling, linearising and computing margins")
+        found = whole_robot.evaluate(specification, samples)
+        phase("looking for what dry friction holds")
+        held = stiction.each(specification, samples, found)
     _warnings.overload(specification)
     printed = _robot_tables.as_json if json else _robot_tables.as_text
     rows = zip(labels, found, held, strict=True)

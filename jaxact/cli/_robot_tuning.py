@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from tyro.conf import UseAppendAction, arg
 
-from jaxact.cli import _folders, _front, _mounting, _robot_margins, _robot_report, _warnings
+from jaxact.cli import (
+    _folders,
+    _front,
+    _mounting,
+    _progress,
+    _robot_margins,
+    _robot_report,
+    _warnings,
+)
 from jaxact.errors import UserError
 
 if TYPE_CHECKING:
@@ -173,18 +181,24 @@ def run(
         _pareto.peaks(pareto)
     spans = read_spans(uncertainty) if uncertainty else ()
     named = _specifications(options, given, velocity)
-    situations = [situation(one, name, spans) for name, one in named]
-    for one in situations:
-        _warnings.posture(one.specification)
-    first = situations[0]
-    groups = group(options.groups.split(",") if options.groups else (), first.names)
-    tuned = robot.tune(
-        situations, goal, groups, number=number, seed=seed, start=_start(first, given),
-        starts=starts, steps=steps, verify=verify,
-        wish=Wish(options.tracking_weight, options.derivative),
-    )  # fmt: skip
-    points = robot_front.front(tuned, pareto, seed=seed) if pareto else []
-    held = _robot_report.validated(tuned, options.validate)
+    with _progress.phases(quiet=json) as phase:
+        situations = []
+        for place, (name, one) in enumerate(named, 1):
+            phase(f"settling and linearising {name} ({place} of {len(named)})")
+            situations.append(situation(one, name, spans))
+        for each in situations:
+            _warnings.posture(each.specification)
+        first = situations[0]
+        groups = group(options.groups.split(",") if options.groups else (), first.names)
+        tuned = robot.tune(
+            situations, goal, groups, number=number, seed=seed, start=_start(first, given),
+            starts=starts, steps=steps, verify=verify,
+            wish=Wish(options.tracking_weight, options.derivative), phase=phase,
+        )  # fmt: skip
+        phase("walking along the front")
+        points = robot_front.front(tuned, pareto, seed=seed) if pareto else []
+        phase("simulating")
+        held = _robot_report.validated(tuned, options.validate)
     document = _robot_report.report(tuned, held)
     front = _front.of_robot(points) if points else None
     if pareto:

@@ -19,6 +19,7 @@ from jaxact import __version__
 from jaxact.cli import _cache, _gl, _options, _signals, _xla
 from jaxact.cli._signals import Terminated
 from jaxact.errors import UserError
+from jaxact.sweep import reads
 
 VERBS = {
     "sweep": "simulate thousands of loops over a grid or a sample of parameters, keep the results",
@@ -69,7 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         verb = _options.choose("command", given[0], VERBS)
         _gl.prepare()
         _xla.prepare(all_cores=verb in ("sweep", "validate"))
-        _options.call(_verb(verb), f"jaxact {verb}", given[1:])
+        with reads.once():
+            _options.call(_verb(verb), f"jaxact {verb}", given[1:])
         if sys.stdout is not None:
             sys.stdout.flush()
     except UserError as error:

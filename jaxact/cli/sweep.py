@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from jaxact.sweep.specification import Specification
 
 
+# Loops that take so many times as long as the start at least make a time that can be told.
+_MOSTLY_LOOPS = 20.0
+
+
 def main(
     specification: Annotated[
         Positional[Path], arg(metavar="SPECIFICATION", help="TOML file that says what is varied.")
@@ -241,8 +245,19 @@ def _forecast(asked: Specification, how: How) -> str:
             f" in tiles of {planned.tile:,} on {planned.device}",
             f"memory: about {memory.text(planned.peak)} of {memory.text(planned.memory)} allowed;"
             f" on disk: {memory.text(size * len(layout))}",
-            f"time: about {duration(planned.seconds)} ({basis})",
+            _time(planned, basis),
         ]
+    )
+
+
+def _time(planned: Planned, basis: str) -> str:
+    """How long it takes; where starting may take longer than the loops, at least how long."""
+    whole = duration(planned.startup + planned.seconds)
+    if planned.seconds > _MOSTLY_LOOPS * planned.startup:
+        return f"time: about {whole} ({basis})"
+    return (
+        f"time: at least {whole}: {duration(planned.seconds)} for the loops ({basis}), the rest to "
+        "start; compiling what has not been compiled before takes longer"
     )
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import OmitArgPrefixes, arg
 
-from jaxact.cli import _cache, _folders, _loops, _robot_tuning
+from jaxact.cli import _cache, _folders, _loops, _progress, _robot_tuning
 from jaxact.cli._pictures import VELOCITIES, Velocity
 from jaxact.errors import UserError, nearest, shown
 
@@ -193,12 +193,17 @@ def main(
     nominal = _nominal(chosen, velocity, sampled=sampled)
     box = read_box(uncertainty, nominal) if uncertainty else None
     how = _descent(steps)
-    if box is None:
-        tuned = tune(nominal, goal, start=start, starts=starts, how=how, verify=verify)
-    else:
-        tuned = tune_box(box, goal, number=ensemble, seed=seed, start=start, starts=starts,
-                         how=how, verify=verify)  # fmt: skip
-    points = _pareto.front(tuned.members, goal, pareto, starts=starts, how=how) if pareto else []
+    with _progress.phases(quiet=json) as phase:
+        if box is None:
+            tuned = tune(nominal, goal, start=start, starts=starts, how=how, verify=verify,
+                         phase=phase)  # fmt: skip
+        else:
+            tuned = tune_box(box, goal, number=ensemble, seed=seed, start=start, starts=starts,
+                             how=how, verify=verify, phase=phase)  # fmt: skip
+        phase("walking along the front" if pareto else "reporting")
+        points = (
+            _pareto.front(tuned.members, goal, pareto, starts=starts, how=how) if pareto else []
+        )
     unit = OBJECTIVES[goal.objective][2]
     front = _front.of_joint(points, unit) if points else None
     loops = _tuning.loops_of(chosen, tuned)

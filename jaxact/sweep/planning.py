@@ -32,7 +32,8 @@ class Planned:
     device: what the devices are, in words
     memory: bound for the process [bytes]
     peak: expected [bytes]
-    seconds: expected
+    seconds: expected, of the loops
+    startup: least time before the first of them [s]; compiling takes longer
     measured: whether that rests on what was measured on this machine
     """
 
@@ -46,6 +47,7 @@ class Planned:
     memory: int
     peak: int
     seconds: float
+    startup: float
     measured: bool
 
     def layout(self, samples: Samples) -> Layout:
@@ -106,6 +108,7 @@ def plan(
         memory=budget,
         peak=base + 4 * coordinates + min(loops, len(samples)) * each,
         seconds=seconds,
+        startup=throughput.startup(groups),
         measured=measured,
     )
 

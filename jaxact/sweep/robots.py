@@ -20,6 +20,7 @@ from jaxact.plants import model as _model
 from jaxact.plants import posture as _posture
 from jaxact.plants.model import Robot
 from jaxact.plants.posture import Posture
+from jaxact.sweep import reads
 from jaxact.sweep.parameters import OF_MODEL, PARAMETERS, base
 from jaxact.sweep.specification import Plant
 
@@ -74,14 +75,7 @@ def scene(plant: Plant) -> Scene:
         UserError: the file, the keyframe, a pattern or a body is wrong, or the robot does not come
             to rest.
     """
-    robot = _model.read(
-        plant.model,
-        keyframe=plant.keyframe,
-        joints=plant.joints,
-        base=plant.base,
-        damping=plant.damping,
-        settle=plant.posture == "settled",
-    )
+    robot = reads.kept(plant, lambda: _read(plant))
     _model.demand(robot, "mujoco")
     key = (robot.digest, plant)
     if key not in _POSTURES:
@@ -89,6 +83,17 @@ def scene(plant: Plant) -> Scene:
         _POSTURES.clear()
         _POSTURES[key] = find(robot)
     return Scene(robot, _POSTURES[key], body(robot, plant.payload_body, "plant.payload_body"))
+
+
+def _read(plant: Plant) -> Robot:
+    return _model.read(
+        plant.model,
+        keyframe=plant.keyframe,
+        joints=plant.joints,
+        base=plant.base,
+        damping=plant.damping,
+        settle=plant.posture == "settled",
+    )
 
 
 def linearised(scene: Scene, plant: Plant | None) -> Scene:

@@ -32,6 +32,8 @@ _MANY = 3e6
 _STEPS = 400
 
 
+# Least time before the first loop is simulated, where programs are compiled already [s].
+_STARTUP = {"mass": 3.0, "mjx": 10.0, "mujoco": 5.0, "warp": 10.0}
 # What a rate is of: whole sweeps, growth rates and files included, or rollouts only.
 SWEEPS, ROLLOUTS = "sweeps", "rollouts"
 
@@ -63,6 +65,14 @@ def seconds(groups: list[Plan], specification: Specification, loops: int) -> tup
     if not measured:
         rate = engines.usual_rate(plan.case)
     return loops * plan.steps / (rate * plan.devices), measured
+
+
+def startup(groups: list[Plan]) -> float:
+    """Least time of a sweep beside its loops [s]: start, posture, programs that are kept.
+
+    Where programs must be compiled anew it takes several times as long, a robot's in MJX minutes.
+    """
+    return _STARTUP[groups[0].case.engine]
 
 
 def best_tile(

@@ -22,6 +22,7 @@ from jaxact.tune.certificate import Effort
 from jaxact.tune.goal import Goal, check
 from jaxact.tune.groups import Groups
 from jaxact.tune.optimize import Descended, Descent
+from jaxact.tune.phases import Phase, silent
 from jaxact.tune.polish import MET
 from jaxact.tune.robot_exchange import Reached, exchanged
 from jaxact.tune.robot_figures import tabulate
@@ -59,6 +60,7 @@ def tune(
     steps: int = STEPS,
     verify: bool = False,
     wish: Wish | None = None,
+    phase: Phase = silent,
 ) -> RobotTuned:
     """The best gains of a robot's groups of joints.
 
@@ -72,23 +74,28 @@ def tune(
     starts, steps: of the descent
     verify: compare with brute force
     wish: to weigh simulated tracking in the objective, None for margins alone
+    phase: told what is being done
 
     Raises UserError for a goal, situations or a start that make no sense.
     """
     begun = time.perf_counter()
     _check(situations, goal, groups, start)
     wish = _checked(wish, groups, verify=verify)
+    phase("screening gains over orders of magnitude")
     case, x, known = _begun(situations, goal, groups, start, number, seed)
     if not case.stable(x):
         nowhere = Reached(case, Found(x, -np.inf, np.inf, 0, 0), None, None)
         spent = Spent(known.tried, 0, begun, Effort(0, known.tried))
         return judged(situations, nowhere, no_path(x), spent, start=start)
-    paths, found = _searched(case, x, known, starts, steps)
+    paths, found = _searched(case, x, known, starts, steps, phase)
+    phase("certifying")
     reached = exchanged(case, situations, found, seed)
     aside, gap = reached.found.x, None
     if wish is not None and reached.found.violation <= MET:
+        phase("weighing simulated tracking")
         reached = _traded(reached, situations, wish, seed)
     if verify and reached.found.violation <= MET:
+        phase("comparing with brute force")
         reached, gap = _verified(reached)
     found = reached.found
     effort = Effort(starts, known.tried)
@@ -124,7 +131,7 @@ def _begun(
 
 
 def _searched(
-    case: RobotCase, x: np.ndarray, known: Screened, starts: int, steps: int
+    case: RobotCase, x: np.ndarray, known: Screened, starts: int, steps: int, phase: Phase
 ) -> tuple[Descended, Found]:
     """The paths of a descent from many gains, and the best of their ends, polished."""
     near = approached(case, x)
@@ -132,8 +139,9 @@ def _searched(
     first = np.concatenate([near.x[None], others])
     first = first[np.arange(starts) % len(first)]
     small = hardest(case, near.x)
+    phase(f"descending from {starts} starts")
     paths = descended(small, first, Descent(steps=steps, polish=0))
-    found = best_of(case, near, paths, others)
+    found = best_of(case, near, paths, others, phase)
     tried = near.evaluations + first.shape[0] * steps * len(small.table.loops)
     return paths, more(found, tried, near.steps)
 

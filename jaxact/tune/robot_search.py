@@ -14,6 +14,7 @@ from jaxact.tune.goal import Goal
 from jaxact.tune.groups import Groups
 from jaxact.tune.joint import STARTS as TABLE
 from jaxact.tune.optimize import Descended, Descent, descend
+from jaxact.tune.phases import Phase, silent
 from jaxact.tune.polish import MET
 from jaxact.tune.robot_loops import Situation
 from jaxact.tune.robot_rows import Found, RobotCase, excess, part, polished, rescued, rows
@@ -97,11 +98,13 @@ def descended(case: RobotCase, first: np.ndarray, how: Descent) -> Descended:
     return jax.tree.map(np.asarray, found)
 
 
-def best_of(case: RobotCase, near: Found, paths: Descended, others: np.ndarray) -> Found:
+def best_of(case: RobotCase, near: Found, paths: Descended, others: np.ndarray,
+            phase: Phase = silent) -> Found:  # fmt: skip
     """The best of all that is known, polished: ends of the descent, and where it began.
 
     near: a point that is fine
     others: log-gains at which all loops are stable, shape (k, 2 g)
+    phase: told what is being done
     """
     ends = [_stable_end(case, paths, start) for start in range(paths.gains.shape[1])]
     points = [
@@ -115,7 +118,12 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: np.ndarray) 
         if len(kept) < _POLISHED and all(np.abs(one.x - k.x).max() > _SAME for k in kept):
             kept.append(one)
     # Roughly first: the last digits of what loses take longest.
-    rough = sorted((polished(case, one.x, fine=False) for one in kept), key=_rank)
+    rough = []
+    for number, one in enumerate(kept, 1):
+        phase(f"polishing end {number} of {len(kept)}")
+        rough.append(polished(case, one.x, fine=False))
+    rough.sort(key=_rank)
+    phase("polishing the best")
     last = [polished(case, one.x) for one in rough[: 1 if rough[0].met else _CLOSEST]]
     best = min([*rough, *last], key=_rank)
     spent = [*seen, *rough, *last]

@@ -17,6 +17,7 @@ from jaxact.tune.ensemble import Ensemble, chosen, joined
 from jaxact.tune.goal import Goal
 from jaxact.tune.joint import Case
 from jaxact.tune.optimize import Descent
+from jaxact.tune.phases import Phase, silent
 from jaxact.tune.polish import MET, polish
 from jaxact.tune.response import timed as timed_of
 from jaxact.tune.run import STARTS, Tuned, result_of, tune
@@ -36,6 +37,7 @@ def tune_box(
     starts: int = STARTS,
     how: Descent | None = None,
     verify: bool = False,
+    phase: Phase = silent,
 ) -> Tuned:
     """Gains for everything in a box of uncertainty.
 
@@ -50,9 +52,10 @@ def tune_box(
     worst_counts = goal.tail == 0.0
     if worst_counts:
         members = joined(members, corners)
-    tuned = tune(members, goal, start=start, starts=starts, how=how, verify=verify)
+    tuned = tune(members, goal, start=start, starts=starts, how=how, verify=verify, phase=phase)
     evaluations, interior = tuned.evaluations, None
     for round_number in range(_EXCHANGES + 1):
+        phase("looking for the worst point of the box")
         excess, worse = _interior(box, goal, tuned, seed)
         interior = excess
         if not worst_counts or excess <= MET or not tuned.feasible or round_number == _EXCHANGES:

@@ -20,6 +20,7 @@ from jaxact.tune.ensemble import Ensemble
 from jaxact.tune.goal import Goal, check
 from jaxact.tune.joint import Case
 from jaxact.tune.optimize import Descended, Descent, descend
+from jaxact.tune.phases import Phase, silent
 from jaxact.tune.polish import Polished, better, polish
 from jaxact.tune.rescue import SLOWER, rescue
 from jaxact.tune.response import timed as timed_of
@@ -82,6 +83,7 @@ def tune(
     starts: int = STARTS,
     how: Descent | None = None,
     verify: bool = False,
+    phase: Phase = silent,
 ) -> Tuned:
     """The best gains for one joint or one ensemble.
 
@@ -91,11 +93,14 @@ def tune(
     starts: number of default starts, 0 for the given one alone
     how: of the descent
     verify: compare with brute force
+    phase: told what is being done
 
     Raises UserError for a goal or a start that makes no sense.
     """
     given = None if start is None else [start]
-    return tune_all([Case(members, goal)], given, starts=starts, how=how, verify=verify)[0]
+    return tune_all(
+        [Case(members, goal)], given, starts=starts, how=how, verify=verify, phase=phase
+    )[0]
 
 
 def tune_all(
@@ -105,12 +110,13 @@ def tune_all(
     starts: int = STARTS,
     how: Descent | None = None,
     verify: bool = False,
+    phase: Phase = silent,
 ) -> list[Tuned]:
     """The best gains of several cases, side by side in one compiled descent.
 
     cases: with as many members each, and goals that differ in their bounds only
     given: a start for each
-    starts, how, verify: as for `tune`
+    starts, how, verify, phase: as for `tune`
     """
     begun = time.perf_counter()
     how = how or Descent()
@@ -128,13 +134,18 @@ def tune_all(
         first = np.concatenate([first, rescued[:, None]], axis=1)
     smooth = joint.JointSurrogate(joint.family(cases[0].goal), timed)
     slower = np.asarray(SLOWER, np.float32)
+    phase(f"descending from {first.shape[1]} starts")
     paths = descend(smooth, joint.table(cases), np.asarray(first, np.float32), slower, how)
     paths = jax.tree.map(np.asarray, paths)
+    phase("polishing")
     found, polishing = _polished(cases, paths, bounds, timed)
     lost = ~found.feasible
+    if lost.any():
+        phase("looking for the closest gains")
     closest = _closest(cases, paths, bounds, timed, found) if lost.any() else found
     steps = how.steps + how.polish + polishing + rescues
     number = first.shape[1] * (how.steps + how.polish) + polishing + rescues
+    phase("certifying")
     results = []
     for i, case in enumerate(cases):
         x = (closest if lost[i] else found).x[i]
