@@ -66,10 +66,18 @@ def main(
         ),
     ] = 0.0,
     min_kp: Annotated[
-        float, arg(metavar="VALUE", help="Softest kp [N/m], against a joint too soft; 0: none.")
+        float,
+        arg(
+            metavar="VALUE",
+            help="Softest kp [N/m; N m/rad of a hinge], against a joint too soft; 0: none.",
+        ),
     ] = 0.0,
     max_kp: Annotated[
-        float, arg(metavar="VALUE", help="Stiffest kp [N/m], against hard contact; inf: none.")
+        float,
+        arg(
+            metavar="VALUE",
+            help="Stiffest kp [N/m; N m/rad of a hinge], against hard contact; inf: none.",
+        ),
     ] = math.inf,
     max_noise_gain: Annotated[
         float,
