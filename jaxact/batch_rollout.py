@@ -20,6 +20,7 @@ import numpy as np
 from jaxact import drive as _drive
 from jaxact import metrics as _metrics
 from jaxact import sensor as _sensor
+from jaxact import verdicts as _verdicts
 from jaxact.controller import Setpoint
 from jaxact.drive import Coefficients, DriveOptions, DriveState
 from jaxact.loop import Output
@@ -31,6 +32,7 @@ from jaxact.plants.silence import silenced
 from jaxact.programs import Program
 from jaxact.sensor import Draws
 from jaxact.single_kernel import single_kernel
+from jaxact.verdicts import Judgement
 
 Pair = tuple[Any, Any]
 
@@ -45,7 +47,7 @@ class BatchState:
         ticks: that have been, whole.
         late: measurement captured in this period, position and velocity; None without delay.
         before: position and velocity at the beginning of the period.
-        latest: the same at the beginning of the physics step; None without delayed measurement.
+        latest: the same at the beginning of the physics step; None without.
         setpoint: of the period.
         command: issued at the beginning of the period [N or N m].
         peak_force, square_force: of the period's physics steps so far.
@@ -259,13 +261,13 @@ def evaluate(
     rest_amplitude: jax.Array,
     setpoints: Setpoint | None = None,
     observe: Callable[[int, BatchState, jax.Array], None] | None = None,
-) -> Metrics:
+    others: Judgement | None = None,
+) -> tuple[Metrics, Judgement]:
     """Metrics of a batch of loops; every leaf has a leading axis for the loops.
 
     Args:
         simulations: of the plants.
-        coefficients: from `jaxact.drive.prepare`, one for each loop.
-        options: static.
+        coefficients, options: from `jaxact.drive.prepare`, one for each loop; static.
         ticks: control periods, a multiple of `jaxact.metrics.SEGMENTS`.
         state: of the drives, from `jaxact.drive.init`.
         start: joint positions [m or rad] and velocities, shape (loops, joints).
@@ -273,13 +275,14 @@ def evaluate(
         growth_rate: [1/s], known already, shape (loops,).
         keys: of the samples' random numbers, shape (loops,).
         active_ticks: integrals stop after this many ticks where `masked`, shape (loops,).
-        rest_amplitude: a motion smaller than this counts as at rest [m or rad], shape (loops,).
+        rest_amplitude: a motion smaller than this counts as at rest [m or rad], (loops, joints).
         setpoints: one for every tick instead, leaves (loops, ticks, joints).
         observe: called before each physics step with the number of the step in its period, the
             state of the loops as NumPy arrays, and the mean force on the joints.
+        others: what came of other starts, from calls before, shape (loops, starts, joints).
 
-    Returns:
-        See `jaxact.metrics.Metrics`; shape (loops,) or (loops, joints).
+    Returns: see `jaxact.metrics.Metrics`, shape (loops,) or (loops, joints); and what came of this
+        start alone, shape (loops, joints).
     """
     stages = _stages(options, masked)
     aims = None if setpoints is None else _rows(setpoints)
@@ -315,7 +318,7 @@ def evaluate(
     reference = _unpacked(fixed).reference
     running = _unpacked(held).running
     loops = running, envelopes, reference, growth_rate, period, counted, rest_amplitude
-    return _finish(np.int32(ticks), *loops)
+    return _finish(np.int32(ticks), *loops, coefficients.drive, others)
 
 
 def _fixed(
@@ -353,35 +356,34 @@ def _before(drive: DriveState, setpoint: Setpoint, seen: np.ndarray) -> BatchSta
 
 
 def _finished(
-    ticks, running, envelopes, reference, growth_rate, period, counted, rest_amplitude
-) -> Metrics:
+    ticks, running, envelopes, reference, growth_rate, period, counted, rest, drive, others
+) -> tuple[Metrics, Judgement]:
     """The end of a rollout of so many control periods."""
+    size = jnp.maximum(jnp.abs(reference.start), jnp.abs(reference.target))
     return _metrics.finish(
         running,
         jax.tree.map(lambda *leaves: jnp.stack(leaves), *envelopes),
         reference,
         growth_rate,
-        linear=False,
         period=period,
         ticks=ticks,
         counted=counted,
-        rest_amplitude=rest_amplitude,
+        scale=_verdicts.scale(drive, size, rest, linear_plant=False),
+        others=others,
     )
 
 
-_finish = Program(lambda: jax.vmap(_finished, (None, *(0,) * 7)), "finish")
+_finish = Program(lambda: jax.vmap(_finished, (None, *(0,) * 9)), "finish")
 
 
 def _seen(simulations: Simulations, dtype: np.dtype, aim: np.ndarray | None) -> np.ndarray:
     """What the drive is told of a moment: joint positions and velocities, and a setpoint.
 
     Args:
-        simulations: of the plants.
-        dtype: of the result; what is beyond its range is put at its end.
+        simulations, dtype: of the plants; of the result, what is beyond it is put at its end.
         aim: position, velocity, and force of the setpoint, (loops, 3, joints); None if constant.
 
-    Returns:
-        Shape (loops, 2 or 5, joints).
+    Returns: shape (loops, 2 or 5, joints).
     """
     most = float(np.finfo(dtype).max)
     state = simulations.measure()

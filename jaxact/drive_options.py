@@ -77,13 +77,22 @@ class DriveOptions:
     @property
     def linear(self) -> bool:
         """Whether the drive is linear and deterministic."""
-        return not (
-            self.random
-            or self.sensor.quantise
-            or self.quantised_command
-            or self.limited
-            or self.rate_limited
-        )
+        return self.additive and not self.random
+
+    @property
+    def quantised(self) -> bool:
+        """Whether a sensor or the command has counts."""
+        return self.sensor.quantise or self.quantised_command
+
+    @property
+    def additive(self) -> bool:
+        """Whether the drive is linear, but for noise that is added to what it senses."""
+        return not self.quantised and self.unlimited
+
+    @property
+    def unlimited(self) -> bool:
+        """Whether nothing bounds the force or its rate."""
+        return not (self.limited or self.rate_limited)
 
     def linearised(self) -> DriveOptions:
         """The same drive without noise, quantisation, limits and a hold of the setpoint."""

@@ -16,8 +16,10 @@ from dataclasses import dataclass, fields
 import jax
 import jax.numpy as jnp
 
+from jaxact import verdicts
 from jaxact.loop import Output
 from jaxact.status import Verdict
+from jaxact.verdicts import Judgement, Motion, Scale
 
 SETTLED = 0.02
 """Half-width of the band, relative to the step, that counts as settled."""
@@ -26,10 +28,6 @@ SEGMENTS = 4
 """A rollout is cut into this many equal parts, each with its own envelope."""
 
 _LOW, _HIGH = 0.1, 0.9
-# A response this many times the step has left every physical range: it has diverged.
-_DIVERGED = 1e3
-# An envelope that grows by this factor from segment to segment, twice, is not bounded.
-_GROWING = 1.1
 
 
 @dataclass(frozen=True)
@@ -91,8 +89,8 @@ class Metrics:
         control_effort: integral of the squared command [N^2 s or (N m)^2 s].
         peak_force: largest mean force of a physics step [N or N m].
         rms_force: root mean square of the force [N or N m].
-        limit_cycle_amplitude: half the range of the position over the last quarter [m or rad]; 0
-            for a stable loop.
+        limit_cycle_amplitude: half the range of the position over the last quarter [m or rad], of
+            the rollout itself where it goes on, else of another start's; 0 for a stable loop.
         limit_cycle_frequency: [rad/s]; NaN where there is no limit cycle.
     """
 
@@ -242,38 +240,37 @@ def update_envelope(envelope: Envelope, periods: Sequence[Period]) -> Envelope:
     return Envelope(lowest, highest, turns, first, last)
 
 
-def _simulated_verdict(
+def motion(
+    running: Running, envelopes: Envelope, reference: Reference, period: jax.Array
+) -> Motion:
+    """What a finished rollout did; arguments as for `finish`."""
+    turns = envelopes.turns[-1]
+    lapse = (envelopes.last_turn[-1] - envelopes.first_turn[-1]) * period
+    frequency = 2.0 * jnp.pi * (turns - 1.0) / jnp.where(lapse > 0.0, lapse, 1.0)
+    return Motion(
+        amplitude=0.5 * (envelopes.highest - envelopes.lowest),
+        frequency=jnp.where(turns >= 2.0, frequency, jnp.nan),
+        farthest=running.farthest,
+        span=jnp.abs(reference.target - reference.start),
+        valid=jnp.isfinite(running.squared_error),
+    )
+
+
+def judge(
     running: Running,
-    span: jax.Array,
-    amplitude: jax.Array,
+    envelopes: Envelope,
+    reference: Reference,
     growth_rate: jax.Array,
-    segment: jax.Array,
-    rest_amplitude: jax.Array | float,
-) -> jax.Array:
-    """Verdict of a loop that is not linear, from its envelopes; shape (joints,)."""
-    scale = jnp.where(span > 0.0, span, amplitude[0])
-    # Of a robot at rest, the first motion is rounding, and no scale for what follows.
-    size = jnp.maximum(scale, rest_amplitude)
-    diverged = running.farthest > _DIVERGED * jnp.where(size > 0.0, size, 1.0)
-    invalid = ~jnp.isfinite(running.squared_error) | jnp.isnan(growth_rate)
-    before, previous, last = amplitude[-3], amplitude[-2], amplitude[-1]
-    growing = (last > _GROWING * previous) & (previous > _GROWING * before)
-    # Half the decay that the linear loop would show is decay; less is a motion that keeps going.
-    decay = -jnp.expm1(jnp.minimum(growth_rate, 0.0) * segment)
-    decaying = last <= (1.0 - 0.5 * decay) * previous
-    small = jnp.maximum(SETTLED * scale, rest_amplitude)
-    calm = (growth_rate < 0.0) & (decaying | (last <= small))
-    # A perturbation that grows, but has not had the time to.
-    hidden = (growth_rate > 0.0) & (last <= rest_amplitude)
-    verdict = jnp.where(growing | hidden, Verdict.UNSTABLE, Verdict.LIMIT_CYCLE)
-    verdict = jnp.where(calm, Verdict.STABLE, verdict)
-    verdict = jnp.where(invalid, Verdict.INVALID, verdict)
-    return jnp.where(diverged, Verdict.UNSTABLE, verdict)
-
-
-def _linear_verdict(growth_rate: jax.Array) -> jax.Array:
-    verdict = jnp.where(growth_rate < 0.0, Verdict.STABLE, Verdict.UNSTABLE)
-    return jnp.where(jnp.isnan(growth_rate), Verdict.INVALID, verdict)
+    *,
+    period: jax.Array,
+    ticks: int | jax.Array,
+    scale: Scale | None,
+) -> Judgement:
+    """What came of one start; arguments as for `finish`, leaves of shape (joints,)."""
+    done = motion(running, envelopes, reference, period)
+    if scale is None:
+        return verdicts.of_growth(growth_rate, done.span)
+    return verdicts.of_motion(done, scale, growth_rate, period * (ticks // SEGMENTS))
 
 
 def finish(
@@ -282,36 +279,35 @@ def finish(
     reference: Reference,
     growth_rate: jax.Array,
     *,
-    linear: bool,
     period: jax.Array,
     ticks: int | jax.Array,
     counted: jax.Array | float,
-    rest_amplitude: jax.Array | float = 0.0,
-) -> Metrics:
-    """The metrics of a finished rollout.
+    scale: Scale | None,
+    others: Judgement | None = None,
+) -> tuple[Metrics, Judgement]:
+    """The metrics of a finished rollout, and what came of its start alone.
 
-    A linear loop's verdict is the sign of its growth rate. Where noise, quantisation, limits or a
-    nonlinear plant are at work it comes from the rollout: unstable if the motion has diverged or
-    its envelope keeps growing; stable if small perturbations decay and the motion of the last
-    quarter is within the settling band or still decaying; else a limit cycle, however small.
+    A linear loop's verdict is the sign of its growth rate, additive noise or not. Where
+    quantisation, limits or a nonlinear plant are at work it comes from the motion that remains, see
+    `jaxact.verdicts`, and from that of other starts where they are given.
 
     Args:
         running: accumulators of the whole rollout.
         envelopes: of the segments, shape (SEGMENTS, joints).
         reference: of the step.
         growth_rate: [1/s], shape ().
-        linear: static; whether the loop is linear and deterministic.
         period: control period [s].
         ticks: number of ticks.
         counted: number of ticks in the integrals.
-        rest_amplitude: a motion smaller than this counts as at rest [m or rad].
+        scale: from `jaxact.verdicts.scale`; None for a loop that is linear, but for noise.
+        others: from `judge`, of other starts of the same loop, shape (starts, joints).
     """
     span = jnp.abs(reference.target - reference.start)
-    amplitude = 0.5 * (envelopes.highest - envelopes.lowest)
-    segment = period * (ticks // SEGMENTS)
-    simulated = _simulated_verdict(running, span, amplitude, growth_rate, segment, rest_amplitude)
-    each = jnp.where(linear, _linear_verdict(growth_rate), simulated)
-    verdict = jnp.max(each).astype(jnp.int8)
+    loop = running, envelopes, reference, growth_rate
+    own = each = judge(*loop, period=period, ticks=ticks, scale=scale)
+    if others is not None and scale is not None:
+        each = verdicts.together(own, others, scale)
+    verdict = jnp.max(each.verdict).astype(jnp.int8)
     finite = jnp.isfinite(running.squared_error) & jnp.isfinite(running.effort)
     finite &= jnp.isfinite(running.squared_force) & (verdict != Verdict.INVALID)
 
@@ -320,13 +316,10 @@ def finish(
 
     stepped = span > 0.0
     settled = running.unsettled < ticks
-    cycling = each == Verdict.LIMIT_CYCLE
-    turns = envelopes.turns[-1]
-    lapse = (envelopes.last_turn[-1] - envelopes.first_turn[-1]) * period
-    frequency = 2.0 * jnp.pi * (turns - 1.0) / jnp.where(lapse > 0.0, lapse, 1.0)
+    cycling = each.verdict == Verdict.LIMIT_CYCLE
     rise = (running.high - running.low) * period
-    quiet = jnp.where(each == Verdict.STABLE, 0.0, jnp.nan)
-    return Metrics(
+    quiet = jnp.where(each.verdict == Verdict.STABLE, 0.0, jnp.nan)
+    found = Metrics(
         growth_rate=growth_rate,
         verdict=verdict,
         overshoot=known(jnp.maximum(running.highest - 1.0, 0.0), stepped),
@@ -337,6 +330,7 @@ def finish(
         control_effort=known(running.effort * period),
         peak_force=known(running.peak_force),
         rms_force=known(jnp.sqrt(running.squared_force / counted)),
-        limit_cycle_amplitude=known(jnp.where(cycling, amplitude[-1], quiet)),
-        limit_cycle_frequency=known(frequency, cycling & (turns >= 2.0)),
+        limit_cycle_amplitude=known(jnp.where(cycling, each.amplitude, quiet)),
+        limit_cycle_frequency=known(each.frequency, cycling),
     )
+    return found, own

@@ -2,6 +2,7 @@
 
 run        step response with metrics accumulated on the way, no trajectory kept
 trajectory the physics steps of one loop, for plots and files
+judged     what comes of one start, for the verdict
 figures    the metrics of a loop whose trajectory was kept
 """
 
@@ -20,12 +21,14 @@ from jaxact import loop as _loop
 from jaxact import metrics as _metrics
 from jaxact import sensor as _sensor
 from jaxact import stopping
+from jaxact import verdicts as _verdicts
 from jaxact.controller import Setpoint
 from jaxact.drive import DriveOptions
 from jaxact.growth import GrowthOptions
 from jaxact.loop import Loop, LoopState, Output, Prepared
 from jaxact.metrics import SEGMENTS, Metrics, Period, Reference
 from jaxact.stopping import parted
+from jaxact.verdicts import Judgement, Scale
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class RolloutOptions:
         ticks: control periods; a multiple of `jaxact.metrics.SEGMENTS`.
         unroll: largest number of control periods in one iteration of the compiled loop.
         linear_plant: whether the plant is linear, so that a linear drive makes a linear loop.
-        stops: end early where no loop of a batch has finite figures any more. It changes no result,
+        stops: end early where no loop of a batch has finite figures any more; it changes no result
             and leaves no derivative in reverse.
     """
 
@@ -57,8 +60,7 @@ class Trajectory:
         command: held by the controller [N or N m].
         delayed_command: as it enters the force loop, mean over the step [N or N m].
         force: on the plant, mean over the step [N or N m].
-        configuration: of the whole plant at each control tick, shape (ticks, ...), where it was
-            asked for.
+        configuration: of the whole plant at each control tick, (ticks, ...), where asked for.
     """
 
     time: jax.Array
@@ -117,8 +119,8 @@ def run(
         setpoint: constant; the response is measured as a step from the present position.
         key: of this sample; needed only where `options.random`.
         active_ticks: integrals stop after this many ticks; None for all.
-        setpoints: one for every tick instead of the constant one, leaves of shape (ticks, joints);
-            errors are measured against them, the rest against the constant one.
+        setpoints: one for every tick instead, leaves of shape (ticks, joints); errors are measured
+            against them, the rest against the constant one.
 
     Returns:
         The final state, the accumulators of the rollout, and those of its segments, stacked.
@@ -187,17 +189,18 @@ def evaluate(
     growth: GrowthOptions | None = None,
     setpoints: Setpoint | None = None,
     rest_amplitude: jax.Array | float = 0.0,
+    others: Judgement | None = None,
 ) -> Metrics:
     """Metrics of a step response, verdict and growth rate included.
 
     Args:
         prepared, options, rollout, state, setpoint, key, active_ticks, setpoints: as for `run`.
-        rest_amplitude: a motion smaller than this counts as at rest [m or rad].
+        rest_amplitude: a motion smaller than this counts as at rest [m or rad], shape (joints,).
+        others: from `judged`, of other starts of the same loop, shape (starts, joints).
         growth_rate: [1/s] if it is known already (in float64, say), else it is measured here.
         growth: static; how it is measured; None for the usual way.
 
-    Returns:
-        See `jaxact.metrics.Metrics`.
+    Returns: see `jaxact.metrics.Metrics`.
     """
     if growth_rate is None:
         # Whether a policy holds the setpoint is none of the loop's business.
@@ -208,25 +211,62 @@ def evaluate(
         )  # fmt: skip
     start, _ = prepared.plant.measure(state.plant)
     _, running, envelopes = run(
-        prepared,
-        options,
-        rollout,
-        state,
-        setpoint,
-        key,
-        active_ticks=active_ticks,
-        setpoints=setpoints,
-    )
-    return _metrics.finish(
+        prepared, options, rollout, state, setpoint, key,
+        active_ticks=active_ticks, setpoints=setpoints,
+    )  # fmt: skip
+    reference = _metrics.reference(start, jnp.broadcast_to(setpoint.position, start.shape))
+    found, _ = _metrics.finish(
         running,
         envelopes,
-        _metrics.reference(start, jnp.broadcast_to(setpoint.position, start.shape)),
+        reference,
         growth_rate,
-        linear=options.linear and rollout.linear_plant,
         period=prepared.drive.drive.control_period,
         ticks=rollout.ticks,
         counted=rollout.ticks if active_ticks is None else active_ticks,
-        rest_amplitude=rest_amplitude,
+        scale=_scale(prepared, options, rollout.linear_plant, reference, rest_amplitude),
+        others=others,
+    )
+    return found
+
+
+def _scale(
+    prepared: Prepared,
+    options: DriveOptions,
+    linear_plant: bool,
+    reference: Reference,
+    rest_amplitude: jax.Array | float,
+) -> Scale | None:
+    """What the motions of a loop are measured with; None of one that is linear, but for noise."""
+    if options.additive and linear_plant:
+        return None
+    size = jnp.maximum(jnp.abs(reference.start), jnp.abs(reference.target))
+    drive = prepared.drive.drive
+    return _verdicts.scale(drive, size, rest_amplitude, linear_plant=linear_plant)
+
+
+def judged(
+    prepared: Prepared,
+    options: DriveOptions,
+    rollout: RolloutOptions,
+    state: LoopState,
+    setpoint: Setpoint,
+    key: jax.Array | None = None,
+    *,
+    growth_rate: jax.Array,
+    rest_amplitude: jax.Array | float = 0.0,
+) -> Judgement:
+    """What comes of one start, for `others` of `evaluate`; arguments as there, (joints,)."""
+    start, _ = prepared.plant.measure(state.plant)
+    _, running, envelopes = run(prepared, options, rollout, state, setpoint, key)
+    reference = _metrics.reference(start, jnp.broadcast_to(setpoint.position, start.shape))
+    return _metrics.judge(
+        running,
+        envelopes,
+        reference,
+        growth_rate,
+        period=prepared.drive.drive.control_period,
+        ticks=rollout.ticks,
+        scale=_scale(prepared, options, rollout.linear_plant, reference, rest_amplitude),
     )
 
 
@@ -251,7 +291,7 @@ def trajectory(
         key: of this sample; needed only where `options.random`.
         position: to start from [m or rad], shape (joints,) or a number.
         velocity: to start with [m/s or rad/s], shape (joints,) or a number.
-        setpoints: one for every tick instead of the constant one, leaves of shape (ticks, joints).
+        setpoints: one for every tick instead, leaves of shape (ticks, joints).
 
     Returns:
         The trajectory; differentiable with respect to every parameter.
@@ -315,22 +355,24 @@ def figures(
     setpoint: Setpoint,
     growth_rate: jax.Array,
     *,
-    linear: bool,
-    period: jax.Array,
+    prepared: Prepared,
+    options: DriveOptions,
+    linear_plant: bool,
     active_ticks: jax.Array | None = None,
     setpoints: Setpoint | None = None,
     rest_amplitude: jax.Array | float = 0.0,
-) -> Metrics:
-    """Metrics of a loop that was followed, those that `evaluate` gives.
+    others: Judgement | None = None,
+) -> tuple[Metrics, Judgement]:
+    """Metrics of a loop that was followed, those that `evaluate` gives, and its own judgement.
 
     Args:
         outputs: from `follow`, a multiple of `jaxact.metrics.SEGMENTS` of them.
         start: joint positions before the first tick [m or rad], shape (joints,).
         setpoint, active_ticks, setpoints: as for `run`.
         growth_rate: [1/s], shape ().
-        linear: static; whether the loop is linear and deterministic.
-        period: control period [s].
-        rest_amplitude: a motion smaller than this counts as at rest [m or rad].
+        prepared, options: of the loop.
+        linear_plant: static; whether the plant is linear.
+        rest_amplitude, others: as for `evaluate`.
     """
     reference = _metrics.reference(start, jnp.broadcast_to(setpoint.position, start.shape))
     ticks = outputs.position.shape[0]
@@ -352,9 +394,9 @@ def figures(
         envelopes,
         reference,
         growth_rate,
-        linear=linear,
-        period=period,
+        period=prepared.drive.drive.control_period,
         ticks=ticks,
         counted=ticks if active_ticks is None else active_ticks,
-        rest_amplitude=rest_amplitude,
+        scale=_scale(prepared, options, linear_plant, reference, rest_amplitude),
+        others=others,
     )

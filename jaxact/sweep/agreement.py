@@ -151,7 +151,8 @@ def agreement(
     radius = spectral_radii(loops, velocity=velocity)
     decided = np.abs(radius - 1.0) > ON_BOUNDARY
     simulated, exact = verdict[chosen] == Verdict.STABLE, radius < 1.0
-    wrong = decided & (simulated != exact)
+    # A quantised loop may cycle whether small perturbations of the linear one decay or grow.
+    wrong = decided & (simulated != exact) & (verdict[chosen] != Verdict.LIMIT_CYCLE)
     furthest = fastest = 0.0
     if wrong.any():
         rates = np.log(radius[wrong]) * loops["control_rate"][wrong]

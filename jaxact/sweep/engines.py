@@ -11,6 +11,7 @@ from typing import Literal, cast
 import jax
 
 from jaxact.errors import UserError
+from jaxact.sweep import starts as _starts
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.specification import Setting, Specification
 
@@ -149,7 +150,7 @@ def usual_rate(case: Case) -> float:
 
 def batch_size(case: Case, tile: int, devices: int) -> int:
     """Loops that make about a second of work, in whole tiles for every device."""
-    per_tile = tile * case.rollout.ticks * case.drive.substeps
+    per_tile = tile * _starts.steps(case)
     return max(1, int(_work(case) / per_tile)) * tile * devices
 
 

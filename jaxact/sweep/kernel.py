@@ -25,11 +25,13 @@ from jaxact.growth import GrowthOptions
 from jaxact.loop import Loop, LoopState, Prepared
 from jaxact.metrics import Metrics
 from jaxact.plants import Mass
-from jaxact.rollout import RolloutOptions, Trajectory
+from jaxact.rollout import RolloutOptions
 from jaxact.sensor import Sensor
+from jaxact.sweep import starts as _starts
 from jaxact.sweep import template as _template
 from jaxact.sweep.specification import Setting
 from jaxact.sweep.template import Template
+from jaxact.verdicts import Judgement
 
 Values = Mapping[str, Any]
 
@@ -51,6 +53,7 @@ class Case:
         varied: changes of a robot's model that differ between samples.
         step: physics step of a robot [s]; 0 for the built-in plants.
         growth: how the growth rate is measured.
+        starts: from which every loop is judged beside its own, see `jaxact.sweep.starts`.
     """
 
     engine: str
@@ -63,6 +66,7 @@ class Case:
     varied: tuple[str, ...] = ()
     step: float = 0.0
     growth: GrowthOptions = field(default_factory=GrowthOptions)
+    starts: tuple[str, ...] = ()
 
 
 def drive_of(values: Values) -> Drive:
@@ -139,6 +143,16 @@ def timestep(setting: Setting) -> float:
     return float(robots.scene(setting.plant).robot.model.opt.timestep)
 
 
+def rubs(setting: Setting, along: Mapping[str, np.ndarray]) -> bool:
+    """Whether a joint or a tendon of the robot has dry friction in some sample."""
+    from jaxact.sweep import robots  # as above
+
+    model = robots.scene(setting.plant).robot.model
+    own = [model.dof_frictionloss, model.tendon_frictionloss]
+    own += [value for key, value in along.items() if key.partition("@")[0] == "joint_friction"]
+    return any(bool(np.any(np.nan_to_num(part) > 0.0)) for part in own)
+
+
 def occurring(setting: Setting, along: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
     """All values that occur of each parameter, over samples and joints, for the static options.
 
@@ -188,7 +202,14 @@ def loop_of(case: Case, values: Values, template: Template) -> Loop:
 def start(case: Case, template: Template, values: Values) -> tuple[Prepared, LoopState, Setpoint]:
     """The prepared loop of a sample, its initial state, and its setpoint at the first tick."""
     values = resolved(template, values)
-    loop = Loop(plant=_plant_of(case, template, values), drive=drive_of(values))
+    return begun(case, template, values, drive_of(values))
+
+
+def begun(
+    case: Case, template: Template, values: Values, drive: Drive
+) -> tuple[Prepared, LoopState, Setpoint]:
+    """As `start`, of parameters from `resolved` and the drive with them."""
+    loop = Loop(plant=_plant_of(case, template, values), drive=drive)
     prepared = _loop.prepare(loop, case.drive)
     dtype = prepared.drive.step.dtype
     rest, force = jnp.asarray(template.position, dtype), jnp.asarray(template.force, dtype)
@@ -231,6 +252,7 @@ def linear_part(case: Case, setting: Setting) -> tuple[Case, Setting]:
             rollout=RolloutOptions(ticks=0),
             masked=False,
             duration=0.0,
+            starts=(),
         ),
         replace(setting, motion=None, push=None),
     )
@@ -302,6 +324,8 @@ def metrics(
     """
     key = jax.random.fold_in(jax.random.key(seed), number)
     prepared, state, setpoint = start(case, template, values)
+    growth_rate = growth_rate.astype(prepared.drive.step.dtype)
+    others, rest = other_starts(case, template, values, growth_rate, key)
     result = _rollout.evaluate(
         prepared,
         case.drive,
@@ -309,59 +333,53 @@ def metrics(
         state,
         setpoint,
         key,
-        growth_rate=growth_rate.astype(prepared.drive.step.dtype),
-        active_ticks=_active_ticks(case, values),
+        growth_rate=growth_rate,
+        active_ticks=active_ticks(case, values),
         setpoints=setpoints(template, values, case.rollout.ticks),
-        rest_amplitude=values["rest_amplitude"],
+        rest_amplitude=rest,
+        others=others,
     )
-    return _worst(result)
+    return worst(result)
 
 
-def followed(
-    case: Case,
-    template: Template,
-    values: Values,
-    growth_rate: jax.Array,
-    seed: jax.Array,
-    number: jax.Array,
-) -> tuple[Metrics, Trajectory]:
-    """What `metrics` gives, and the trajectory that it is of; arguments as there."""
-    key = jax.random.fold_in(jax.random.key(seed), number)
-    prepared, state, setpoint = start(case, template, values)
-    moving = setpoints(template, values, case.rollout.ticks)
-    begin, _ = prepared.plant.measure(state.plant)
-    trajectory, outputs = _rollout.follow(
-        prepared,
-        case.drive,
-        case.rollout.ticks,
-        state,
-        setpoint,
-        key,
-        setpoints=moving,
-        configuration=None if template.scene is None else lambda plant: plant.qpos,
-    )
-    result = _rollout.figures(
-        outputs,
-        begin,
-        setpoint,
-        growth_rate.astype(begin.dtype),
-        linear=case.drive.linear and case.rollout.linear_plant,
-        period=prepared.drive.drive.control_period,
-        active_ticks=_active_ticks(case, values),
-        setpoints=moving,
-        rest_amplitude=values["rest_amplitude"],
-    )
-    return _worst(result), trajectory
+def other_starts(
+    case: Case, template: Template, values: Values, growth_rate: jax.Array, key: jax.Array
+) -> tuple[Judgement | None, jax.Array]:
+    """What comes of a sample's other starts, and the half range that counts as at rest.
+
+    Returns:
+        Leaves of shape (starts, joints), None where there are none; and [m or rad], (joints,).
+    """
+    values = resolved(template, values)
+    drive = drive_of(values)
+    rest = _starts.rest_amplitude(case.drive, values, drive, robot=template.scene is not None)
+
+    def judged(given: Values, drive: Drive, rest: jax.Array) -> Judgement:
+        prepared, state, setpoint = begun(case, template, {**values, **given}, drive)
+        loop = prepared, case.drive, case.rollout, state, setpoint, key
+        return _rollout.judged(*loop, growth_rate=growth_rate, rest_amplitude=rest)
+
+    friction = _starts.friction(template)
+    if _starts.LINEAR in case.starts:
+        given = _starts.given(("between",), values, drive, friction)
+        first = jax.tree.map(lambda leaf: leaf[0], given)
+        sustained = judged(first, _starts.without_errors(drive), rest).amplitude
+        rest = _starts.above_noise(rest, sustained, growth_rate)
+    names = tuple(name for name in case.starts if name != _starts.LINEAR)
+    if not names:
+        return None, rest
+    given = _starts.given(names, values, drive, friction)
+    return jax.vmap(lambda given: judged(given, drive, rest))(given), rest
 
 
-def _active_ticks(case: Case, values: Values) -> jax.Array | None:
+def active_ticks(case: Case, values: Values) -> jax.Array | None:
     """Ticks of the sample's duration, where samples differ in it."""
     if not case.masked:
         return None
     return jnp.ceil(case.duration * values["control_rate"] - 1e-4)
 
 
-def _worst(result: Metrics) -> Metrics:
+def worst(result: Metrics) -> Metrics:
     """A loop with several joints is as good as its worst one.
 
     Joints that have no such figure (NaN) do not hide the others'.

@@ -30,10 +30,12 @@ from jaxact.plants.variation import Variation
 from jaxact.programs import Program
 from jaxact.rollout import RolloutOptions, Trajectory
 from jaxact.sweep import kernel, robots
+from jaxact.sweep import starts as _starts
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.robots import Scene
 from jaxact.sweep.specification import Setting
 from jaxact.sweep.template import Template
+from jaxact.verdicts import Judgement
 
 Observer = Callable[[int, BatchState, jax.Array], None]
 
@@ -165,12 +167,54 @@ def metrics(
         watch: makes the observer that `jaxact.batch_rollout.evaluate` calls at every physics step.
         push: on the joints, beside what the specification asks for.
     """
+    loops = values, growth_rate, seed, numbers
+    found, _ = _judged(case, setting, *loops, watch=watch, push=push)
+    return jax.tree.map(lambda leaf: jnp.nanmax(leaf, axis=1) if leaf.ndim > 1 else leaf, found)
+
+
+def _judged(
+    case: Case,
+    setting: Setting,
+    values: Mapping[str, np.ndarray],
+    growth_rate: np.ndarray,
+    seed: int,
+    numbers: np.ndarray,
+    *,
+    watch: Callable[[Simulations, Coefficients], Observer] | None = None,
+    push: JointPush | None = None,
+) -> tuple[Metrics, Judgement]:
+    """Metrics (n, joints), and what came of each start, the own one first, (n, starts, joints)."""
+    loops = values, growth_rate, seed, numbers
+    quiet = replace(setting, motion=None)
+    each = [_rolled(case, quiet, *loops, start=name)[1] for name in case.starts]
+    others = jax.tree.map(lambda *rows: jnp.stack(rows, axis=1), *each) if each else None
+    found, own = _rolled(case, setting, *loops, watch=watch, push=push, others=others)
+    own = jax.tree.map(lambda leaf: leaf[:, None], own)
+    if others is None:
+        return found, own
+    return found, jax.tree.map(lambda *rows: jnp.concatenate(rows, axis=1), own, others)
+
+
+def _rolled(
+    case: Case,
+    setting: Setting,
+    values: Mapping[str, np.ndarray],
+    growth_rate: np.ndarray,
+    seed: int,
+    numbers: np.ndarray,
+    *,
+    start: str = "",
+    watch: Callable[[Simulations, Coefficients], Observer] | None = None,
+    push: JointPush | None = None,
+    others: Judgement | None = None,
+) -> tuple[Metrics, Judgement]:
+    """A batch of rollouts from one start, by default the samples' own; see `_judged`."""
     made = template(case, setting)
     scene = made.scene
     assert scene is not None
     dtype = jnp.result_type(float)
     arrays = {name: jnp.asarray(value, dtype) for name, value in values.items()}
-    begin = _prepare(*_beginning(case, setting))
+    begin = _prepare(*_beginning(case, setting, start))
     prepared = begin(arrays, np.uint32(seed), jnp.asarray(numbers, jnp.uint32))
     fields = {}
     if case.varied:
@@ -188,25 +232,25 @@ def metrics(
         push=push,
         corrected=setting.corrected,
     )
-    coefficients, state, start, setpoint, setpoints, keys = prepared
+    coefficients, state, begun, setpoint, setpoints, keys, rest = prepared
     active = np.ceil(case.duration * np.asarray(values["control_rate"], float) - 1e-4)
-    result = batch_rollout.evaluate(
+    return batch_rollout.evaluate(
         simulations,
         coefficients,
         case.drive,
         case.rollout.ticks,
         state,
-        (np.asarray(start[0], float), np.asarray(start[1], float)),
+        (np.asarray(begun[0], float), np.asarray(begun[1], float)),
         setpoint,
         jnp.asarray(growth_rate, dtype),
         keys,
         active_ticks=jnp.asarray(active, dtype),
         masked=case.masked,
-        rest_amplitude=arrays["rest_amplitude"],
+        rest_amplitude=rest,
         setpoints=setpoints,
         observe=None if watch is None else watch(simulations, coefficients),
+        others=others,
     )
-    return jax.tree.map(lambda leaf: jnp.nanmax(leaf, axis=1) if leaf.ndim > 1 else leaf, result)
 
 
 def _impulse(setting: Setting, scene: Scene) -> Impulse | None:
@@ -218,12 +262,13 @@ def _impulse(setting: Setting, scene: Scene) -> Impulse | None:
     return Impulse(number, force, push.time, push.duration)
 
 
-def _beginning(case: Case, setting: Setting) -> tuple[Case, Setting]:
+def _beginning(case: Case, setting: Setting, start: str) -> tuple[Case, Setting]:
     """What the beginning of a batch depends on: the drive, the robot, and how it is moved."""
     ticks = case.rollout.ticks if setting.motion is not None else 0
     begun = Case(
-        "mujoco", case.drive, RolloutOptions(ticks), False, 0.0, case.model, step=case.step
-    )
+        "mujoco", case.drive, RolloutOptions(ticks), False, 0.0, case.model, step=case.step,
+        starts=(start,) if start else (),
+    )  # fmt: skip
     return begun, replace(setting, push=None)
 
 
@@ -235,6 +280,10 @@ def _prepare(case: Case, setting: Setting) -> Program:
     def one(values: Mapping[str, jax.Array], seed: jax.Array, number: jax.Array):
         resolved = kernel.resolved(made, values)
         drive = kernel.drive_of(resolved)
+        trembling = _starts.rest_amplitude(case.drive, resolved, drive, robot=True)
+        if case.starts:
+            given = _starts.given(case.starts, resolved, drive, _starts.friction(made))
+            resolved = {**resolved, **{name: row[0] for name, row in given.items()}}
         rest = jnp.asarray(made.position, values["kp"].dtype)
         force = jnp.asarray(made.force, rest.dtype)
         coefficients = _drive.prepare(drive, case.drive, rest.shape)
@@ -250,6 +299,7 @@ def _prepare(case: Case, setting: Setting) -> Program:
             setpoint,
             kernel.setpoints(made, values, case.rollout.ticks),
             jax.random.fold_in(jax.random.key(seed), number),
+            jnp.broadcast_to(trembling, rest.shape),
         )
 
     return Program(lambda: jax.vmap(one, in_axes=(0, None, 0)), ("start", case, setting))
@@ -263,15 +313,15 @@ def followed(
     seed: int,
     numbers: np.ndarray,
     push: JointPush | None = None,
-) -> tuple[Metrics, Trajectory]:
+) -> tuple[Metrics, Trajectory, Judgement]:
     """Metrics of a few samples, and every physics step; see `jaxact.rollout.follow`.
 
     Args:
         case, setting, values, growth_rate, seed, numbers, push: as for `metrics`.
 
     Returns:
-        The metrics; and NumPy arrays with a leading axis for the loops, the configuration at every
-        control tick.
+        The metrics; NumPy arrays with a leading axis for the loops, the configuration at every
+        control tick; and what came of each start, as `jaxact.sweep.single` has it.
     """
     rows: list[tuple[np.ndarray, ...]] = []
     configurations: list[np.ndarray] = []
@@ -283,7 +333,8 @@ def followed(
             position, velocity = np.moveaxis(simulations.measure(), 1, 0)
             share = older_share[:, place]
             older, newer = np.asarray(state.drive.older), np.asarray(state.drive.newer)
-            delayed = share * older + (1.0 - share) * newer
+            with np.errstate(invalid="ignore", over="ignore"):  # of a loop that has diverged
+                delayed = share * older + (1.0 - share) * newer
             # Copies, as these are views of everything that the loops carry.
             slow = state.drive.held  # by a policy
             given = state.setpoint if slow is None else slow.setpoint
@@ -294,10 +345,13 @@ def followed(
 
         return observe
 
-    result = metrics(case, setting, values, growth_rate, seed, numbers, watch=watch, push=push)
+    found, judged = _judged(
+        case, setting, values, growth_rate, seed, numbers, watch=watch, push=push
+    )
     names = ("setpoint", "position", "velocity", "command", "delayed_command", "force")
     columns = zip(names, zip(*rows, strict=True), strict=True)
     arrays: dict[str, Any] = {name: np.stack(column, axis=1) for name, column in columns}
     arrays["time"] = np.broadcast_to(case.step * np.arange(len(rows)), (len(numbers), len(rows)))
     arrays["configuration"] = np.stack(configurations, axis=1)
-    return result, Trajectory(**arrays)
+    worst = jax.tree.map(lambda leaf: jnp.nanmax(leaf, axis=-1) if leaf.ndim > 1 else leaf, found)
+    return worst, Trajectory(**arrays), _starts.of_joints(judged)

@@ -174,7 +174,7 @@ _TABLE = (
     _at_least_zero(
         "rest_amplitude", "amplitude at rest", "m", 0.0, 1e6,
         "Motion at the end that counts as at rest, where noise never lets it end; of a robot:"
-        " 0.002.",
+        " 0.002, or a tenth of a count where there is quantisation and no noise.",
     ),
     _at_least_zero(
         "payload", "payload", "kg", 0.0, 1e6, "Of a robot: mass added to the body of the payload."
@@ -205,8 +205,9 @@ PARAMETERS: dict[str, Parameter] = {parameter.name: parameter for parameter in _
 
 # What a robot's model may bring itself; not a number where it does not.
 OF_MODEL = ("kp", "kd", "wn", "zeta", "delay", "setpoint_delay", "force_limit")
-# Other defaults for a robot: it holds its posture, and trembles a little where it is noisy.
-OF_ROBOTS = {"setpoint": 0.0, "rest_amplitude": 0.002}
+# Other defaults for a robot: it holds its posture, and trembles a little where it is noisy, which
+# `jaxact.sweep.starts.rest_amplitude` puts a number to.
+OF_ROBOTS = {"setpoint": 0.0, "rest_amplitude": math.nan}
 # What changes the model of a robot, and has no meaning for the mass.
 ROBOT_ONLY = (
     "payload", "inertia_scale", "joint_damping", "joint_armature", "joint_friction",

@@ -21,10 +21,11 @@ from jaxact.errors import UserError
 from jaxact.growth import GrowthOptions
 from jaxact.rollout import RolloutOptions
 from jaxact.sweep import engines, kernel
+from jaxact.sweep import starts as _starts
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.parameters import ROBOT_ONLY, base
 from jaxact.sweep.samples import Samples
-from jaxact.sweep.specification import Specification
+from jaxact.sweep.specification import Motion, Specification
 
 # Physics step of the MJX plant where none is given [s].
 MJX_STEP = 0.25e-3
@@ -40,6 +41,8 @@ _OLD_UNROLL = 1
 _ROBOT_GROWTH = GrowthOptions(block=64, settle=4, dimension=32, squarings=18, stacked=True)
 # The control rate that the blocks of `GrowthOptions` are meant for [Hz].
 _USUAL_RATE = 1000.0
+
+_STEP = Motion(kind="step")
 
 # A control period may miss a whole number of physics steps by rounding only.
 _ROUNDING = 1e-6
@@ -70,8 +73,8 @@ class Plan:
 
     @property
     def steps(self) -> int:
-        """Physics steps of one loop."""
-        return self.case.rollout.ticks * self.case.drive.substeps
+        """Physics steps of one loop, from all starts that it is judged by."""
+        return _starts.steps(self.case)
 
 
 def substeps(specification: Specification, control_rate: np.ndarray) -> np.ndarray:
@@ -190,6 +193,12 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
     varied = {base(axis.name) for axis in specification.axes}
     varied |= {base(name) for name in specification.parameters}
     mass = specification.engine == "mass"
+    starts = _starts.needed(
+        options,
+        linear_plant=mass or not robot,
+        rubs=robot and kernel.rubs(specification.setting, values),
+        disturbed=_disturbed(specification, values),
+    )
     return Case(
         engine=specification.engine,
         drive=options,
@@ -206,7 +215,16 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
         varied=tuple(name for name in ROBOT_ONLY if robot and name in varied),
         step=1.0 / (fastest * count) if robot else 0.0,
         growth=_growth(_ROBOT_GROWTH if robot else GrowthOptions(dense=not mass), fastest),
+        starts=starts,
     )
+
+
+def _disturbed(specification: Specification, values: dict[str, np.ndarray]) -> bool:
+    """Whether every loop is moved by something: its setpoint, its initial state, or a push."""
+    if specification.push is not None or (specification.motion or _STEP).kind == "file":
+        return True
+    moving = ("setpoint", "initial_position", "initial_velocity")
+    return any(base(key) in moving and bool(np.all(given != 0.0)) for key, given in values.items())
 
 
 def _growth(usual: GrowthOptions, rate: float) -> GrowthOptions:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 
@@ -12,14 +12,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact import rollout as _rollout
 from jaxact.errors import UserError
 from jaxact.metrics import Metrics
 from jaxact.programs import Program
 from jaxact.rollout import Trajectory
-from jaxact.sweep import kernel, plans, spectra
+from jaxact.status import Verdict
+from jaxact.sweep import kernel, plans, spectra, starts
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Setting, Specification
+from jaxact.sweep.template import Template
+from jaxact.verdicts import Judgement
 
 # Physics steps whose trajectory is kept; each is seven numbers a joint.
 MOST_STEPS = 5_000_000
@@ -40,6 +44,25 @@ class Joint:
 
 
 @dataclass(frozen=True)
+class Start:
+    """What came of one start of a loop.
+
+    name: empty of the loop's own, else as in `jaxact.sweep.starts`
+    verdict: of that start alone
+    moving: it still moved at the end, and went on
+    resting: it had come to rest; what neither moves nor rests decays
+    amplitude, frequency: of that motion [m or rad], [rad/s]
+    """
+
+    name: str
+    verdict: Verdict
+    moving: bool
+    resting: bool
+    amplitude: float
+    frequency: float
+
+
+@dataclass(frozen=True)
 class Single:
     """One loop and what it did.
 
@@ -47,12 +70,14 @@ class Single:
     results: the variables of a sweep by name; figures of several joints are their worst
     values: every parameter of the loop by its short name
     joints: the driven ones
+    starts: from which it was judged, its own first
     """
 
     trajectory: Trajectory
     results: dict[str, float]
     values: dict[str, float]
     joints: tuple[Joint, ...]
+    starts: tuple[Start, ...]
 
     @property
     def rotary(self) -> tuple[bool, ...]:
@@ -96,7 +121,8 @@ def simulate_all(specification: Specification, samples: Samples) -> list[Single]
         for batch, count in plans.batches(plan, samples):
             growth = spectra.growth_batch(plan, one, samples, batch)
             values = samples.take(batch)
-            figures, kept = _followed(one, plan.case, values, growth, samples.first + batch)
+            numbers = samples.first + batch
+            figures, kept, judged = _followed(one, plan.case, values, growth, numbers)
             rows = {name: np.asarray(getattr(figures, name)) for name in _NAMES}
             rows |= {"growth_rate": growth}  # before any rounding
             for place, number in enumerate(batch[:count].tolist()):
@@ -105,8 +131,25 @@ def simulate_all(specification: Specification, samples: Samples) -> list[Single]
                     results={name: float(row[place]) for name, row in rows.items()},
                     values={name: float(array[place]) for name, array in values.items()},
                     joints=joints,
+                    starts=_started(plan.case, judged, place),
                 )
     return [found[number] for number in range(len(samples))]
+
+
+def _started(case: Case, judged: Judgement, place: int) -> tuple[Start, ...]:
+    """What came of each start of the loop at this place of a batch."""
+    names = ("", *(name for name in case.starts if name != starts.LINEAR))
+    return tuple(
+        Start(
+            name=name,
+            verdict=Verdict(int(judged.verdict[place, row])),
+            moving=bool(judged.moving[place, row]),
+            resting=bool(judged.resting[place, row]),
+            amplitude=float(judged.amplitude[place, row]),
+            frequency=float(judged.frequency[place, row]),
+        )
+        for row, name in enumerate(names)
+    )
 
 
 def _followed(
@@ -115,23 +158,27 @@ def _followed(
     values: dict[str, np.ndarray],
     growth: np.ndarray,
     numbers: np.ndarray,
-) -> tuple[Metrics, Trajectory]:
-    """Figures and trajectories, time (loops, steps), of samples with these growth rates [1/s]."""
+) -> tuple[Metrics, Trajectory, Judgement]:
+    """Figures, trajectories, time (loops, steps), and starts (loops, starts) of some samples.
+
+    growth: their growth rates [1/s]
+    """
     loops = specification.setting, values, growth, specification.seed, numbers
     double = specification.precision == "float64"
     with jax.enable_x64(True) if double else nullcontext():
         if case.engine == "mujoco":
             from jaxact.sweep import outside  # imports MuJoCo
 
-            figures, kept = outside.followed(case, *loops)
+            figures, kept, judged = outside.followed(case, *loops)
         else:
-            figures, kept = _in_jax(case, *loops)
+            figures, kept, judged = _in_jax(case, *loops)
     rows = {
         name: getattr(kept, name).reshape((*kept.time.shape, -1))
         for name in Trajectory.__dataclass_fields__
         if name not in ("time", "configuration")
     }
-    return figures, Trajectory(time=kept.time, **rows, configuration=kept.configuration)
+    trajectory = Trajectory(time=kept.time, **rows, configuration=kept.configuration)
+    return figures, trajectory, jax.tree.map(np.asarray, judged)
 
 
 def _in_jax(
@@ -141,12 +188,12 @@ def _in_jax(
     growth: np.ndarray,
     seed: int,
     numbers: np.ndarray,
-) -> tuple[Metrics, Trajectory]:
+) -> tuple[Metrics, Trajectory, Judgement]:
     """The counterpart of `jaxact.sweep.outside.followed` for plants in JAX."""
 
-    def make() -> Callable[..., tuple[Metrics, Trajectory]]:
+    def make() -> Callable[..., tuple[Metrics, Trajectory, Judgement]]:
         template = kernel.template_of(case, setting, "metrics")
-        one = functools.partial(kernel.followed, case, template)
+        one = functools.partial(_one, case, template)
         return jax.vmap(one, in_axes=(0, 0, None, 0))
 
     dtype = jnp.result_type(float)
@@ -156,6 +203,51 @@ def _in_jax(
         inputs, jnp.asarray(growth, dtype), np.uint32(seed), jnp.asarray(numbers, jnp.uint32)
     )
     return jax.tree.map(np.asarray, found)
+
+
+def _one(
+    case: Case,
+    template: Template,
+    values: Mapping[str, jax.Array],
+    growth_rate: jax.Array,
+    seed: jax.Array,
+    number: jax.Array,
+) -> tuple[Metrics, Trajectory, Judgement]:
+    """What `jaxact.sweep.kernel.metrics` gives, the trajectory, and what came of each start.
+
+    Arguments as there. The starts are the loop's own and `Case.starts`, without that for noise, the
+    worst over the joints: shape (starts,).
+    """
+    key = jax.random.fold_in(jax.random.key(seed), number)
+    prepared, state, setpoint = kernel.start(case, template, values)
+    moving = kernel.setpoints(template, values, case.rollout.ticks)
+    begin, _ = prepared.plant.measure(state.plant)
+    growth_rate = growth_rate.astype(begin.dtype)
+    others, rest = kernel.other_starts(case, template, values, growth_rate, key)
+    trajectory, outputs = _rollout.follow(
+        prepared,
+        case.drive,
+        case.rollout.ticks,
+        state,
+        setpoint,
+        key,
+        setpoints=moving,
+        configuration=None if template.scene is None else lambda plant: plant.qpos,
+    )
+    result, own = _rollout.figures(
+        outputs,
+        begin,
+        setpoint,
+        growth_rate,
+        prepared=prepared,
+        options=case.drive,
+        linear_plant=case.rollout.linear_plant,
+        active_ticks=kernel.active_ticks(case, values),
+        setpoints=moving,
+        rest_amplitude=rest,
+        others=others,
+    )
+    return kernel.worst(result), trajectory, starts.listed(own, others)
 
 
 def names(specification: Specification) -> tuple[str, ...]:

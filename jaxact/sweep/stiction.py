@@ -193,7 +193,8 @@ class _Runs:
         self._values = {name: np.full(_NUMBER, value) for name, value in quiet.items()}
         samples = Samples(self._values, ("loop",), (_NUMBER,), {})
         (plan,) = plans.groups(self._specification, samples)
-        self._case, self._place = plan.case, place
+        # What follows a push is looked at here, and no other start.
+        self._case, self._place = replace(plan.case, starts=()), place
         self.step = plan.case.step
 
     def after(self, pushes: np.ndarray) -> list[np.ndarray]:
@@ -203,7 +204,7 @@ class _Runs:
         force = np.zeros((_NUMBER, joints))
         force[:, self._place] = pushes
         with jax.enable_x64(True):
-            _, kept = outside.followed(
+            _, kept, _ = outside.followed(
                 self._case,
                 setting,
                 self._values,

@@ -76,7 +76,9 @@ VARIABLES: dict[str, Variable] = {
     "peak_force": Variable("N", "peak force", "Largest magnitude of the force."),
     "rms_force": Variable("N", "rms force", "Root mean square of the force."),
     "limit_cycle_amplitude": Variable(
-        "m", "limit cycle amplitude", "Half the peak-to-peak position at the end."
+        "m",
+        "limit cycle amplitude",
+        "Half the peak-to-peak position at the end; 0: no limit cycle.",
     ),
     "limit_cycle_frequency": Variable(
         "rad/s", "limit cycle frequency", "Angular frequency of the oscillation at the end."

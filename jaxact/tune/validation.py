@@ -18,6 +18,7 @@ import numpy as np
 
 from jaxact import metrics as _metrics
 from jaxact import rollout as _rollout
+from jaxact import verdicts as _verdicts
 from jaxact.errors import UserError
 from jaxact.metrics import Metrics
 from jaxact.plants import posture as _posture
@@ -25,6 +26,7 @@ from jaxact.programs import Program
 from jaxact.status import Verdict
 from jaxact.sweep import engines as _engines
 from jaxact.sweep import kernel, outside, plans, robots, spectra
+from jaxact.sweep import starts as _starts
 from jaxact.sweep.parameters import check, known
 from jaxact.sweep.plans import Plan
 from jaxact.sweep.robots import Scene
@@ -200,7 +202,9 @@ def _posture_row(
     verdict, growth = np.zeros(number, np.int8), np.zeros(number)
     excursion, fallen = np.zeros((number, len(joints))), np.zeros(number, bool)
     reasons = [""] * number
-    for plan in plans.groups(asked, samples):
+    for group in plans.groups(asked, samples):
+        # Pushed as they are, these robots need no other starts.
+        plan = replace(group, case=replace(group.case, starts=()))
         for batch, count in plans.batches(plan, samples):
             # Linearised in C for either engine, which takes no compilation of MJX.
             in_c = replace(plan, case=replace(plan.case, engine="mujoco"))
@@ -323,11 +327,14 @@ def _compiled(case: kernel.Case, setting: Setting, double: bool) -> Program:
                 prepared, case.drive, case.rollout, state, setpoint, key,
                 setpoints=kernel.setpoints(template, values, case.rollout.ticks),
             )  # fmt: skip
-            result = _metrics.finish(
-                running, envelopes, _metrics.reference(start, setpoint.position), growth_rate,
-                linear=False, period=prepared.drive.drive.control_period,
-                ticks=case.rollout.ticks, counted=case.rollout.ticks,
-                rest_amplitude=values["rest_amplitude"],
+            reference = _metrics.reference(start, setpoint.position)
+            drive = prepared.drive.drive
+            rest = _starts.rest_amplitude(case.drive, values, drive, robot=True)
+            size = jnp.maximum(jnp.abs(start), jnp.abs(setpoint.position))
+            result, _ = _metrics.finish(
+                running, envelopes, reference, growth_rate,
+                period=drive.control_period, ticks=case.rollout.ticks, counted=case.rollout.ticks,
+                scale=_verdicts.scale(drive, size, rest, linear_plant=False),
             )  # fmt: skip
             result = jax.tree.map(lambda leaf: jnp.nanmax(leaf) if leaf.ndim else leaf, result)
             return result, running.farthest, end.plant.qpos

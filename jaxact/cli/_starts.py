@@ -1,0 +1,75 @@
+"""Which starts the verdict of a loop that is not linear rests on, in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxact.sweep.single import Single, Start
+
+_NAMES = {
+    "": "its own start",
+    "on": "a step of 27 counts",
+    "between": "a step to between two counts",
+    "near": "a step to near a count",
+    "slide": "a step of thirty times what friction withstands",
+    "kick": "a small kick",
+}
+
+
+def lines(run: Single) -> list[str]:
+    """What came of each start, where there are several, and what the duration leaves open."""
+    from jaxact.status import Verdict
+
+    starts = run.starts
+    if len(starts) == 1:
+        return []
+    rotary = run.rotary[0]
+    groups: dict[str, list[str]] = {}
+    for start in starts:
+        groups.setdefault(_end(start, rotary), []).append(_NAMES[start.name])
+    parts = [f"{end} after {_listed(names)}" for end, names in groups.items()]
+    found = [f"From {len(starts)} starts: {'; '.join(parts)}."]
+    open_ones = [start for start in starts if not (start.moving or start.resting)]
+    if open_ones and int(run.results["verdict"]) == Verdict.STABLE:
+        found.append(
+            "What still decays at the end may yet go on as a limit cycle: a longer duration tells."
+        )
+    return found
+
+
+def document(run: Single) -> list[dict[str, Any]]:
+    """The same as an object of JSON."""
+
+    def plain(value: float) -> float | None:
+        return float(value) if np.isfinite(value) else None
+
+    return [
+        {
+            "start": start.name or "own",
+            "verdict": start.verdict.label,
+            "moving": start.moving,
+            "amplitude": plain(start.amplitude),
+            "frequency": plain(start.frequency),
+        }
+        for start in run.starts
+    ]
+
+
+def _end(start: Start, rotary: bool) -> str:
+    from jaxact.plot.wording import quantity
+    from jaxact.status import Verdict
+
+    if start.verdict in (Verdict.UNSTABLE, Verdict.INVALID):
+        return start.verdict.label if start.moving else "at rest, where perturbations grow,"
+    if not start.moving:
+        return "at rest" if start.resting else "decaying"
+    size = quantity(float(f"{start.amplitude:.3g}"), "rad" if rotary else "m")
+    at = f" at {start.frequency:.3g} rad/s" if np.isfinite(start.frequency) else ""
+    return f"limit cycle of {size}{at}"
+
+
+def _listed(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,243 @@
+"""Verdicts of loops that are not linear, against rollouts written here and describing functions."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from quickly import compiled_quickly as compiled_quickly
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+from jaxact import verdicts
+from jaxact.controller import Controller
+from jaxact.drive_options import Drive
+from jaxact.sensor import Sensor
+from jaxact.status import Verdict
+from jaxact.sweep import execute, reading
+from jaxact.sweep.samples import expand
+from jaxact.verdicts import Judgement, Motion, Scale
+
+# A motor with an encoder of 4,096 counts a revolution, whose differences are its velocity.
+COUNT, PERIOD, MASS, WN, ZETA, CUTOFF = 0.001534, 2e-3, 0.02, 300.0, 0.7, 300.0
+MOTOR = f"""
+precision = "float64"
+duration = 1.0
+velocity = "differenced"
+[parameters]
+mass = {MASS}
+wn = {WN}
+zeta = {ZETA}
+delay = {PERIOD}
+control_rate = {1 / PERIOD}
+velocity_filter = {CUTOFF}
+position_resolution = {COUNT}
+kp = 80.0
+kd = 1.5
+"""
+
+
+def _run(text):
+    asked = reading.parse(text)
+    samples = expand(asked)
+    found = execute.run(asked, samples)
+    return {name: row.reshape(samples.shape) for name, row in found.items()}
+
+
+def _plain(setpoint, duration, *, kp=80.0, kd=1.5, position=0.0, velocity=0.0):
+    """The motor again, written out: positions at the ticks; the delay is one control period."""
+    matrix = np.zeros((5, 5))
+    matrix[0, 1], matrix[1, 2], matrix[2, 3] = 1.0, 1.0 / MASS, 1.0
+    matrix[3, 2:] = -WN * WN, -2.0 * ZETA * WN, WN * WN
+    advance = expm(matrix * PERIOD)
+    state, waiting = np.array([position, velocity, 0.0, 0.0, 0.0]), 0.0
+    seen, speed = np.round(position / COUNT) * COUNT, velocity
+    share = 1.0 - np.exp(-CUTOFF * PERIOD)
+    positions = [position]
+    for _ in range(round(duration / PERIOD)):
+        now = np.round(state[0] / COUNT) * COUNT
+        speed += share * ((now - seen) / PERIOD - speed)
+        seen = now
+        state[4], waiting = waiting, kp * (setpoint - now) - kd * speed
+        state = advance @ state
+        positions.append(state[0])
+    return np.array(positions)
+
+
+def _oscillation(positions):
+    """Half range and angular frequency of the last quarter."""
+    last = positions[3 * len(positions) // 4 :]
+    above = last >= 0.5 * (last.max() + last.min())
+    rising = np.flatnonzero(above[1:] & ~above[:-1])
+    frequency = 2.0 * np.pi * (len(rising) - 1) / ((rising[-1] - rising[0]) * PERIOD)
+    return 0.5 * np.ptp(last), frequency
+
+
+def test_a_quantised_loop_has_one_verdict_whatever_its_setpoint_and_start():
+    speeds = [0.0, 0.001, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, -0.02, -0.5, 0.0123]
+    found = _run(MOTOR + f"[axes]\nsetpoint = [0.0, 0.01, 0.1, 1.0]\ninitial_velocity = {speeds}\n")
+    assert (found["verdict"] == Verdict.LIMIT_CYCLE).all()
+    amplitude, frequency = found["limit_cycle_amplitude"], found["limit_cycle_frequency"]
+    # What remains of a step of 1 m has not decayed to counts within a second.
+    settled = amplitude[:3]
+    assert (
+        np.all((settled > 0.5 * COUNT) & (settled < 2.5 * COUNT)) and np.isfinite(frequency).all()
+    )
+
+
+@pytest.mark.parametrize("setpoint, velocity", [(0.01, 0.0), (0.3, 0.0), (0.0, 0.5)])
+def test_amplitude_and_frequency_are_those_of_a_plain_rollout(setpoint, velocity):
+    text = MOTOR.replace("duration = 1.0", "duration = 4.0")
+    axes = f"[axes]\nsetpoint = [{setpoint}]\ninitial_velocity = [{velocity}]\n"
+    found = {name: float(row.ravel()[0]) for name, row in _run(text + axes).items()}
+    amplitude, frequency = _oscillation(_plain(setpoint, 4.0, velocity=velocity))
+    assert found["limit_cycle_amplitude"] == pytest.approx(amplitude, rel=1e-3)
+    assert found["limit_cycle_frequency"] == pytest.approx(frequency, rel=0.03)
+
+
+FAST = 2.5e-4
+
+
+def _open_loop(frequency, kp, kd):
+    """Frequency response from the measured position, once round, to the position: sampled.
+
+    At a control period of `FAST`, as a describing function knows of no ticks; the delay is that of
+    the motor.
+    """
+    matrix = np.zeros((5, 5))
+    matrix[0, 1], matrix[1, 2], matrix[2, 3] = 1.0, 1.0 / MASS, 1.0
+    matrix[3, 2:] = -WN * WN, -2.0 * ZETA * WN, WN * WN
+    advance = expm(matrix * FAST)
+    z = np.exp(1j * frequency * FAST)
+    plant = np.linalg.solve(z * np.eye(4) - advance[:4, :4], advance[:4, 4])[0]
+    pole = np.exp(-CUTOFF * FAST)
+    controller = kp + kd * (1.0 - pole) * (z - 1.0) / (z - pole) / FAST
+    return plant * controller * z ** -round(PERIOD / FAST)
+
+
+@pytest.mark.parametrize("kp, kd", [(80.0, 1.5), (40.0, 1.0), (20.0, 0.6)])
+def test_between_two_counts_it_is_what_the_describing_function_of_a_relay_predicts(kp, kd):
+    """Between two counts the encoder is a relay of half a count: N(A) = 2 count / (pi A)."""
+
+    def phase(frequency):
+        return np.angle(-_open_loop(frequency, kp, kd))
+
+    crossing = brentq(phase, 60.0, 400.0)
+    amplitude = 2.0 * COUNT * abs(_open_loop(crossing, kp, kd)) / np.pi
+    assert amplitude < COUNT  # where the next two counts are out of reach
+    text = MOTOR.replace("kp = 80.0\nkd = 1.5", f"kp = {kp}\nkd = {kd}")
+    text = text.replace(f"control_rate = {1 / PERIOD}", f"control_rate = {1 / FAST}")
+    found = _run(text + f"[axes]\nsetpoint = [{10.5 * COUNT}]\n")
+    assert found["limit_cycle_amplitude"][0] == pytest.approx(amplitude, rel=0.1)
+    assert found["limit_cycle_frequency"][0] == pytest.approx(crossing, rel=0.07)
+
+
+def test_a_map_of_quantised_loops_is_the_same_for_every_setpoint():
+    axes = """
+[axes]
+setpoint = [0.0, 0.01, 0.1, 1.0]
+kp = { min = 5, max = 400, num = 10, spacing = "log" }
+kd = { min = 0.1, max = 8, num = 10, spacing = "log" }
+"""
+    found = _run(MOTOR.replace('"float64"', '"float32"') + axes)
+    verdict, growth = found["verdict"], found["growth_rate"]
+    assert (verdict == verdict[:1]).all()
+    assert (verdict[growth >= 0.0] == Verdict.UNSTABLE).all()
+    # A bare mass never rests between two counts of an encoder that is its only sensor; what decays
+    # in more than the simulated time has not come there.
+    assert (verdict[growth < -1.0] == Verdict.LIMIT_CYCLE).all()
+
+
+JOINT = """
+precision = "float64"
+duration = 2.0
+[parameters]
+actuator = "hyq"
+delay = 0.001
+"""
+LOOPS = {
+    "an encoder that is fine for the loop, and a sensor of velocity": (
+        "position_resolution = 1e-5\ncontrol_rate = 4000\nkp = 100", Verdict.STABLE,
+    ),
+    "the same, with a coarse D/A converter": ("command_resolution = 2", Verdict.LIMIT_CYCLE),
+    "noise alone": ("position_noise = 1e-4\nvelocity_noise = 0.01", Verdict.STABLE),
+    "noise, and gains that are too high": ("velocity_noise = 0.01\nkd = 900", Verdict.UNSTABLE),
+    "noise far above the count of its encoder": (
+        "position_noise = 1e-3\nposition_resolution = 1e-5", Verdict.STABLE,
+    ),
+    "noise far below the step of its converter": (
+        "position_noise = 1e-6\ncommand_resolution = 2", Verdict.LIMIT_CYCLE,
+    ),
+    "limits that are never reached": ("force_limit = 1e6", Verdict.STABLE),
+    "limits that bound what grows": ("force_limit = 20\nkd = 900", Verdict.LIMIT_CYCLE),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", LOOPS)
+def test_one_verdict_for_steps_over_four_orders_of_magnitude(case):
+    drive, verdict = LOOPS[case]
+    found = _run(JOINT + drive + "\n[axes]\nsetpoint = [0.0, 1e-3, 0.0317, 0.5]\n")
+    assert (found["verdict"] == verdict).all()
+
+
+def _shaped(**rows):
+    return {name: jnp.asarray(value, float) for name, value in rows.items()}
+
+
+def _of(amplitudes, growth, count=1e-3, farthest=1e-2):
+    motion = Motion(
+        **_shaped(amplitude=amplitudes, frequency=10.0, farthest=farthest, span=1e-2),
+        valid=jnp.asarray(True),
+    )
+    flags = {"linear": jnp.asarray(False), "unlimited": jnp.asarray(False)}
+    scale = Scale(**_shaped(count=count, rest=0.01 * count, floor=0.0), **flags)
+    return verdicts.of_motion(motion, scale, jnp.asarray(growth), jnp.asarray(0.5)), scale
+
+
+def test_what_a_motion_that_remains_means():
+    def verdict(*amplitudes, growth=-1.0, **more):
+        return int(_of([1e-2, *amplitudes], growth, **more)[0].verdict)
+
+    assert verdict(1e-3, 1e-3, 1e-3) == Verdict.LIMIT_CYCLE
+    assert verdict(1e-3, 1e-4, 1e-5) == Verdict.STABLE  # a hundredth of a count
+    assert verdict(1e-2, 6e-3, 3.6e-3) == Verdict.STABLE  # exp(-0.5) = 0.61 a segment
+    assert verdict(4e-3, 6e-3, 3.6e-3) == Verdict.LIMIT_CYCLE  # smaller only now
+    assert verdict(1e-6, 1e-6, 1e-6, growth=1.0) == Verdict.UNSTABLE  # has not grown yet
+    assert verdict(1e-3, 2e-3, 4e-3, growth=1.0) == Verdict.UNSTABLE
+    assert verdict(1e-3, 1e-3, 1e-3, growth=1.0) == Verdict.LIMIT_CYCLE
+    assert verdict(1e-3, 1e-3, 1e-3, farthest=1e2) == Verdict.UNSTABLE
+    assert verdict(1e-3, 1e-3, 1e-3, growth=np.nan) == Verdict.INVALID
+
+
+def test_the_worst_start_counts():
+    rest, scale = _of([1e-2, 1e-4, 1e-5, 1e-6], -1.0)
+    small, _ = _of([1e-3] * 4, -1.0)
+    large, _ = _of([5e-3] * 4, -1.0)
+
+    def stack(*rows: Judgement):
+        leaves = zip(*(vars(row).values() for row in rows), strict=True)
+        names = Judgement.__dataclass_fields__
+        return Judgement(**{n: jnp.stack(leaf) for n, leaf in zip(names, leaves, strict=True)})
+
+    def worst(own, *others):
+        found = verdicts.together(own, stack(*others), scale)
+        return int(found.verdict), float(found.amplitude)
+
+    assert worst(rest, rest, rest) == (Verdict.STABLE, pytest.approx(1e-6))
+    assert worst(rest, small, large) == (Verdict.LIMIT_CYCLE, pytest.approx(5e-3))
+    # Its own motion is what is measured where it goes on; within a count, the others decide.
+    assert worst(large, rest, small) == (Verdict.LIMIT_CYCLE, pytest.approx(5e-3))
+    assert worst(small, rest, rest)[0] == Verdict.STABLE
+    # Nothing has moved a loop that grows from rest: the others say what it would become.
+    still, _ = _of([0.0] * 4, 1.0)
+    cycling, _ = _of([5e-3] * 4, 1.0)
+    assert int(still.verdict) == Verdict.UNSTABLE
+    assert worst(still, still, still)[0] == Verdict.UNSTABLE
+    assert worst(still, cycling, still)[0] == Verdict.LIMIT_CYCLE
+    assert worst(still, cycling, cycling) == (Verdict.LIMIT_CYCLE, pytest.approx(5e-3))
+
+
+def test_counts_are_felt_as_positions():
+    drive = Drive(
+        Controller(jnp.array([100.0, 100.0, 0.0]), 5.0, command_resolution=0.2),
+        sensor=Sensor(position_resolution=jnp.array([1e-4, 1e-2, 1e-4]), velocity_resolution=0.1),
+    )
+    np.testing.assert_allclose(verdicts.count(drive), [5e-3, 1e-2, 1e-4], rtol=1e-6)
