@@ -294,3 +294,30 @@ def test_a_file_says_which_velocity_and_what_linear_loops_leave_out(capsys, tmp_
 )  # fmt: skip
 def test_what_the_velocity_does_not_have_is_refused_by_name(capsys, arguments, message):
     assert message in _mistake(capsys, *arguments)
+
+
+def test_margins_of_a_specification_are_a_map_to_plot(capsys):
+    Path("s.toml").write_text(
+        "[parameters]\nkp = 800\nkd = 40\nzeta = 0.9\ncontrol_rate = 500\n[axes]\n"
+        "wn = { min = 50, max = 1000, num = 4, spacing = 'log' }\n"
+        "delay = { min = 0, max = 0.02, num = 3 }\n"
+    )
+    said = _said(capsys, "margins", "--loops", "s.toml", "--store", "m.zarr", "--json")
+    rows = [json.loads(line) for line in said.splitlines()]
+    import xarray
+
+    store = xarray.open_zarr("m.zarr")
+    assert store["gain_margin"].dims == ("wn", "delay") and store.sizes == {"wn": 4, "delay": 3}
+    for index, row in enumerate(rows):
+        place = dict(zip(("wn", "delay"), divmod(index, 3), strict=True))
+        here = store.isel(place)
+        assert (
+            float(here["wn"]) == row["loop"]["wn"] and float(here["delay"]) == row["loop"]["delay"]
+        )
+        assert (int(here["verdict"]) == 0) == row["sampled"]["stable"]
+        expected = row["sampled"]["sensitivity_peak"]
+        found = float(here["sampled_sensitivity_peak"])
+        assert math.isnan(found) if expected is None else found == expected
+    for variable in ("sampled_delay_margin", "growth_rate"):
+        said = _said(capsys, "plot", "m.zarr", "--variable", variable, "--out", "map.png")
+        assert "Exact margins, sampled, control at 500 Hz" in said

@@ -44,12 +44,14 @@ class Loops:
     labels: what tells them apart, with units, e.g. `HyQ, delay 1 ms`
     said: parameters that were given, rather than left at their defaults
     velocity: of the specification that lists them, None where nothing does
+    source: that specification, and its samples
     """
 
     values: dict[str, np.ndarray]
     labels: tuple[str, ...]
     said: frozenset[str] = frozenset()
     velocity: str | None = None
+    source: tuple[Specification, Samples] | None = None
 
     def __len__(self) -> int:
         """Number of loops."""
@@ -256,7 +258,7 @@ def expanded(specification: Specification) -> Loops:
         labels = (loop_name(specification),) * len(samples)
     else:
         labels = tuple(", ".join(words) for words in zip(*columns, strict=True))
-    return Loops(values, labels, said, specification.velocity)
+    return Loops(values, labels, said, specification.velocity, (specification, samples))
 
 
 # Parameters that a picture of linear loops, or their margins, need not mention: what the loop

@@ -90,6 +90,7 @@ def main(
       jaxact margins --mass 0.7 --kp 400 --kd 20 --actuator starleth --delay 5e-3
       jaxact margins --actuator hyq starleth --delay 0 0.001 0.005 --control-rate 1000
       jaxact margins --loops loops.toml --json
+      jaxact margins --loops sweep.toml --store margins.zarr  # for plot --variable gain_margin
       jaxact margins --model robot.xml --keyframe home --actuator hyq --delay 0.001
       jaxact margins --model robot.xml --kp 300 --kd 15 --set 'kp@.*_knee=500' --out margins.png
     """
@@ -115,7 +116,8 @@ def main(
         _files.write(csv, lambda file: file.write(_csv_text(chosen, found).encode()))
     if store is not None:
         with at_once.destination(store, overwrite=overwrite) as partial:
-            at_once.write(_dataset(chosen, found), partial)
+            grid = loops is not None and chosen.source is not None
+            at_once.write((_grid if grid else _dataset)(chosen, found), partial)
     print(_json_lines(chosen, found) if json else _tables(chosen, found))
     if not json and (csv or store):
         print("wrote " + ", ".join(str(path) for path in (csv, store) if path is not None))
@@ -188,6 +190,25 @@ def _dataset(chosen: _loops.Loops, found: Mapping[str, Figures]) -> Any:
     coords["name"] = ("loop", np.array(chosen.labels, dtype=object))
     title = "stability margins of a joint's closed loops"
     return xr.Dataset(arrays, coords, {"title": title, "jaxact_version": __version__})
+
+
+def _grid(chosen: _loops.Loops, found: Mapping[str, Figures]) -> Any:
+    """The same over the axes of a specification, for `jaxact plot`."""
+    from jaxact.sweep import margins_store
+
+    assert chosen.source is not None
+    sampled = "sampled_" in found
+    last = found["sampled_" if sampled else ""]
+    figures = {
+        f"{prefix}{name}": (_masked(name, figures), UNITS[name])
+        for prefix, figures in found.items()
+        for name in (*ALWAYS, *MARGINS)
+    }
+    return margins_store.dataset(
+        *chosen.source, figures,
+        kind=margins_store.SAMPLED if sampled else margins_store.CONTINUOUS,
+        growth_rate=last["spectral_abscissa"], stable=last["stable"],
+    )  # fmt: skip
 
 
 def _masked(name: str, figures: Figures) -> np.ndarray:

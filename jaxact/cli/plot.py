@@ -113,6 +113,7 @@ def main(
       jaxact plot results/paper_gain_map
       jaxact plot results/paper_gain_map --facet delay actuator --out map.pdf
       jaxact plot results/paper_gain_map --variable overshoot --select actuator=hyq
+      jaxact margins --loops sweep.toml --store m.zarr && jaxact plot m.zarr --variable gain_margin
       jaxact plot results/paper_gain_map --kind lines --x kd --y delay --select kp=400
     """
     from jaxact.plot import look, panels, regular
@@ -153,16 +154,17 @@ def _draw(
 ) -> tuple[Figure, str]:
     """The figure, and its small print, about the loops computed where others are shown."""
     from jaxact.plot import caption, field, lines, scatter, stability_map
-    from jaxact.sweep import agreement
+    from jaxact.sweep import agreement, margins_store
 
     field.field(results, variable)  # a misspelt name is told before anything is computed
     boundaries = _boundaries(arrangement)
     drawn = any(boundary is not None for boundary in boundaries)
     computed = arrangement.data if computed is None else computed
-    found = None if quick else agreement.sweep_agreement(computed)
+    exact = margins_store.KIND in results.attrs
+    found = None if quick or exact else agreement.sweep_agreement(computed)
     parts = [
         f"Shown: {', '.join(arrangement.selected)}." if arrangement.selected else "",
-        caption.simulated(computed),
+        caption.exact(computed) if exact else caption.simulated(computed),
         caption.compared(found) if found is not None else "",
         caption.linear_only(arrangement.data) if drawn or found is not None else "",
     ]
@@ -173,21 +175,29 @@ def _draw(
     if arrangement.kind == "lines":
         shared["nominal"] = None if marked is None else marked[0]
         return lines.lines(results, arrangement, **shared), footer
-    draw = scatter.scatter if arrangement.kind == "scatter" else stability_map.stability_map
-    return draw(results, arrangement, boundaries=boundaries, nominal=marked, **shared), footer
+    shared |= {"boundaries": boundaries, "nominal": marked}
+    if arrangement.kind == "scatter":
+        return scatter.scatter(results, arrangement, **shared), footer
+    shared["linearised"] = not agreement.is_plain_mass(results)
+    return stability_map.stability_map(results, arrangement, **shared), footer
 
 
 def _boundaries(arrangement: Arrangement) -> list[Any]:
-    """The exact boundary of every panel that shows the plane of the gains."""
+    """The exact boundary of every panel, over whichever two numbers it shows."""
     from jaxact.plot.stability_map import cell_edges
-    from jaxact.sweep.agreement import exact_boundary
+    from jaxact.sweep import exact_lines
+    from jaxact.sweep.parameters import known, of
 
-    axes = {axis.name: axis for axis in (arrangement.x, arrangement.y) if axis is not None}
-    if arrangement.kind == "lines" or set(axes) != {"kp", "kd"}:
+    axes = [axis for axis in (arrangement.x, arrangement.y) if axis is not None]
+    drawable = len(axes) == 2 and all(a.scale != "category" and known(a.name) for a in axes)
+    if arrangement.kind == "lines" or not drawable:
         return [None] * len(arrangement.panels)
-    kp, kd = (cell_edges(axes[name]) for name in ("kp", "kd"))
-    window = (float(kp[0]), float(kp[-1])), (float(kd[0]), float(kd[-1]))
-    return [exact_boundary(panel.data, *window) for panel in arrangement.panels]
+    windows = []
+    for axis in axes:
+        edges, bounds = cell_edges(axis), of(axis.name)
+        ends = max(float(edges[0]), bounds.minimum), min(float(edges[-1]), bounds.maximum)
+        windows.append(exact_lines.Window(axis.name, *ends, axis.scale == "log"))
+    return [exact_lines.exact_lines(panel.data, *windows) for panel in arrangement.panels]
 
 
 def _nominal(

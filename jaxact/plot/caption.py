@@ -62,6 +62,23 @@ def simulated(results: xr.Dataset) -> str:
     return ", ".join(words) + "."
 
 
+def exact(results: xr.Dataset) -> str:
+    """What a store of margins is of: the kind of loop, its velocity and filter, how many loops.
+
+    results: from `jaxact.sweep.margins_store`
+    """
+    specification = json.loads(results.attrs["specification"])
+    words = [f"Exact margins, {results.attrs['margins']}"]
+    if results.attrs["margins"] == "sampled":
+        rates = np.unique(_parameter(results, "control_rate"))
+        rate = wording.quantity(rates[0], "Hz") if len(rates) == 1 else f"{len(rates)} rates"
+        words += [f"control at {rate}", f"{specification['velocity']} velocity"]
+    cutoffs = np.unique(_parameter(results, "velocity_filter"))
+    if len(cutoffs) == 1 and np.isfinite(cutoffs[0]):
+        words.append(f"velocity filtered at {wording.quantity(cutoffs[0], 'rad/s')}")
+    return ", ".join([*words, f"{results['verdict'].size:,} loops"]) + "."
+
+
 def compared(agreement: Agreement) -> str:
     """How many verdicts differ from exact sampled stability, and how near the border they are."""
     whole = agreement.compared == agreement.samples
@@ -116,6 +133,8 @@ def loop(values: dict[str, float], results: dict[str, float], static: dict[str, 
     if values["gain_scale"] != 1.0:
         gains = f"{values['gain_scale']:g} times {gains}"
     asked = f"{gains}; {engine}, control at {rate}, {static['velocity']} velocity"
+    if static["velocity"] == "differenced" and math.isfinite(values["velocity_filter"]):
+        asked += f" filtered at {wording.quantity(values['velocity_filter'], 'rad/s')}"
     verdict = Verdict(int(results["verdict"])).label
     found = [verdict, f"growth rate {results['growth_rate']:.3g}/s"]
     if math.isfinite(results.get("overshoot", math.nan)):

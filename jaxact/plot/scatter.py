@@ -27,7 +27,7 @@ from jaxact.plot.stability_map import (
 from jaxact.status import Verdict
 
 if TYPE_CHECKING:
-    from jaxact.sweep.agreement import ExactBoundary
+    from jaxact.sweep.exact_lines import ExactLines
 
 # Marker, edge colour and edge width of each verdict: apart in grey and without colour vision.
 _MARKERS: dict[Verdict, dict[str, Any]] = {
@@ -43,7 +43,7 @@ def scatter(
     arrangement: Arrangement,
     *,
     variable: str = "growth_rate",
-    boundaries: Sequence[ExactBoundary | None] | None = None,
+    boundaries: Sequence[ExactLines | None] | None = None,
     nominal: tuple[float, float] | None = None,
     title: str = "",
     footer: str = "",
@@ -66,7 +66,7 @@ def scatter(
             axes.grid(visible=True, which="major")
             _points(axes, arrangement, panel, shown)
             if boundaries is not None and boundaries[number] is not None:
-                draw_boundary(axes, arrangement, boundaries[number])
+                draw_boundary(axes, boundaries[number])
             if nominal is not None:
                 mark_nominal(axes, arrangement, nominal)
         finish(drawn, shown, handles)
@@ -107,7 +107,7 @@ def _places(axis: Axis, values: np.ndarray) -> np.ndarray:
 
 def _legend(
     arrangement: Arrangement,
-    boundaries: Sequence[ExactBoundary | None] | None,
+    boundaries: Sequence[ExactLines | None] | None,
     nominal: tuple[float, float] | None,
 ) -> list[Artist]:
     present = {int(v) for panel in arrangement.panels for v in np.unique(panel.data["verdict"])}

@@ -26,10 +26,11 @@ from jaxact.plot import look, wording
 from jaxact.plot.field import Field, dress_colorbar, field, settled
 from jaxact.plot.panels import Arrangement, Axis, Panel
 from jaxact.plot.sheet import Sheet, sheet
+from jaxact.plot.zero_line import zero_line
 from jaxact.status import Verdict
 
 if TYPE_CHECKING:
-    from jaxact.sweep.agreement import ExactBoundary
+    from jaxact.sweep.exact_lines import ExactLines
 
 # Verdicts that are hatched: pattern and its colour. Stable is left plain.
 HATCHES = {
@@ -40,6 +41,7 @@ HATCHES = {
 INVALID_FILL = "#C9C9C9"
 # A loop that does not have the figure that is drawn, e.g. one that did not settle in time.
 EMPTY_FILL = "#EDEDED"
+LINEARISED = "linearised boundary"
 
 
 @dataclass(frozen=True)
@@ -55,8 +57,9 @@ def stability_map(
     arrangement: Arrangement,
     *,
     variable: str = "growth_rate",
-    boundaries: Sequence[ExactBoundary | None] | None = None,
+    boundaries: Sequence[ExactLines | None] | None = None,
     nominal: tuple[float, float] | None = None,
+    linearised: bool = False,
     title: str = "",
     footer: str = "",
 ) -> Figure:
@@ -67,18 +70,26 @@ def stability_map(
     variable: coloured; the growth rate is centred on zero
     boundaries: exact boundary of each panel in order, None where there is none
     nominal: (x, y) of the point to mark
+    linearised: draw where the growth rate of the linearised loops is zero, as of robots
     title, footer: above and below
     """
     shown = field(dataset, variable)
     with look.look():
+        zero = [zero_line(arrangement, panel) if linearised else () for panel in arrangement.panels]
         handles = _legend(arrangement, boundaries, nominal, variable)
+        if any(zero):
+            handles.append(Line2D([], [], color="black", linewidth=1.5, label=LINEARISED))
         drawn = frame(arrangement, title, footer=footer, entries=len(handles))
         for number, panel in enumerate(arrangement.panels):
             axes = drawn.grid[panel.row, panel.column]
             _field(axes, arrangement, panel, shown)
-            _verdicts(axes, arrangement, panel)
-            if boundaries is not None and boundaries[number] is not None:
-                draw_boundary(axes, arrangement, boundaries[number])
+            exact = None if boundaries is None else boundaries[number]
+            # A line that says where the border is needs no staircase of cells beside it.
+            _verdicts(axes, arrangement, panel, border=exact is None and not zero[number])
+            if exact is not None:
+                draw_boundary(axes, exact)
+            for x, y in zero[number]:
+                axes.plot(x, y, color="black", linewidth=1.5, zorder=4, scalex=False, scaley=False)
             if nominal is not None:
                 mark_nominal(axes, arrangement, nominal)
         finish(drawn, shown, handles)
@@ -195,8 +206,8 @@ def _field(axes: Axes, arrangement: Arrangement, panel: Panel, shown: Field) -> 
     )  # fmt: skip
 
 
-def _verdicts(axes: Axes, arrangement: Arrangement, panel: Panel) -> None:
-    """Hatch what is not stable, and draw the border of what is."""
+def _verdicts(axes: Axes, arrangement: Arrangement, panel: Panel, *, border: bool) -> None:
+    """Hatch what is not stable, and draw the border of what is where that is wanted."""
     assert arrangement.y is not None
     x, y = _corners(cell_edges(arrangement.x)), _corners(cell_edges(arrangement.y))
     verdict = panel.data["verdict"].values
@@ -210,7 +221,7 @@ def _verdicts(axes: Axes, arrangement: Arrangement, panel: Panel) -> None:
         area.set_edgecolor(color)
         area.set_linewidth(0.0)
     stable = np.repeat(np.repeat(verdict == Verdict.STABLE, 2, axis=0), 2, axis=1)
-    if stable.any() and not stable.all():
+    if border and stable.any() and not stable.all():
         axes.contour(
             x, y, stable.astype(float), levels=[0.5], colors="white", linewidths=2.2, zorder=3
         )
@@ -221,17 +232,13 @@ def _corners(edges: np.ndarray) -> np.ndarray:
     return np.column_stack([edges[:-1], edges[1:]]).ravel()
 
 
-def draw_boundary(axes: Axes, arrangement: Arrangement, boundary: ExactBoundary) -> None:
-    """Sampled boundary solid, continuous-time boundary dashed, in the gain plane."""
-    assert arrangement.y is not None
-    names = arrangement.x.name, arrangement.y.name
+def draw_boundary(axes: Axes, boundary: ExactLines) -> None:
+    """Sampled boundary solid, continuous-time boundary dashed."""
     for curves, line in ((boundary.continuous, "--"), (boundary.sampled, "-")):
-        for curve in curves:
-            if not curve.separates:
-                continue
+        for x, y in curves:
             axes.plot(
-                getattr(curve, names[0]), getattr(curve, names[1]), line, color="black",
-                linewidth=1.5 if line == "-" else 1.1, zorder=4, scalex=False, scaley=False,
+                x, y, line, color="black", linewidth=1.5 if line == "-" else 1.1, zorder=4,
+                scalex=False, scaley=False,
             )  # fmt: skip
 
 
@@ -259,7 +266,7 @@ def verdict_handles(present: Iterable[int]) -> list[Artist]:
     ]  # fmt: skip
 
 
-def boundary_handles(boundaries: Sequence[ExactBoundary | None] | None) -> list[Artist]:
+def boundary_handles(boundaries: Sequence[ExactLines | None] | None) -> list[Artist]:
     """Legend entries of the exact boundaries that are drawn."""
     drawn = [b for b in boundaries or () if b is not None]
     handles: list[Artist] = []
@@ -289,7 +296,7 @@ def nominal_handle(arrangement: Arrangement, nominal: tuple[float, float]) -> Ar
 
 def _legend(
     arrangement: Arrangement,
-    boundaries: Sequence[ExactBoundary | None] | None,
+    boundaries: Sequence[ExactLines | None] | None,
     nominal: tuple[float, float] | None,
     variable: str,
 ) -> list[Artist]:

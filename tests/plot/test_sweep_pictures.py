@@ -16,7 +16,9 @@ from jaxact.plot.lines import lines
 from jaxact.plot.panels import arrange
 from jaxact.plot.scatter import scatter
 from jaxact.plot.stability_map import cell_edges, stability_map
+from jaxact.plot.zero_line import zero_line
 from jaxact.sweep import agreement
+from jaxact.sweep.exact_lines import Window, exact_lines
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +28,7 @@ def grid():
 
 def _boundaries(arrangement):
     return [
-        agreement.exact_boundary(panel.data, (10.0, 1e5), (0.1, 2000.0))
+        exact_lines(panel.data, Window("kp", 10.0, 1e5, True), Window("kd", 0.1, 2000.0, True))
         for panel in arrangement.panels
     ]
 
@@ -183,3 +185,31 @@ def test_small_print_says_what_theory_leaves_out(grid):
     assert caption.linear_only(grid) == ""
     assert "without its force limit" in caption.linear_only(dataset(DRAWN))
     assert caption.simulated(grid).startswith("Simulated: exact mass plant, control at 1 kHz")
+
+
+def test_a_linearised_boundary_is_a_smooth_line_where_the_growth_rate_is_zero():
+    """Of exact growth rates on a grid: near the exact boundary, far nearer than a cell."""
+    found = dataset(
+        "[parameters]\nactuator = 'starleth'\ndelay = 0.005\n[axes]\n"
+        "kp = { min = 100, max = 1e4, num = 21, spacing = 'log' }\n"
+        "kd = { min = 5, max = 500, num = 21, spacing = 'log' }\n"
+    )
+    arrangement = arrange(found)
+    lines_found = zero_line(arrangement, arrangement.panels[0])
+    window = Window("kp", 100.0, 1e4, True), Window("kd", 5.0, 500.0, True)
+    exact = exact_lines(arrangement.panels[0].data, *window).sampled
+    assert lines_found
+    cell = np.log(100.0) / 20.0
+    for kp, kd in lines_found:
+        for x, y in zip(kp, kd, strict=True):
+            near = [np.hypot(np.log(a / x), np.log(b / y)).min() for a, b in exact]
+            assert min(near) < 0.25 * cell
+    figure = stability_map(found, arrangement, linearised=True)
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "linearised boundary" in labels
+    # A loop without a growth rate leaves a gap, and no line around itself.
+    holed = found.copy(deep=True)
+    holed["growth_rate"][3, 3] = np.nan
+    arrangement = arrange(holed)
+    pieces = zero_line(arrangement, arrangement.panels[0])
+    assert sum(np.isfinite(kp).sum() for kp, _ in pieces) <= sum(len(kp) for kp, _ in lines_found)
