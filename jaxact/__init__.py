@@ -7,7 +7,10 @@ wait for JAX.
 from __future__ import annotations
 
 import importlib
-from typing import Any
+
+TYPE_CHECKING = False  # `typing` takes longer to import than all of this
+if TYPE_CHECKING:
+    from typing import Any
 
 __version__ = "0.1.0"
 
@@ -24,7 +27,8 @@ _PUBLIC = {
     "UserError": "jaxact.errors",
     "Verdict": "jaxact.status",
     "continuous_boundary": "jaxact.boundary",
-    "open_result": "jaxact.sweep.store",
+    "load_result": "jaxact.sweep.opening",
+    "open_result": "jaxact.sweep.opening",
     "sampled_boundary": "jaxact.boundary",
 }
 

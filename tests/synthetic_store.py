@@ -5,7 +5,7 @@ import tempfile
 import numpy as np
 from scipy.linalg import expm
 
-from jaxact.sweep import conduct, place, reading, store
+from jaxact.sweep import conduct, opening, place, reading, store
 from jaxact.sweep.planning import Planned
 from jaxact.sweep.samples import expand
 
@@ -129,7 +129,7 @@ def dataset_of(specification, samples, results):
     """The dataset of a sweep with these results, in memory; without the variables not given."""
     with tempfile.TemporaryDirectory() as folder:
         run(folder, specification, samples, results)
-        whole = store.open_result(folder).load()
+        whole = opening.open_result(folder).load()
     return whole[[name for name in store.VARIABLES if name in results]]
 
 

@@ -11,7 +11,7 @@ import xarray as xr
 
 from jaxact.errors import UserError
 from jaxact.status import Verdict
-from jaxact.sweep import at_once, reading, store
+from jaxact.sweep import at_once, opening, reading, store
 from jaxact.sweep.samples import expand
 from jaxact.sweep.summary import summary
 
@@ -115,14 +115,14 @@ def test_sampled_results_round_trip(tmp_path):
         "[axes]\nkp={min=1,max=9}\nkd={min=1,max=9}\n[sampling]\nmethod='sobol'\nsamples=8"
     )
     _write(results, tmp_path / "sweep.zarr")
-    back = store.open_result(tmp_path)
+    back = opening.open_result(tmp_path)
     assert back.sizes == {"sample": 8} and back["kd"].dims == ("sample",)
     xr.testing.assert_identical(back.load(), results)
 
 
 def test_netcdf_has_the_same_content(results, tmp_path):
     path = tmp_path / "map.nc"
-    store.to_netcdf(results, path)
+    opening.to_netcdf(results, path)
     back = xr.open_dataset(path, engine="h5netcdf").load()
     xr.testing.assert_equal(back, results)
     assert back.attrs["specification"] == results.attrs["specification"]
@@ -130,10 +130,10 @@ def test_netcdf_has_the_same_content(results, tmp_path):
     assert back["verdict"].attrs["flag_meanings"] == results["verdict"].attrs["flag_meanings"]
     back.close()
     with pytest.raises(UserError, match="--overwrite"):
-        store.to_netcdf(results, path)
-    store.to_netcdf(results, path, overwrite=True)
+        opening.to_netcdf(results, path)
+    opening.to_netcdf(results, path, overwrite=True)
     with pytest.raises(UserError, match="does not exist"):
-        store.to_netcdf(results, tmp_path / "absent" / "map.nc")
+        opening.to_netcdf(results, tmp_path / "absent" / "map.nc")
     assert sorted(item.name for item in tmp_path.iterdir()) == ["map.nc"]
 
 
@@ -143,7 +143,7 @@ def test_an_existing_store_is_replaced_only_when_asked(results, tmp_path):
     with pytest.raises(UserError, match="--overwrite"):
         _write(results, path)
     _write(results.isel(kd=[0]), path, overwrite=True)
-    assert store.open_result(tmp_path / "out").sizes["kd"] == 1
+    assert opening.open_result(tmp_path / "out").sizes["kd"] == 1
     assert [item.name for item in path.parent.iterdir()] == ["sweep.zarr"]
 
 
@@ -160,7 +160,7 @@ def test_nothing_but_a_store_of_ours_is_ever_replaced(results, tmp_path):
         with pytest.raises(UserError, match="stays"):
             _write(results, path, overwrite=True)
     assert (folder / "thesis.txt").read_text() == "years of work"
-    assert store.open_result(tmp_path / "ours").sizes["kd"] == 3
+    assert opening.open_result(tmp_path / "ours").sizes["kd"] == 3
 
 
 def test_failure_leaves_nothing_behind_and_the_old_store_whole(results, tmp_path):
@@ -173,7 +173,7 @@ def test_failure_leaves_nothing_behind_and_the_old_store_whole(results, tmp_path
     with pytest.raises(ZeroDivisionError), at_once.destination(path, overwrite=True) as folder:
         at_once.write(results.isel(kd=[0]), folder)
         raise ZeroDivisionError
-    assert store.open_result(path).sizes["kd"] == 3
+    assert opening.open_result(path).sizes["kd"] == 3
     assert [item.name for item in path.parent.iterdir()] == ["sweep.zarr"]
 
 
@@ -200,11 +200,11 @@ def test_what_is_no_result_is_refused(results, tmp_path):
     (tmp_path / "file").write_text("")
     for name in ("absent", "empty", "file"):
         with pytest.raises(UserError, match=name):
-            store.open_result(tmp_path / name)
+            opening.open_result(tmp_path / name)
     _write(results, tmp_path / "sweep.zarr")
     (tmp_path / "sweep.zarr" / "zarr.json").write_text("{")
     with pytest.raises(UserError, match="no result"):
-        store.open_result(tmp_path)
+        opening.open_result(tmp_path)
 
 
 def test_summary_counts_verdicts_and_the_stable_share_of_every_case(results):

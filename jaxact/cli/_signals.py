@@ -1,34 +1,121 @@
-"""Ctrl-C and SIGTERM: raised where they arrive, and again if they were swallowed there.
+"""Ctrl-C, SIGTERM and SIGHUP: an end in one line, with the exit code of the signal, at any moment.
+
+While a verb works, the first signal raises an exception where it arrives, so that locks are let go
+of and what is done is kept. Before and after that, and from the second signal on, the process ends
+at once: results are written whole or not at all, so that nothing needs to be put in order.
 
 An exception that a signal raises inside a callback of a compiled library is printed or dropped by
-it. Long work therefore also asks `check` from time to time.
+it, or comes out as another one. Long work therefore also asks `check` from time to time.
 """
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
-from types import FrameType
+
+TYPE_CHECKING = False  # `typing` takes longer to import than all of this
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType, TracebackType
+
+_NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_NOTHING = "interrupted; nothing unfinished was kept"
 
 
 class Terminated(BaseException):
-    """The process was asked to end (SIGTERM)."""
+    """The process was asked to end (SIGTERM, SIGHUP)."""
 
 
 _received: list[int] = []
+_phase = {"working": False, "over": False}
+_words = {"farewell": _NOTHING}
 
 
 def listen() -> None:
-    """Raise KeyboardInterrupt on Ctrl-C and Terminated on SIGTERM from now on."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    """Take the signals from now on; one that is ignored (`nohup`) stays ignored."""
+    for number in _NUMBERS:
+        if number == signal.SIGHUP and signal.getsignal(number) == signal.SIG_IGN:
+            continue
         signal.signal(number, _arrived)
     sys.unraisablehook = _unraisable
+    sys.excepthook = _uncaught
+
+
+def taken(work: Callable[[], int]) -> int:
+    """The exit code of some work; where a signal has ended it, the process ends here.
+
+    work: raises what a signal raises, or says that it was interrupted; returns the exit code
+    """
+    import gc
+
+    try:
+        _phase["working"] = True
+        result = work()
+        over()
+    except BaseException:
+        if not _received:
+            raise
+        leave()
+    if result and result == code():
+        leave(None)
+    # Taking the interpreter down, Python would look for garbage in all that goes with the process:
+    # a third of a second after JAX was used.
+    gc.freeze()
+    return result
+
+
+def over() -> None:
+    """The work has ended, and nothing that arrives now changes how."""
+    _phase["over"] = True
+
+
+def keep(farewell: str) -> None:
+    """What to say where there is no time to look what was kept."""
+    _words["farewell"] = farewell
+
+
+def farewell() -> str:
+    """That the command was interrupted, and what was kept."""
+    return _words["farewell"]
+
+
+def code() -> int:
+    """Exit code of the signal that has arrived, 0 where none has."""
+    return 128 + _received[0] if _received else 0
 
 
 def check() -> None:
     """Raise what a signal that has arrived should have raised."""
     if _received:
-        raise Terminated if _received[0] == signal.SIGTERM else KeyboardInterrupt
+        raise KeyboardInterrupt if _received[0] == signal.SIGINT else Terminated
+
+
+def leave(words: str | None = "") -> None:
+    """End the process at once with the code of its signal.
+
+    Devices may be computing still, and would crash while the interpreter is taken down.
+
+    words: what to say, in one line; "": that it was interrupted; None: nothing, it is said already
+    """
+    over()
+    try:
+        if words is not None:
+            os.write(2, f"jaxact: {words or farewell()}\n".encode(errors="replace"))
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except (OSError, ValueError, RuntimeError):
+        pass  # the terminal has gone, or the signal came while it was written to
+    os._exit(code())
+
+
+def _arrived(number: int, frame: FrameType | None) -> None:
+    if _phase["over"]:
+        return
+    _received.append(number)
+    if not _phase["working"] or len(_received) > 1:
+        leave()
+    check()
 
 
 def _unraisable(lost: sys.UnraisableHookArgs) -> None:
@@ -37,6 +124,8 @@ def _unraisable(lost: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(lost)
 
 
-def _arrived(number: int, frame: FrameType | None) -> None:
-    _received.append(number)
-    check()
+def _uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """What nobody has caught: a signal between two phases, or a mistake of ours."""
+    if _received:
+        leave()
+    sys.__excepthook__(kind, error, trace)

@@ -34,6 +34,20 @@ def posture(specification: Specification) -> None:
         )
 
 
+def older(result: str) -> None:
+    """Warn of a store in which not all damage would be found."""
+    from jaxact.sweep import integrity, opening
+
+    store = opening.find(result)
+    with opening.readable(result):
+        found = integrity.description(store)
+    if found.older and not found.wrong:
+        warn(
+            f"{store.name}: was made by an older jaxact, without checksums of its coordinates;"
+            " damage there would not be found (`jaxact sweep ... --resume` adds them)"
+        )
+
+
 def overload(specification: Specification) -> None:
     """Warn of a robot's posture that its joints are too weak to hold; nothing without a robot."""
     if specification.plant is None:

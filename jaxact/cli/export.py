@@ -7,6 +7,8 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from jaxact.cli import _warnings
+
 
 def main(
     result: Annotated[
@@ -24,7 +26,9 @@ def main(
     examples:
       jaxact export results/paper_gain_map map.nc
     """
-    from jaxact.sweep import store
+    from jaxact.sweep import opening
 
-    store.to_netcdf(store.open_result(result), file, overwrite=overwrite)
+    opening.check_netcdf(file, overwrite=overwrite)
+    _warnings.older(result)
+    opening.to_netcdf(opening.load_result(result), file, overwrite=overwrite)
     print(f"{file}: {file.stat().st_size:,} bytes")

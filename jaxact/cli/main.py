@@ -2,24 +2,23 @@
 
 A verb is a module `jaxact.cli.<verb>` with a function `main`, whose typed arguments are the
 options and whose docstring is the help. It imports what is heavy (JAX, xarray, matplotlib) inside
-functions, so that `--help` and every mistake in what was typed answer at once.
+functions, so that `--help` and every mistake in what was typed answer at once. This module imports
+next to nothing, so that a Ctrl-C while Python still imports finds somebody who takes it.
 """
 
 from __future__ import annotations
 
-import errno
-import gc
-import importlib
-import os
 import sys
-from collections.abc import Callable, Sequence
-from typing import NoReturn
 
-from jaxact import __version__
-from jaxact.cli import _cache, _gl, _options, _signals, _xla
+from jaxact.cli import _signals
 from jaxact.cli._signals import Terminated
-from jaxact.errors import UserError
-from jaxact.sweep import reads
+
+TYPE_CHECKING = False  # `typing` takes longer to import than all of this
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from typing import NoReturn
+
+    from jaxact.errors import UserError
 
 VERBS = {
     "sweep": "simulate thousands of loops over a grid or a sample of parameters, keep the results",
@@ -49,6 +48,7 @@ _COMPILE = (
 USAGE_ERROR = 2
 INTERRUPTED = 130
 TERMINATED = 143
+HUNG_UP = 129
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -57,47 +57,76 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments: what follows `jaxact`, the process's own by default
 
     0: done. 2: a mistake in what was given, told in one line on standard error, nothing written.
-    130: interrupted with Ctrl-C. 143: terminated.
+    130: interrupted with Ctrl-C. 143: terminated. 129: its terminal has gone.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        return _run(list(sys.argv[1:] if arguments is None else arguments))
+    except (KeyboardInterrupt, Terminated) as stop:
+        _signals.over()
+        _say(str(stop) or _signals.farewell())
+        return _signals.code() or (TERMINATED if isinstance(stop, Terminated) else INTERRUPTED)
+    except Exception as error:
+        if _signals.code():  # a library has made another exception of it
+            _signals.over()
+            _say(_signals.farewell())
+            return _signals.code()
+        return _explained(error)
+
+
+def _explained(error: Exception) -> int:
+    """Say in a line what a user can mend, and return the exit code; raises what is none of that."""
+    import errno
+
+    from jaxact.errors import UserError
+
+    if isinstance(error, UserError):
+        print(f"jaxact: {_one_line(error)}", file=sys.stderr)
+        return USAGE_ERROR
+    if isinstance(error, BrokenPipeError):
+        # the reader of our output (`| head`) has gone; keep Python from complaining at exit
+        sys.stdout = None
+        return 0
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        sys.stdout = None  # what is left in it cannot be written at exit either
+        print("jaxact: the disk is full; make room and run the command again", file=sys.stderr)
+        return USAGE_ERROR
+    raise error
+
+
+def _run(given: list[str]) -> int:
+    """Run a command; raises what ends it early."""
     if not given or given[0] in ("-h", "--help", "help"):
         print(_overview())
         return 0
     if given[0] in ("-V", "--version"):
+        from jaxact import __version__
+
         print(f"jaxact {__version__}")
         return 0
-    try:
-        verb = _options.choose("command", given[0], VERBS)
-        _gl.prepare()
-        _xla.prepare(all_cores=verb in ("sweep", "validate"))
-        with reads.once():
-            _options.call(_verb(verb), f"jaxact {verb}", given[1:])
-        if sys.stdout is not None:
-            sys.stdout.flush()
-    except UserError as error:
-        print(f"jaxact: {_one_line(error)}", file=sys.stderr)
-        return USAGE_ERROR
-    except KeyboardInterrupt as stop:
-        print(f"jaxact: {str(stop) or 'interrupted; nothing unfinished was kept'}", file=sys.stderr)
-        return INTERRUPTED
-    except Terminated as stop:
-        if str(stop):
-            print(f"jaxact: {stop}", file=sys.stderr)
-        return TERMINATED
-    except BrokenPipeError:
-        # the reader of our output (`| head`) has gone; keep Python from complaining at exit
-        sys.stdout = None
-        return 0
-    except OSError as error:
-        if error.errno != errno.ENOSPC:
-            raise
-        sys.stdout = None  # what is left in it cannot be written at exit either
-        print("jaxact: the disk is full; make room and run the command again", file=sys.stderr)
-        return USAGE_ERROR
+    from jaxact.cli import _gl, _options, _xla
+    from jaxact.sweep import reads
+
+    verb = _options.choose("command", given[0], VERBS)
+    _gl.prepare()
+    _xla.prepare(all_cores=verb in ("sweep", "validate"))
+    with reads.once():
+        _options.call(_verb(verb), f"jaxact {verb}", given[1:])
+    if sys.stdout is not None:
+        sys.stdout.flush()
     return 0
 
 
+def _say(words: str) -> None:
+    """One line on standard error, which may have gone."""
+    import contextlib
+
+    with contextlib.suppress(OSError):
+        print(f"jaxact: {words}", file=sys.stderr, flush=True)
+
+
 def _verb(name: str) -> Callable[..., None]:
+    import importlib
+
     verb: Callable[..., None] = importlib.import_module(f"jaxact.cli.{name}").main
     return verb
 
@@ -131,18 +160,13 @@ def _one_line(error: UserError) -> str:
 def entry() -> NoReturn:
     """Run the command line of this process and end it."""
     _signals.listen()
+    import gc
+
     # Tracing makes hundreds of thousands of objects, few of which are garbage: looking for it after
     # every few hundred takes a tenth of a command's time.
     gc.set_threshold(50_000, 20, 100)
     if sys.argv[1:2] and sys.argv[1] in _COMPILE:
+        from jaxact.cli import _cache
+
         _cache.prepare(quiet=True)
-    code = main()
-    if code in (INTERRUPTED, TERMINATED):
-        # devices may be computing still, and would crash while the interpreter is taken down
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
-    # Taking the interpreter down, Python would look for garbage in all that goes with the process:
-    # a third of a second after JAX was used.
-    gc.freeze()
-    sys.exit(code)
+    sys.exit(_signals.taken(main))

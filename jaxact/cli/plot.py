@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from jaxact.cli import _warnings
 from jaxact.errors import UserError
 
 if TYPE_CHECKING:
@@ -117,11 +118,12 @@ def main(
       jaxact plot results/paper_gain_map --kind lines --x kd --y delay --select kp=400
     """
     from jaxact.plot import look, panels, regular
-    from jaxact.sweep import store
+    from jaxact.sweep import opening
 
     if out is not None:
         look.check_output(out)
-    results = store.loaded(store.open_result(result))
+    _warnings.older(result)
+    results = opening.load_result(result)
     computed = results if regular.refined(results) else None
     if computed is not None:
         results = regular.regular(computed)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from jaxact.errors import UserError
+from jaxact.cli import _warnings
 
 if TYPE_CHECKING:
     from jaxact.sweep.place import Entry
@@ -30,27 +30,34 @@ def main(
       jaxact status results/paper_gain_map
       jaxact status results/paper_gain_map --quick
     """
-    from jaxact.sweep import store
+    from jaxact.sweep import opening
 
-    with store.readable(result):
+    with opening.readable(result):
         _show(result, quick=quick)
 
 
 def _show(result: str, *, quick: bool) -> None:
-    from jaxact.sweep import adaptive, lock, progress, store
+    from jaxact.sweep import adaptive, integrity, lock, opening, progress, store
     from jaxact.sweep import place as _place
     from jaxact.sweep.progress import State
 
     folder = _place.at(result.rstrip("/").removesuffix(f"/{store.STORE}"))
     owner = lock.holder(folder)
-    rounds = folder.inside(adaptive.ROUNDS).entries()
-    if rounds:
-        _of_rounds(rounds, owner)
+    rounds = folder.inside(adaptive.ROUNDS)
+    if rounds.entries() and adaptive.are_rounds(rounds):
+        _of_rounds(rounds.entries(), owner)
         return
-    target = store.find(result)
-    there = progress.existing(target)
+    target = opening.find(result)
+    description = integrity.description(target)
+    if owner and description.wrong:
+        print(f"running: {owner}, which has just begun or is about to end")
+        return
+    integrity.refuse(target, description.wrong)
+    _warnings.older(result)
+    there = integrity.chunked(target, description)
     if there is None:
-        raise UserError(f"{target.name}: says not how it is cut up; `--resume` mends it")
+        print("complete: was written at once, and every file has its checksum")
+        return
     entries = target.entries()
     numbers = range(len(there.layout))
     found = [there.glance(n, entries) if quick else there.look(n) for n in numbers]
@@ -66,7 +73,11 @@ def _show(result: str, *, quick: bool) -> None:
     todo = loops[State.MISSING] + loops[State.DAMAGED]
     _of_time(progress.times(entries), loops[State.DONE], todo)
     complete = (store.attributes_of(target) or {}).get("complete", False)
-    if complete and loops[State.DONE] == sum(loops.values()):
+    if complete or loops[State.DAMAGED]:
+        each = dict(zip(numbers, found, strict=True))
+        if not complete:
+            each = {n: finding for n, finding in each.items() if finding.state is State.DAMAGED}
+        integrity.refuse(target, integrity.lost(each.keys(), each.values()))
         print("complete")
     else:
         print(f"running: {owner}" if owner else "not running; continue with jaxact sweep --resume")

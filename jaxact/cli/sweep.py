@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from jaxact.cli import _cache, _progress, _warnings, _xla
+from jaxact.cli import _cache, _progress, _signals, _warnings, _xla
 from jaxact.cli._signals import Terminated
 from jaxact.errors import UserError
 
@@ -149,8 +149,9 @@ def main(
 
 
 def _run(asked: Specification, folder: Place, how: How, *, quiet: bool) -> None:
-    from jaxact.sweep import conduct, store
+    from jaxact.sweep import conduct, opening
 
+    _signals.keep(f"interrupted; what is done is kept, {_continued()}")
     started, done = time.perf_counter(), [0, 0]
     with _progress.bar(0, quiet=quiet) as move:
 
@@ -161,11 +162,12 @@ def _run(asked: Specification, folder: Place, how: How, *, quiet: bool) -> None:
         try:
             filled = conduct.sweep(asked, folder, dataclasses.replace(how, moved=moved))
         except (KeyboardInterrupt, Terminated) as stop:
-            raise type(stop)(_how_to_resume(folder)) from None
+            begun = done[1] > 0 or not how.overwrite
+            raise type(stop)(_how_to_resume(folder, begun=begun)) from None
     if quiet:
         return
     seconds = time.perf_counter() - started
-    results = store.opened(filled.place)
+    results = opening.opened(filled.place)
     print(f"{filled.place.name}: {results['verdict'].size:,} loops, {seconds:.1f} s in all")
     print(results.attrs["summary"])
 
@@ -280,8 +282,12 @@ def duration(seconds: float) -> str:
     return f"{seconds / 86400:,.3g} days"
 
 
-def _how_to_resume(folder: Place) -> str:
-    """What to say of an interrupted sweep: what is kept, and how to continue."""
+def _how_to_resume(folder: Place, *, begun: bool) -> str:
+    """What to say of an interrupted sweep: what is kept, and how to continue.
+
+    folder: of the results
+    begun: what is there is of this sweep, none that it would have replaced
+    """
     from jaxact.sweep import progress
     from jaxact.sweep.adaptive import ROUNDS
     from jaxact.sweep.store import STORE
@@ -289,11 +295,17 @@ def _how_to_resume(folder: Place) -> str:
     rounds = folder.inside(ROUNDS).entries()
     target = folder.inside(STORE)
     store = progress.existing(target)
+    if not begun:
+        return "interrupted; nothing was done yet, what was there stays"
     if rounds:
         kept = f"{len(progress.times(rounds))} chunks are kept"
     elif store is not None:
         kept = f"{len(progress.times(target.entries()))} of {len(store.layout)} chunks are kept"
     else:
         return "interrupted; nothing was done yet, nothing is kept"
+    return f"interrupted; {kept}, {_continued()}"
+
+
+def _continued() -> str:
     given = [word for word in sys.argv[1:] if word not in ("--overwrite", "--resume")]
-    return f"interrupted; {kept}, continue with: {shlex.join(['jaxact', *given, '--resume'])}"
+    return f"continue with: {shlex.join(['jaxact', *given, '--resume'])}"

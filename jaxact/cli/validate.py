@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from jaxact.cli import _cache
+from jaxact.cli import _cache, _warnings
 from jaxact.errors import UserError
 
 
@@ -33,19 +33,28 @@ def main(
     """
     if samples < 0:
         raise UserError(f"--samples {samples}: allowed: 0 or more")
-    from jaxact.sweep import store
+    from jaxact.sweep import opening
 
-    target = store.find(result)
+    target = opening.find(result)
     _cache.prepare(wanted=not no_cache)
-    from jaxact.sweep import validation
+    from jaxact.sweep import integrity, validation
 
-    checked = validation.checksums(target)
-    print(f"{checked.done:,} of {checked.chunks:,} chunks are whole")
+    with opening.readable(result):
+        checked = validation.checksums(target)
+    if checked.chunks:
+        print(f"{checked.done:,} of {checked.chunks:,} chunks are whole")
     if checked.wrong:
+        more = "; ..." if len(checked.wrong) > 3 else ""
         raise UserError(
-            f"{target.name}: {len(checked.wrong)} chunks are not whole:"
-            f" {'; '.join(checked.wrong[:3])}; jaxact sweep ... --resume computes them again"
+            f"{target.name}: {len(checked.wrong)} parts are not whole:"
+            f" {'; '.join(checked.wrong[:3])}{more}; {integrity.mended_by(target)}"
         )
+    _warnings.older(result)
+    if checked.foreign:
+        print(f"{len(checked.foreign):,} files are no part of the store: {checked.foreign[0]}, ...")
+    if not checked.chunks:
+        print("every file has its checksum; nothing was swept here that could be computed again")
+        return
     if not samples:
         return
     again = validation.recompute(target, samples, seed)

@@ -9,31 +9,41 @@ become one store with a single dimension, `sample`.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.status import Verdict
-from jaxact.sweep import fill, planning, progress
+from jaxact.sweep import fill, integrity, planning, progress
 from jaxact.sweep import store as _store
 from jaxact.sweep.axes import MOST_SAMPLES, Axis
 from jaxact.sweep.layout import Layout
 from jaxact.sweep.place import Place
 from jaxact.sweep.planning import Planned
-from jaxact.sweep.progress import Store
+from jaxact.sweep.progress import State, Store
 from jaxact.sweep.refinement import Lattice, Refinement
 from jaxact.sweep.samples import Samples, explicit
 from jaxact.sweep.specification import Specification
 
 if TYPE_CHECKING:
+    from jaxact.sweep.computer import Work
     from jaxact.sweep.conduct import How
+    from jaxact.sweep.fill import Workers
 
 ROUNDS = "rounds"
+_FIRST = "000"
 # Loops in a chunk of a round: all rounds are computed by one compiled kernel.
 _ROUND = 8192
 _MOST_AXES = 3
+
+# Results of some loops by variable, shape (n,) each.
+Rows = dict[str, np.ndarray]
 
 
 def check(specification: Specification) -> list[Axis]:
@@ -112,7 +122,7 @@ def refine(
     how: to run it
 
     A cell of the grid is refined where its corners differ in whether they are stable, or in the
-    sign of their growth rate.
+    sign of their growth rate. The stores of the rounds stay: they go once the whole is complete.
 
     Raises UserError as `jaxact.sweep.fill.fill`, and where the border is so ragged that more loops
     would be needed than a sweep may have.
@@ -120,16 +130,18 @@ def refine(
     grid = lattice(specification, width)
     rounds, target = folder.inside(ROUNDS), folder.inside(_store.STORE)
     planned = _round_plan(how.planner(specification, samples), samples)
-    more: dict[str, object] = {"width": width}
-    whole = progress.existing(target)
-    if how.resume and whole is not None:
-        _demand_same(target, specification, planned, more)
-        return whole
-    if not how.resume:
-        rounds.remove()
+    source = _source(target, rounds, specification, planned, width) if how.resume else None
+    planned = planned if source is None else _taken_over(source, planned)
+    known = None
+    if source == target:
+        if integrity.is_whole(target):
+            return _existing(target)
+        known = Known.of(_existing(target))
+        if not _same(rounds.inside(_FIRST), specification, planned, width):
+            rounds.remove()
     refinement = Refinement(grid)
     asked: list[np.ndarray] = []
-    results: list[dict[str, np.ndarray]] = []
+    results: list[Rows] = []
     while refinement.ask().size:
         points, first = refinement.ask(), sum(map(len, asked))
         if first + len(points) > MOST_SAMPLES:
@@ -137,17 +149,58 @@ def refine(
                 f"--width {width:g}: the border is so ragged that {first + len(points):,} loops do"
                 " not suffice; give a larger width, or a smaller range"
             )
-        found = _round(
-            rounds.inside(f"{len(asked):03d}"), specification, samples,
-            samples_at(specification, grid, points, first=first), planned, more, how,
+        found = None if known is None else known.rows(first, len(points))
+        found = found or _round(
+            rounds, len(asked), specification, samples,
+            samples_at(specification, grid, points, first=first), planned, width, known, how,
         )  # fmt: skip
         asked.append(points)
         results.append(found)
         stable = found["verdict"] == Verdict.STABLE
         refinement.tell(stable + 2 * (found["growth_rate"] < 0.0))
-    store = _joined(target, specification, grid, np.concatenate(asked), results, planned, more)
-    rounds.remove()
+    origin = _store.beginning(source or rounds.inside(_FIRST))
+    points = np.concatenate(asked)
+    return _joined(target, specification, grid, points, results, planned, width, origin)
+
+
+def are_rounds(rounds: Place) -> bool:
+    """Whether a folder holds rounds of a sweep, or nothing."""
+    names = {key.partition("/")[0] for key in rounds.entries()}
+    if not names:
+        return True
+    ours = any(_store.is_ours(rounds.inside(name)) for name in names)
+    return ours and all(re.fullmatch(r"\d{3,}", name) for name in names)
+
+
+def _source(
+    target: Place, rounds: Place, specification: Specification, planned: Planned, width: float
+) -> Place | None:
+    """The store that is continued: the whole, or the first round; None where there is neither.
+
+    Raises UserError if all that is there belongs to another sweep.
+    """
+    there = [p for p in (target, rounds.inside(_FIRST)) if _store.identity_of(p) is not None]
+    for place in there:
+        if _same(place, specification, planned, width):
+            return place
+    if there:
+        _demand_same(there[0], specification, planned, width)
+    return None
+
+
+def _existing(target: Place) -> Store:
+    store = progress.existing(target)
+    if store is None:
+        raise UserError(f"{target.name}: does not say how it is cut up; --overwrite begins anew")
     return store
+
+
+def _taken_over(source: Place, planned: Planned) -> Planned:
+    """The plan with the tiles and chunks of the sweep that is continued."""
+    there = _store.identity_of(source) or {}
+    return dataclasses.replace(
+        planned, tile=int(there["tile"]), loops=int(there.get("loops", planned.loops))
+    )
 
 
 def _round_plan(planned: Planned, samples: Samples) -> Planned:
@@ -156,30 +209,102 @@ def _round_plan(planned: Planned, samples: Samples) -> Planned:
     return dataclasses.replace(planned, loops=min(planned.loops, -(-_ROUND // whole) * whole))
 
 
+def _more(planned: Planned, width: float) -> dict[str, object]:
+    """Further parts of the identity."""
+    return {"width": width, "loops": planned.loops}
+
+
+@dataclass(frozen=True)
+class Known:
+    """Results that a damaged or unfinished whole still has.
+
+    there: which loops they are of, shape (n,)
+    values: of all loops by variable, shape (n,) each
+    """
+
+    there: np.ndarray
+    values: Rows
+
+    @staticmethod
+    def of(store: Store) -> Known:
+        """What a store has."""
+        size = math.prod(store.layout.shape)
+        there = np.zeros(size, bool)
+        values = {name: np.zeros(size, store.dtype(name)) for name in _store.VARIABLES}
+        for number in range(len(store.layout)):
+            first, count = store.layout.span(number)
+            for name, part in store.attempt(number)[1].items():
+                values[name][first : first + count] = part
+                there[first : first + count] = True
+        return Known(there, values)
+
+    def rows(self, first: int, count: int) -> Rows | None:
+        """The results of a run of loops, None where not all are known."""
+        mine = slice(first, first + count)
+        if first + count > self.there.size or not self.there[mine].all():
+            return None
+        return {name: values[mine] for name, values in self.values.items()}
+
+    def workers(self, others: Workers) -> Workers:
+        """Those who compute what is not known."""
+
+        def work(work: Work, numbers: list[int], begin: Callable[[], None]) -> Iterator[int]:
+            begin_once = functools.cache(begin)
+            left = []
+            for number in numbers:
+                first, count = work.store.layout.span(number)
+                rows = self.rows(work.samples.first + first, count)
+                if rows is None:
+                    left.append(number)
+                    continue
+                begin_once()
+                work.store.write(number, rows, work.store.tile)
+                yield number
+            yield from others(work, left, begin_once)
+
+        return work
+
+
 def _round(
-    target: Place,
+    rounds: Place,
+    number: int,
     specification: Specification,
     outline: Samples,
     samples: Samples,
     planned: Planned,
-    more: dict[str, object],
+    width: float,
+    known: Known | None,
     how: How,
-) -> dict[str, np.ndarray]:
+) -> Rows:
     """The results of one round, from its store where they are there already."""
     store = fill.fill(
-        target, specification, samples, planned, outline=outline,
-        workers=how.workers, resume=how.resume, more=more, moved=how.moved,
+        rounds.inside(f"{number:03d}"), specification, samples, planned, outline=outline,
+        workers=how.workers if known is None else known.workers(how.workers),
+        resume=how.resume, more=_more(planned, width), moved=how.moved,
+        clear=None if number else rounds.remove,
     )  # fmt: skip
-    parts = [store.read(number) for number in range(len(store.layout))]
+    parts = [store.read(chunk) for chunk in range(len(store.layout))]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _demand_same(
-    target: Place, specification: Specification, planned: Planned, more: dict[str, object]
+    target: Place, specification: Specification, planned: Planned, width: float
 ) -> None:
     there = _store.identity_of(target) or {}
     layout = Layout(tuple(there["shape"]), tuple(there["chunk"]))
-    fill.same(target, specification, planning.identity(specification, planned, layout, **more))
+    wanted = planning.identity(specification, planned, layout, **_more(planned, width))
+    fill.same(target, specification, wanted)
+
+
+def _same(target: Place, specification: Specification, planned: Planned, width: float) -> bool:
+    """Whether a store is of this sweep."""
+    if _store.identity_of(target) is None:
+        return False
+    try:
+        _demand_same(target, specification, planned, width)
+    except UserError:
+        return False
+    return True
 
 
 def _joined(
@@ -187,35 +312,42 @@ def _joined(
     specification: Specification,
     grid: Lattice,
     points: np.ndarray,
-    results: list[dict[str, np.ndarray]],
+    results: list[Rows],
     planned: Planned,
-    more: dict[str, object],
+    width: float,
+    origin: dict[str, object],
 ) -> Store:
-    """One store of all rounds."""
+    """One store of all rounds; what is whole in one of the same sweep stays."""
     samples = samples_at(specification, grid, points)
     layout = planned.layout(samples)
-    identity = planning.identity(specification, planned, layout, **more)
-    attributes = _store.provenance(specification, planned.device) | {
-        "complete": False,
-        "adaptive": _store.as_json(
-            {
-                "width": more["width"],
-                "refined": [axis.name for axis in check(specification)],
-                "cases": [axis.name for axis in specification.axes if axis.listed is not None],
-                "resolution": list(grid.shape),
-                "share": len(points) / (grid.cases * grid.size),
-            }
-        ),
-    }
+    identity = planning.identity(specification, planned, layout, **_more(planned, width))
+    attributes = _store.provenance(specification, planned.device) | origin
+    attributes |= {"complete": False, "adaptive": _described(specification, grid, points, width)}
     store = Store(target, layout, specification.precision, planned.tile)
-    target.remove()
-    progress.repair(
-        target,
-        _store.skeleton(specification, samples, layout, _store.as_json(identity), attributes),
-    )
+    files = _store.skeleton(specification, samples, layout, _store.as_json(identity), attributes)
+    if _store.identity_of(target) != identity:
+        target.remove()
+    target.clean()
+    progress.repair(target, files)
     whole = {name: np.concatenate([part[name] for part in results]) for name in results[0]}
     for number in range(len(layout)):
         first, count = layout.span(number)
         part = {name: values[first : first + count] for name, values in whole.items()}
-        store.write(number, part, planned.tile)
+        if store.look(number).state is not State.DONE:
+            store.write(number, part, planned.tile)
     return store
+
+
+def _described(
+    specification: Specification, grid: Lattice, points: np.ndarray, width: float
+) -> str:
+    """What was refined, JSON."""
+    return _store.as_json(
+        {
+            "width": width,
+            "refined": [axis.name for axis in check(specification)],
+            "cases": [axis.name for axis in specification.axes if axis.listed is not None],
+            "resolution": list(grid.shape),
+            "share": len(points) / (grid.cases * grid.size),
+        }
+    )

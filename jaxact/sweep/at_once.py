@@ -52,11 +52,14 @@ def destination(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
 
 
 def write(results: xr.Dataset, folder: Path) -> None:
-    """Write a dataset as a Zarr v3 store into an empty folder."""
+    """Write a dataset as a Zarr v3 store into an empty folder, with a checksum of every file."""
     with warnings.catch_warnings():
         # one metadata file for the whole store, without which xarray warns whenever it is opened
         warnings.filterwarnings("ignore", message="Consolidated metadata is currently not part")
         results.to_zarr(folder, mode="w", zarr_format=3, consolidated=True)
+    place = Folder(folder)
+    files = {key: place.read(key) or b"" for key in place.entries()}
+    place.write({_store.ROOT: _store.described_by_root(files)[_store.ROOT]})
 
 
 def _refuse_existing(path: Path, overwrite: bool) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from jaxact.errors import UserError
-from jaxact.sweep import adaptive, fill, lock, planning, progress
+from jaxact.sweep import adaptive, fill, integrity, lock, opening, planning, progress
 from jaxact.sweep import store as _store
 from jaxact.sweep.fill import Workers
 from jaxact.sweep.place import Folder, Place
@@ -56,37 +56,102 @@ def sweep(specification: Specification, folder: Place, how: How) -> Store:
     """
     target = folder.inside(_store.STORE)
     try:
-        fill.refuse_existing(target, resume=how.resume, overwrite=how.overwrite)
+        _refuse_existing(folder, how)
     except OSError as error:
         raise UserError(_store.unwritable(target.name, error)) from error
     with _locked(folder):
-        fill.refuse_existing(target, resume=how.resume, overwrite=how.overwrite)
+        _refuse_existing(folder, how)
         samples = expand(specification)
         try:
             if how.width is None:
-                store = _grid(target, specification, samples, how)
+                store = _grid(folder, specification, samples, how)
             else:
                 store = adaptive.refine(folder, specification, samples, how.width, how)
             complete(store)
+            _tidy(folder)
         except OSError as error:
             raise UserError(_full(target, error)) from error
     return store
 
 
-def _grid(target: Place, specification: Specification, samples: Samples, how: How) -> Store:
-    planned = how.planner(specification, samples)
+def _grid(folder: Place, specification: Specification, samples: Samples, how: How) -> Store:
+    target, rounds = folder.inside(_store.STORE), folder.inside(adaptive.ROUNDS)
+
+    def clear() -> None:
+        if adaptive.are_rounds(rounds):
+            rounds.remove()
+        target.remove()
+
     return fill.fill(
-        target, specification, samples, planned,
-        workers=how.workers, resume=how.resume, moved=how.moved,
+        target, specification, samples, how.planner(specification, samples),
+        workers=how.workers, resume=how.resume, clear=clear, moved=how.moved,
     )  # fmt: skip
 
 
 def complete(store: Store) -> None:
-    """Put the mark of completion and the summary on a store whose chunks are all done."""
+    """Put the mark of completion and the summary on a store whose chunks are all done.
+
+    Raises UserError if one is not: somebody has removed it meanwhile.
+    """
     root = _store.attributes_of(store.place) or {}
-    if not root.get("complete"):
-        store.finish({"complete": True, "summary": summary(_store.opened(store.place))})
-    store.place.clean()
+    if root.get("complete"):
+        return
+    entries = store.place.entries()
+    numbers = range(len(store.layout))
+    integrity.refuse(
+        store.place, integrity.lost(numbers, (store.glance(n, entries) for n in numbers))
+    )
+    store.finish({"complete": True, "summary": summary(opening.opened(store.place))})
+
+
+def _tidy(folder: Place) -> None:
+    """Remove what killed processes have left beside a complete store."""
+    folder.inside(_store.STORE).clean()
+    rounds = folder.inside(adaptive.ROUNDS)
+    if adaptive.are_rounds(rounds):
+        rounds.remove()
+        rounds.clean()
+
+
+def _refuse_existing(folder: Place, how: How) -> None:
+    """Raise UserError unless a store may be begun, continued or replaced there."""
+    target, rounds = folder.inside(_store.STORE), folder.inside(adaptive.ROUNDS)
+    there, begun = _is_there(target), bool(rounds.entries())
+    if begun and not adaptive.are_rounds(rounds):
+        if how.width is not None:
+            raise UserError(
+                f"{rounds.name}: exists and is nothing of a sweep, so it stays; give another --out"
+            )
+        begun = False
+    if not there and not begun:
+        return
+    name = target.name if there else rounds.name
+    if not how.resume and not how.overwrite:
+        raise UserError(
+            f"{name}: exists; continue it with --resume, replace it with --overwrite, or give"
+            " another --out"
+        )
+    if how.resume and not there and how.width is None:
+        raise UserError(
+            f"{name}: is of a sweep that was begun with --adaptive; continue it with that, give"
+            " another --out, or --overwrite to begin anew"
+        )
+
+
+def _is_there(target: Place) -> bool:
+    """Whether there is a store of ours; raises UserError if there is anything else."""
+    if isinstance(target, Folder):
+        path = target.path
+        foreign = path.is_symlink() or (path.exists() and not path.is_dir())
+    else:
+        foreign = False
+    if not foreign and _store.is_ours(target):
+        return True
+    if foreign or target.entries():
+        raise UserError(
+            f"{target.name}: exists and is no result of a sweep, so it stays; give another --out"
+        )
+    return False
 
 
 @contextlib.contextmanager

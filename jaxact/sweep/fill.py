@@ -8,12 +8,10 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxact.errors import UserError
-from jaxact.sweep import place as _place
 from jaxact.sweep import planning, progress
 from jaxact.sweep import store as _store
 from jaxact.sweep.computer import Computer, Work
@@ -43,6 +41,7 @@ def fill(
     outline: Samples | None = None,
     resume: bool = False,
     more: dict[str, object] | None = None,
+    clear: Callable[[], None] | None = None,
     moved: Callable[[int, int], None] = lambda done, total: None,
 ) -> Store:
     """Make a store complete; what is in it already, whole, stays when it is resumed.
@@ -55,6 +54,7 @@ def fill(
     outline: loops that span all values of the samples; None: the samples themselves
     resume: continue what is there; otherwise it is replaced
     more: further parts of the identity
+    clear: removes what it replaces, once there is something to put in; None: the old store
     moved: called with the number of loops done and in all
 
     Raises UserError if what is there belongs to another specification, OSError if the store cannot
@@ -67,7 +67,7 @@ def fill(
     if old is not None:
         wanted = same(target, specification, wanted)
         layout = old.layout
-        attributes = _kept(target) or attributes
+        attributes |= _store.beginning(target)
     tile = int(str(wanted["tile"]))
     specification = dataclasses.replace(specification, tile=tile)
     store = Store(target, layout, specification.precision, tile)
@@ -91,7 +91,7 @@ def fill(
         """Make the store, in place of an old one, as soon as there is something to put in it."""
         if old is None:
             files = description()
-            target.remove()
+            (clear or target.remove)()
             progress.repair(target, files)
 
     together = layout.loops if outline is None else planned.loops
@@ -117,15 +117,6 @@ def same(
         target.name,
     )
     return wanted | taken
-
-
-def _kept(target: Place) -> dict[str, Any] | None:
-    """What a store says of its beginning; None where that is lost."""
-    found = _store.attributes_of(target)
-    if found is None:
-        return None
-    ours = ("complete", "summary", "coordinates", _store.IDENTITY)
-    return {key: value for key, value in found.items() if key not in ours}
 
 
 def _whole(target: Place, description: dict[str, bytes]) -> bool:
@@ -176,26 +167,3 @@ def here(
 def _written(number: int, future: Future[None]) -> int:
     future.result()
     return number
-
-
-def refuse_existing(target: Place, *, resume: bool, overwrite: bool) -> None:
-    """Raise UserError unless a store may be begun, continued or replaced there."""
-    name = target.name
-    if isinstance(target, _place.Folder):
-        path = target.path
-        foreign = path.is_symlink() or (path.exists() and not path.is_dir())
-    else:
-        foreign = False
-    if not foreign and not _store.is_ours(target):
-        foreign = bool(target.entries())
-        if not foreign:
-            return
-    if foreign:
-        raise UserError(
-            f"{name}: exists and is no result of a sweep, so it stays; give another --out"
-        )
-    if not resume and not overwrite:
-        raise UserError(
-            f"{name}: exists; continue it with --resume, replace it with --overwrite, or give"
-            " another --out"
-        )

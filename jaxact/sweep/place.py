@@ -8,6 +8,7 @@ which replaces an object at once. Keys are relative paths with slashes.
 from __future__ import annotations
 
 import contextlib
+import glob
 import os
 import shutil
 from collections.abc import Iterator, Mapping
@@ -19,6 +20,7 @@ from typing import Any, Protocol
 from jaxact.errors import UserError
 
 _PARTIAL = ".partial"
+_METADATA = "zarr.json"
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,7 @@ class Folder:
         """Remove the temporary files that a killed process has left."""
         for path in self.path.rglob(f".*{_PARTIAL}"):
             path.unlink(missing_ok=True)
-        for path in self.path.parent.glob(f".{self.path.name}.*{_PARTIAL}"):
+        for path in self.path.parent.glob(f".{glob.escape(self.path.name)}.*{_PARTIAL}"):
             shutil.rmtree(path)
 
     def remove(self) -> None:
@@ -171,6 +173,8 @@ class Folder:
         if not self.path.exists():
             return
         gone = self.path.with_name(f".{self.path.name}.{os.getpid()}{_PARTIAL}")
+        if gone.exists():  # a killed process of the same number has left it
+            shutil.rmtree(gone)
         self.path.rename(gone)
         shutil.rmtree(gone)
 
@@ -265,6 +269,14 @@ class Remote:
         """Remove the folder with all that is in it, if it is there."""
         self.system.invalidate_cache()
         with _as_os_error():
+            if not self.system.exists(self.root):
+                return
+            # what says whose the folder is goes last, so that the rest is known whenever it ends
+            keys = sorted(
+                self.entries(), key=lambda key: (key.endswith(_METADATA), -key.count("/"))
+            )
+            for key in keys:
+                self.delete(key)
             if self.system.exists(self.root):
                 self.system.rm(self.root, recursive=True)
 
@@ -273,6 +285,11 @@ class Remote:
         from zarr.storage import FsspecStore
 
         return FsspecStore.from_url(self.url)
+
+
+def _importance(key: str) -> tuple[bool, int]:
+    """Rises with what a file says of others: results, metadata of an array, that of the store."""
+    return key.endswith(_METADATA), -key.count("/")
 
 
 @contextlib.contextmanager

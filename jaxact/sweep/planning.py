@@ -143,4 +143,4 @@ def identity(
 
 
 # Keys of an identity that a sweep takes over from the one it continues.
-TAKEN_OVER = ("tile", "precision", "shape", "chunk")
+TAKEN_OVER = ("tile", "loops", "precision", "shape", "chunk")

@@ -16,10 +16,11 @@ import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.sweep import layout as _layout
+from jaxact.sweep import seal
 from jaxact.sweep import store as _store
 from jaxact.sweep.layout import DamagedError, Layout
 from jaxact.sweep.place import Entry, Place
-from jaxact.sweep.store import PROGRESS, RECEIPT, ROOT, VARIABLES
+from jaxact.sweep.store import PROGRESS, RECEIPT, ROOT, SECOND, VARIABLES
 
 _RECEIPTS = f"{PROGRESS}/{RECEIPT}"
 
@@ -128,14 +129,24 @@ class Store:
 
     def look(self, number: int) -> Finding:
         """Whether a chunk is done, by all its bytes."""
+        return self.attempt(number)[0]
+
+    def attempt(self, number: int) -> tuple[Finding, dict[str, np.ndarray]]:
+        """Whether a chunk is done, by all its bytes, and its results, each of shape (n,), if so."""
         try:
             row = self.receipt(number)
             if row is None:
-                return Finding(State.MISSING)
-            self.read(number)
+                return Finding(State.MISSING), {}
+            return Finding(State.DONE, tile=int(row[1])), self.read(number)
         except DamagedError as error:
-            return Finding(State.DAMAGED, why=str(error))
-        return Finding(State.DONE, tile=int(row[1]))
+            return Finding(State.DAMAGED, why=str(error)), {}
+
+    @property
+    def keys(self) -> set[str]:
+        """Of the files of all chunks."""
+        numbers = range(len(self.layout))
+        results = {f"{name}/{self.layout.key(n)}" for name in VARIABLES for n in numbers}
+        return results | {_receipt_key(n) for n in numbers}
 
     def glance(self, number: int, entries: Mapping[str, Entry]) -> Finding:
         """Whether a chunk is done, by names and sizes of files only."""
@@ -154,7 +165,7 @@ class Store:
         assert content is not None
         root = json.loads(content)
         root["attributes"] |= attributes
-        self.place.write({ROOT: json.dumps(root, indent=2).encode()})
+        self.place.write({ROOT: seal.sealed(root)})
 
 
 def _receipt_key(number: int) -> str:
@@ -181,14 +192,16 @@ def existing(place: Place) -> Store | None:
 
 
 def repair(place: Place, skeleton: Mapping[str, bytes]) -> None:
-    """Write every file of a store's description that is not as it should be, the root last."""
+    """Write every file of a store's description that is not as it should be, the root last.
+
+    The first one says whose store it is, so that it is known for one whenever a process is killed.
+    """
     wrong = {key: content for key, content in skeleton.items() if place.read(key) != content}
-    root = wrong.pop(ROOT, None)
-    if wrong:
-        place.write(wrong)
-    if root is not None:
-        # it makes a folder a store
-        place.write({ROOT: root})
+    last = {ROOT: wrong.pop(ROOT)} if ROOT in wrong else {}
+    first = {SECOND: wrong.pop(SECOND)} if SECOND in wrong else {}
+    for part in (first, wrong, last):
+        if part:
+            place.write(part)
 
 
 def demand_equal(there: Mapping[str, object], here: Mapping[str, object], name: str) -> None:

@@ -6,14 +6,12 @@ key, all at once; the results come chunk by chunk, see `jaxact.sweep.progress`.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import shlex
 import sys
-import tempfile
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -23,13 +21,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxact import __version__
-from jaxact.errors import UserError
 from jaxact.status import Verdict
-from jaxact.sweep import place as _place
+from jaxact.sweep import seal
 from jaxact.sweep.layout import Layout
 from jaxact.sweep.parameters import of
 from jaxact.sweep.place import Place
 from jaxact.sweep.samples import Samples
+from jaxact.sweep.seal import Seal
 from jaxact.sweep.specification import Specification
 
 if TYPE_CHECKING:
@@ -41,6 +39,8 @@ ROOT = "zarr.json"
 PROGRESS = "progress"
 RECEIPT = "receipt"
 IDENTITY = "identity"
+# Where the identity is kept a second time.
+SECOND = f"{PROGRESS}/{ROOT}"
 _MARK = "jaxact_version"
 # Another version of these may compute other numbers.
 _NUMERIC = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scipy")
@@ -151,27 +151,62 @@ def skeleton(
             dimension_names=("chunk", "entry"), **checked,
         )  # fmt: skip
         zarr.consolidate_metadata(memory, zarr_format=3)
-    return {key: bytes(content.to_bytes()) for key, content in files.items()}
+    written = {key: bytes(content.to_bytes()) for key, content in files.items()}
+    return described_by_root(written)
+
+
+def described_by_root(files: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Files of a store with the checksums of all in its root; see `jaxact.sweep.seal`."""
+    rest = {key: content for key, content in files.items() if key != ROOT}
+    if SECOND in rest:
+        rest[SECOND] = seal.sealed(json.loads(rest[SECOND]))
+    root = json.loads(files[ROOT])
+    root["attributes"] |= {seal.CHECKSUMS: seal.digests(rest)}
+    return rest | {ROOT: seal.sealed(root)}
 
 
 def attributes_of(place: Place, key: str = ROOT) -> dict[str, Any] | None:
-    """The attributes of a store or of a group in it, None where there is no readable one."""
-    try:
-        content = place.read(key)
-        found = json.loads(content)["attributes"] if content is not None else None
-    except (ValueError, KeyError, TypeError):
+    """The attributes of a store or of a group in it, None where they are lost or damaged."""
+    content = place.read(key)
+    if content is None or seal_of(place, key, content) is Seal.BROKEN:
         return None
-    return found if isinstance(found, dict) else None
+    try:
+        found = json.loads(content)["attributes"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return seal.plain(found) if isinstance(found, dict) else None
+
+
+def seal_of(place: Place, key: str, content: bytes) -> Seal:
+    """Whether a metadata file of a store is as it was written.
+
+    A root without a checksum is an older store's; or it has lost it, where the other has one.
+    """
+    found = seal.state(content)
+    if found is Seal.NONE and key == ROOT:
+        second = place.read(SECOND)
+        if second is not None and seal.state(second) is not Seal.NONE:
+            return Seal.BROKEN
+    return found
+
+
+def beginning(place: Place) -> dict[str, Any]:
+    """What a store says of its beginning, as far as it is true."""
+    found = attributes_of(place)
+    if found is None:
+        return dict(seal.beginning(place.read(ROOT) or b""))
+    ours = ("complete", "summary", "coordinates", "adaptive", IDENTITY)
+    return {key: value for key, value in found.items() if key not in ours}
 
 
 def is_ours(place: Place) -> bool:
-    """Whether a store was made by jaxact."""
-    return _MARK in (attributes_of(place) or {}) or identity_of(place) is not None
+    """Whether a store was made by jaxact, damaged ones included."""
+    return _MARK.encode() in (place.read(ROOT) or b"") or identity_of(place) is not None
 
 
 def identity_of(place: Place) -> dict[str, Any] | None:
     """What a sweep that continues this store must share, kept twice; None where it is lost."""
-    for key in (ROOT, f"{PROGRESS}/{ROOT}"):
+    for key in (ROOT, SECOND):
         try:
             found = json.loads((attributes_of(place, key) or {})[IDENTITY])
         except (KeyError, ValueError, TypeError):
@@ -269,107 +304,6 @@ def parameter(results: xr.Dataset, name: str) -> xr.DataArray:
     # a parameter that is newer than the store has its default
     value = nominal(results).get(name, of(name).default)
     return xr.DataArray(value, name=name, attrs=dict(of(name).attributes))
-
-
-@contextlib.contextmanager
-def readable(where: str | Path) -> Iterator[None]:
-    """Raises UserError where a place cannot be read: no permission, no connection."""
-    try:
-        yield
-    except OSError as error:
-        raise UserError(f"{where}: cannot be read ({error.strerror or error})") from error
-
-
-def find(where: str | Path) -> Place:
-    """The store that a user means: a results folder with a `sweep.zarr` in it, or the store itself.
-
-    where: path or URL
-
-    Raises UserError if there is none, or it is none of jaxact's.
-    """
-    given = _place.at(where)
-    inner = given.inside(STORE)
-    with readable(where):
-        for store in (inner, given):
-            if is_ours(store):
-                return store
-        there = inner.entries() or given.entries()
-    if there or (isinstance(given, _place.Folder) and given.path.exists()):
-        raise UserError(f"{where}: is no result of a sweep; give a folder that holds a {STORE}")
-    raise UserError(f"{where}: no such result; give the results folder of a sweep, or its {STORE}")
-
-
-def open_result(where: str | Path, *, unfinished: bool = False) -> xr.Dataset:
-    """The results of a sweep, read lazily.
-
-    where: results folder with a `sweep.zarr` in it, or the store itself; path or URL
-    unfinished: also of a sweep that has not come to its end; what is missing is NaN, verdict -1
-
-    Raises UserError if there is none, it is none of jaxact's, it is damaged, or it is unfinished.
-    """
-    store = find(where)
-    results = opened(store)
-    if not results.attrs.get("complete", False) and not unfinished:
-        raise UserError(
-            f"{store.name}: the sweep has not come to its end; continue it with"
-            " `jaxact sweep ... --resume`, `jaxact status` shows how far it is"
-        )
-    return results
-
-
-def opened(store: Place) -> xr.Dataset:
-    """The dataset in a place, read lazily; raises UserError if it is damaged."""
-    import xarray as xr
-
-    try:
-        results: xr.Dataset = xr.open_zarr(store.zarr(), zarr_format=3)
-        json.loads(results.attrs["parameters"])
-    except (OSError, ValueError, KeyError) as error:
-        raise UserError(
-            f"{store.name}: cannot be read ({error}); `jaxact validate` says what is damaged, and"
-            " `jaxact sweep ... --resume` mends it"
-        ) from error
-    return results
-
-
-def loaded(results: xr.Dataset) -> xr.Dataset:
-    """The results with all numbers read into memory; raises UserError if a chunk is damaged."""
-    try:
-        return results.load()
-    except (OSError, ValueError) as error:
-        raise UserError(
-            f"a chunk of the results cannot be read ({error}); `jaxact validate` says which, and"
-            " `jaxact sweep ... --resume` computes it anew"
-        ) from error
-
-
-def to_netcdf(results: xr.Dataset, path: Path, *, overwrite: bool = False) -> None:
-    """Write the results as one NetCDF-4 file, whole or not at all.
-
-    results: of a sweep
-    path: of the file
-    overwrite: replace a file that is there
-
-    Raises UserError if the file exists and may not be replaced, or cannot be written.
-    """
-    if path.is_dir():
-        raise UserError(f"{path}: is a folder; name a file in it")
-    if path.exists() and not overwrite:
-        raise UserError(f"{path}: exists; give another name, or --overwrite to replace it")
-    if not path.parent.is_dir():
-        raise UserError(f"{path}: the folder {path.parent} does not exist; create it first")
-    encoded = loaded(results).assign_attrs({k: _netcdf(v) for k, v in results.attrs.items()})
-    try:
-        with tempfile.TemporaryDirectory(prefix=".jaxact-", dir=path.parent) as scratch:
-            partial = Path(scratch) / path.name
-            encoded.to_netcdf(partial, engine="h5netcdf")
-            partial.replace(path)
-    except OSError as error:
-        raise UserError(unwritable(path, error)) from error
-
-
-def _netcdf(value: Any) -> Any:
-    return int(value) if isinstance(value, bool) else value
 
 
 def unwritable(where: str | Path, error: OSError) -> str:

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.sweep import execute, plans, progress, reading
+from jaxact.sweep import execute, integrity, opening, plans, progress, reading
 from jaxact.sweep import store as _store
 from jaxact.sweep.place import Place
-from jaxact.sweep.progress import State, Store
+from jaxact.sweep.progress import Store
 from jaxact.sweep.samples import Samples, expand, explicit
 from jaxact.sweep.specification import Specification
 from jaxact.sweep.store import VARIABLES
@@ -26,12 +26,16 @@ class Checked:
     """What the checksums say.
 
     chunks, done: in all, and whole
-    wrong: each chunk that is not, and why
+    wrong: what of metadata, coordinates and chunks is not whole, and why
+    foreign: files that are no part of the store
+    older: it was made before metadata and coordinates had checksums
     """
 
     chunks: int
     done: int
     wrong: tuple[str, ...]
+    foreign: tuple[str, ...] = ()
+    older: bool = False
 
 
 @dataclass(frozen=True)
@@ -50,16 +54,16 @@ class Again:
 
 
 def checksums(target: Place) -> Checked:
-    """Read every chunk of a store and hold it against its receipt."""
-    store = _existing(target)
-    numbers = range(len(store.layout))
-    found = {number: store.look(number) for number in numbers}
-    wrong = [
-        f"chunk {number} {finding.state.value}{f' ({finding.why})' if finding.why else ''}"
-        for number, finding in found.items()
-        if finding.state is not State.DONE
-    ]
-    return Checked(len(numbers), len(numbers) - len(wrong), tuple(wrong))
+    """Read every file of a store and hold it against its checksum."""
+    found = integrity.description(target)
+    store = progress.existing(target) if found.wrong else integrity.chunked(target, found)
+    numbers = range(0 if store is None else len(store.layout))
+    findings = [] if store is None else [store.look(number) for number in numbers]
+    lost = integrity.lost(numbers, findings)
+    foreign = () if found.wrong else tuple(integrity.foreign(target, found, store))
+    return Checked(
+        len(numbers), len(numbers) - len(lost), (*found.wrong, *lost), foreign, found.older
+    )
 
 
 def recompute(target: Place, number: int, seed: int) -> Again:
@@ -120,7 +124,7 @@ def _described(target: Place) -> tuple[Specification, Samples, Samples]:
     if "adaptive" not in attributes:
         return specification, grid, grid
     asked = json.loads(attributes["adaptive"])
-    coords = _store.opened(target).coords
+    coords = opening.opened(target).coords
     columns = {name: coords[name].values for name in (*asked["cases"], *asked["refined"])}
     return specification, explicit(specification, columns), grid
 

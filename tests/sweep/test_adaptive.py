@@ -12,7 +12,7 @@ from jaxact.cli.main import main
 from jaxact.errors import UserError
 from jaxact.plot import regular
 from jaxact.plot.panels import arrange
-from jaxact.sweep import adaptive, conduct, place, reading, store
+from jaxact.sweep import adaptive, conduct, opening, place, reading, store
 from jaxact.sweep.refinement import Lattice, Refinement
 
 TEXT = """
@@ -144,7 +144,7 @@ def whole(tmp_path_factory):
 
 
 def test_the_border_of_stability_is_found_to_the_width_asked_for(whole):
-    results = store.open_result(whole).load()
+    results = opening.open_result(whole).load()
     said = json.loads(results.attrs["adaptive"])
     assert said["refined"] == ["kp", "kd"] and said["cases"] == ["delay"]
     kp, kd = results["kp"].values, results["kd"].values
@@ -161,7 +161,7 @@ def test_the_border_of_stability_is_found_to_the_width_asked_for(whole):
 
 
 def test_it_is_drawn_as_a_map_of_the_nearest_samples(whole, tmp_path):
-    results = store.open_result(whole).load()
+    results = opening.open_result(whole).load()
     grid = regular.regular(results)
     assert grid["growth_rate"].dims == ("delay", "kp", "kd") and grid["kp"].attrs["units"] == "N/m"
     chance = np.random.default_rng(0)

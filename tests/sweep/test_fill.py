@@ -22,6 +22,7 @@ from jaxact.sweep import (
     execute,
     layout,
     memory,
+    opening,
     place,
     planning,
     plans,
@@ -73,16 +74,16 @@ def whole(tmp_path_factory):
 def test_any_chunks_any_order_any_devices_give_the_same_bits(loops, devices, whole, tmp_path):
     assert len(jax.local_devices()) == 2
     _run(tmp_path, f"devices = {devices}\n" + NOISY, loops=loops, backwards=True)
-    there, one = (store.open_result(folder).load() for folder in (tmp_path, whole))
+    there, one = (opening.open_result(folder).load() for folder in (tmp_path, whole))
     for name in store.VARIABLES:
         np.testing.assert_array_equal(there[name].values, one[name].values, err_msg=name)
-    again = validation.recompute(store.find(tmp_path), 20, seed=3)
+    again = validation.recompute(opening.find(tmp_path), 20, seed=3)
     assert (again.loops, again.wrong) == (20, 0) and again.words == "bit for bit the same"
 
 
 def test_results_that_no_computation_gives_are_found(whole, tmp_path):
     shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
-    target = store.find(tmp_path)
+    target = opening.find(tmp_path)
     filled = progress.existing(target)
     rows = {name: values.copy() for name, values in filled.read(0).items()}
     rows["growth_rate"] *= np.float32(1.001)
@@ -113,7 +114,7 @@ def test_a_device_short_of_memory_gets_smaller_tiles(monkeypatch, tmp_path):
     filled = _run(tmp_path, NOISY, loops=45)
     assert tiles[0] == 16 and tiles[-1] == 4 and {*tiles} == {16, 8, 4}
     assert [int(filled.receipt(n)[1]) for n in range(2)] == [4, 4] and filled.tile == 16
-    results = store.open_result(tmp_path)
+    results = opening.open_result(tmp_path)
     np.testing.assert_array_equal(results["rms_force"].values.ravel(), np.arange(90) % 4)
 
 

@@ -14,7 +14,7 @@ from synthetic_store import run
 
 from jaxact.cli.main import main
 from jaxact.errors import UserError
-from jaxact.sweep import conduct, lock, place, progress, reading, store, validation
+from jaxact.sweep import conduct, lock, opening, place, progress, reading, seal, store, validation
 from jaxact.sweep.progress import State
 from jaxact.sweep.samples import expand
 
@@ -112,9 +112,15 @@ def test_what_is_there_is_neither_continued_nor_replaced_unasked(tmp_path, whole
 def test_the_beginning_is_kept_over_a_resume(tmp_path):
     _begun(tmp_path)
     path = tmp_path / store.STORE / "zarr.json"
-    path.write_text(path.read_text().replace('"created": "20', '"created": "19'))
+    root = json.loads(path.read_text())
+    root["attributes"]["created"] = "19" + root["attributes"]["created"][2:]
+    path.write_bytes(seal.sealed(root))
     _run(tmp_path, resume=True)
     assert json.loads(path.read_text())["attributes"]["created"].startswith("19")
+    whole = path.read_bytes()
+    path.write_bytes(whole.replace(b'"complete": true', b'"complete": tru'))
+    _run(tmp_path, resume=True)
+    assert path.read_bytes() == whole, "a damaged root still says when it was begun"
 
 
 @pytest.mark.parametrize(
@@ -176,7 +182,7 @@ def test_a_damaged_chunk_is_told_and_mended_and_nothing_else_lost(how, finished,
     _damage(tmp_path, how)
     assert _states(tmp_path)[2] is State.DAMAGED
     assert _states(tmp_path).count(State.DONE) == kept - 1
-    checked = validation.checksums(store.find(tmp_path))
+    checked = validation.checksums(opening.find(tmp_path))
     assert checked.done == kept - 1 and any("chunk 2 damaged" in line for line in checked.wrong)
     _run(tmp_path, resume=True)
     assert contents(tmp_path) == whole
@@ -198,18 +204,20 @@ def test_lost_metadata_is_written_again(lost, tmp_path, whole):
     there = contents(tmp_path)
     assert there.keys() == whole.keys()
     assert all(there[key] == whole[key] for key in whole if key != "sweep.zarr/zarr.json")
-    assert store.open_result(tmp_path)["growth_rate"].size == 30
+    assert opening.open_result(tmp_path)["growth_rate"].size == 30
 
 
 def test_results_that_are_damaged_or_unfinished_are_not_drawn(tmp_path):
     _begun(tmp_path)
     with pytest.raises(UserError, match="--resume"):
-        store.open_result(tmp_path)
-    assert np.isnan(store.open_result(tmp_path, unfinished=True)["growth_rate"].values[-1, -1, -1])
+        opening.open_result(tmp_path)
+    assert np.isnan(
+        opening.open_result(tmp_path, unfinished=True)["growth_rate"].values[-1, -1, -1]
+    )
     _run(tmp_path, resume=True)
     _damage(tmp_path, "flipped")
     with pytest.raises(UserError, match="validate"):
-        store.loaded(store.open_result(tmp_path))
+        opening.loaded(opening.open_result(tmp_path))
 
 
 def test_temporary_files_of_a_killed_process_are_removed(tmp_path, whole):
@@ -331,9 +339,9 @@ def test_a_url_holds_a_store_as_a_folder_does(tmp_path, whole):
     with pytest.raises(UserError, match="--resume"):
         filled(None)
     filled(None, resume=True)
-    opened = store.open_result(url).load()
+    opened = opening.open_result(url).load()
     np.testing.assert_array_equal(opened["growth_rate"].values.ravel(), results["growth_rate"])
-    there = store.find(url).entries()
+    there = opening.find(url).entries()
     assert {f"sweep.zarr/{key}" for key in there} == set(whole)
     system = fsspec.filesystem("memory")
     root = url.removeprefix("memory://")
