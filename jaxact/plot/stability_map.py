@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -42,6 +43,8 @@ INVALID_FILL = "#C9C9C9"
 # A loop that does not have the figure that is drawn, e.g. one that did not settle in time.
 EMPTY_FILL = "#EDEDED"
 LINEARISED = "linearised boundary"
+# Logarithmic axes shorter than this are labelled at 2 and 5 of each decade too.
+_FEW_DECADES = 2.0
 
 
 @dataclass(frozen=True)
@@ -160,8 +163,15 @@ def dress_axis(axes: Axes, which: str, shown: Axis) -> None:
         (axes.set_xscale if which == "x" else axes.set_yscale)("log")
         line.set_major_locator(LogLocator(base=10.0, numticks=12))
         line.set_minor_formatter(NullFormatter())
+        if math.log10(shown.values[-1] / shown.values[0]) < _FEW_DECADES:
+            # Decades alone would leave one or two labels.
+            line.set_minor_locator(LogLocator(base=10.0, subs=(2.0, 5.0), numticks=12))
+            for dress in (line.set_major_formatter, line.set_minor_formatter):
+                dress(FuncFormatter(lambda value, _: f"{value:g}"))
     if shown.scale != "category" and shown.in_milliseconds:
         line.set_major_formatter(FuncFormatter(lambda value, _: f"{value * 1e3:.6g}"))
+        if shown.scale == "log":
+            line.set_minor_formatter(NullFormatter())
     edges = cell_edges(shown)
     (axes.set_xlim if which == "x" else axes.set_ylim)(edges[0], edges[-1])
 

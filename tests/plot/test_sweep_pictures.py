@@ -213,3 +213,17 @@ def test_a_linearised_boundary_is_a_smooth_line_where_the_growth_rate_is_zero():
     arrangement = arrange(holed)
     pieces = zero_line(arrangement, arrangement.panels[0])
     assert sum(np.isfinite(kp).sum() for kp, _ in pieces) <= sum(len(kp) for kp, _ in lines_found)
+
+
+def test_a_short_logarithmic_axis_is_labelled_within_its_decades():
+    found = dataset(
+        "[parameters]\nactuator = 'hyq'\n[axes]\nkp = [50, 100, 200, 400, 800]\n"
+        "kd = { min = 1, max = 1e4, num = 5, spacing = 'log' }\n"
+    )
+    figure = stability_map(found, arrange(found))
+    FigureCanvasAgg(figure).draw()
+    axes = _panels(figure)[0]
+    kp = [text.get_text() for text in axes.get_xticklabels(minor=True)]
+    assert {"50", "200", "500"} <= set(kp)
+    assert "100" in [text.get_text() for text in axes.get_xticklabels()]
+    assert not any(text.get_text() for text in axes.get_yticklabels(minor=True))
