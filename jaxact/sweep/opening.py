@@ -123,6 +123,11 @@ def opened(store: Place) -> xr.Dataset:
 
     try:
         results: xr.Dataset = xr.open_zarr(store.zarr(), zarr_format=3)
+        if "parameters" not in results.attrs:
+            raise UserError(
+                f"{store.name}: is a list of loops without axes; give the result of `jaxact sweep`,"
+                " or of `jaxact margins --loops SPECIFICATION --store`"
+            )
         json.loads(results.attrs["parameters"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(
