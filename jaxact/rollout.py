@@ -205,10 +205,8 @@ def evaluate(
     if growth_rate is None:
         # Whether a policy holds the setpoint is none of the loop's business.
         free = replace(state, drive=replace(state.drive, held=None))
-        growth_rate = _growth.growth_rate(
-            prepared, replace(options, held_setpoint=False), free, setpoint,
-            growth or GrowthOptions(),
-        )  # fmt: skip
+        drive, how = replace(options, held_setpoint=False), growth or GrowthOptions()
+        growth_rate = _growth.growth_rate(prepared, drive, free, setpoint, how)
     start, _ = prepared.plant.measure(state.plant)
     _, running, envelopes = run(
         prepared, options, rollout, state, setpoint, key,
