@@ -18,6 +18,7 @@ from jaxact.tune.phases import Phase, silent
 from jaxact.tune.polish import MET
 from jaxact.tune.robot_loops import Situation
 from jaxact.tune.robot_rows import Found, RobotCase, excess, part, polished, rescued, rows
+from jaxact.tune.robot_starts import closer
 
 # Log-gains stay this near to where the search begins.
 _REACH = 8.0
@@ -126,6 +127,10 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: np.ndarray,
     phase("polishing the best")
     last = [polished(case, one.x) for one in rough[: 1 if rough[0].met else _CLOSEST]]
     best = min([*rough, *last], key=_rank)
+    if not best.met:
+        phase("looking around what comes nearest")
+        last.append(polished(case, closer(case, best.x)))
+        best = min(best, last[-1], key=_rank)
     spent = [*seen, *rough, *last]
     return replace(
         best,

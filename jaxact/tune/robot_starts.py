@@ -27,6 +27,8 @@ _FINE_SCALES, _FINE_RATIOS = np.linspace(-7.4, 2.8, 15), np.linspace(-3.0, 3.0, 
 _FREQUENCIES, _DAMPING = np.geomspace(0.01, 3.0, 7), np.geomspace(0.2, 5.0, 4)
 # Points that others are tried around, how many, and how far away in ln kp and ln kd.
 _CENTRES, _AROUND, _REACH = 3, 24, (1.5, 1.0)
+# Clouds around what comes nearest to bounds that nothing meets: how wide [ln], points of each.
+_CLOUDS, _POINTS = (1.0, 0.5, 0.2, 0.1, 0.04, 0.015, 0.005), 64
 # Starts this near each other are one [ln].
 _SAME = 0.5
 
@@ -71,6 +73,21 @@ def screened(
     if not more.size:
         return found
     return _ranked(found, _judged(few, _distinct(case, more)))
+
+
+def closer(case: RobotCase, x: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Log-gains near x that exceed the bounds least, by clouds of points that grow narrow.
+
+    Where two peaks are level no slope leads on; points to all sides do.
+    """
+    few = part(case, _telling(case, x))
+    generator = np.random.default_rng(seed)
+    for width in _CLOUDS:
+        offsets = generator.uniform(-1.0, 1.0, (_POINTS, len(x)))
+        points = np.concatenate([x[None], x + width * offsets])
+        found = _judged(few, _distinct(case, points)).x
+        x = next((there for there in found if case.stable(there)), x)
+    return x
 
 
 def lattice(case: RobotCase, x: np.ndarray, inertia: np.ndarray, lag: float) -> np.ndarray:
