@@ -12,6 +12,7 @@ from jaxact.sweep.samples import expand
 SPECIFICATION = """
 engine = "mass"
 duration = 0.2
+velocity = "differenced"
 [parameters]
 kp = 300
 actuator = "hyq"
