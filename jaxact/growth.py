@@ -10,6 +10,10 @@ propagation in that space gives
 
 The space is that of `jaxact.krylov`, the spectral radius of the small matrix as in
 `jaxact.characteristic`.
+
+The delay line of a single joint may have hundreds of states, which no small space holds. Such a
+loop's rate comes from its characteristic equation instead (`jaxact.delayed_roots`), the short part
+of which is the derivative of the same step (`jaxact.joint_polynomials`).
 """
 
 from __future__ import annotations
@@ -25,7 +29,9 @@ from jax.flatten_util import ravel_pytree
 
 from jaxact import characteristic as _characteristic
 from jaxact import delay as _delay
+from jaxact import delayed_roots as _delayed_roots
 from jaxact import drive_history as _history
+from jaxact import joint_polynomials as _joint
 from jaxact import krylov as _krylov
 from jaxact import loop as _loop
 from jaxact.controller import Setpoint
@@ -34,6 +40,9 @@ from jaxact.loop import LoopState, Prepared
 
 # Dimensions of a stacked Krylov space beyond those of the plant's states.
 _SPARE = 8
+
+TOLERANCE = 0.005
+"""Error of a growth rate that nobody minds [1/s]."""
 
 
 @dataclass(frozen=True)
@@ -285,9 +294,15 @@ def growth_rate(
         measure: static.
 
     Returns:
-        [1/s], shape ().
+        [1/s], shape (). Of a single joint, 0 where rounding hides its sign, and NaN where it was
+        not found; it has no derivative there.
     """
     control_period = prepared.drive.drive.control_period
+    if _joint.applies(prepared, state):
+        longest = options.command_slots + options.measurement_slots
+        delayed = _joint.delayed_loop(prepared, options)
+        enough = TOLERANCE * control_period
+        return _delayed_roots.log_radius(delayed, longest, enough) / control_period
     if measure.stacked:
         return _stacked(prepared, options, state, setpoint, measure) / control_period
     space = _space(prepared, options, state, setpoint, measure)

@@ -11,7 +11,7 @@ Rise is interpolated between ticks; settling counts whole ticks.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import jax
 import jax.numpy as jnp
@@ -307,9 +307,13 @@ def finish(
     own = each = judge(*loop, period=period, ticks=ticks, scale=scale)
     if others is not None and scale is not None:
         each = verdicts.together(own, others, scale)
-    verdict = jnp.max(each.verdict).astype(jnp.int8)
     finite = jnp.isfinite(running.squared_error) & jnp.isfinite(running.effort)
-    finite &= jnp.isfinite(running.squared_force) & (verdict != Verdict.INVALID)
+    finite &= jnp.isfinite(running.squared_force)
+    # A loop that is stable, and whose numbers overflow all the same, was not simulated.
+    overflows = (each.verdict == Verdict.STABLE) & ~finite
+    each = replace(each, verdict=jnp.where(overflows, Verdict.INVALID, each.verdict))
+    verdict = jnp.max(each.verdict).astype(jnp.int8)
+    finite &= verdict != Verdict.INVALID
 
     def known(value: jax.Array, when: jax.Array | bool = True) -> jax.Array:
         return jnp.where(finite & when, value, jnp.nan)

@@ -32,6 +32,7 @@ _ADVICE = {
     ),
     Verdict.UNSTABLE: "Perturbations grow; lower the gains or shorten the delay.",
     Verdict.INVALID: (
-        "The simulation produced values that are not numbers; check the model and its time step."
+        "The simulation produced values that are not numbers, or the growth rate was not found; "
+        "check the model and its time step, and compute in float64."
     ),
 }

@@ -19,8 +19,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxact.delayed_roots import polynomial_doubt
 from jaxact.drive import DriveOptions
-from jaxact.growth import GrowthOptions, TooManyStatesError
+from jaxact.growth import TOLERANCE, GrowthOptions, TooManyStatesError
 from jaxact.rollout import RolloutOptions
 from jaxact.sweep import kernel, tiles
 from jaxact.sweep.kernel import Case
@@ -47,7 +48,7 @@ class _Sets:
         shape: of the sets: a size of 1 along the dimensions of the gains.
         usual: gains (kp, kd) that `_PAIRS` are multiples of.
         bases: of each set those that span it, shape (sets, 3, n).
-        linear: whether they do, shape (sets,).
+        linear: whether they do, and rounding does not matter, shape (sets,).
     """
 
     shape: tuple[int, ...]
@@ -110,7 +111,22 @@ def _sets(plan: Plan, specification: Specification, samples: Samples) -> _Sets |
     kp, kd = (_PAIRS[-1] - 1.0) / _STRIDE
     guess = bases[:, 0] + kp * bases[:, 1] + kd * bases[:, 2]
     wrong = np.abs(guess - table[:, -1]).max(axis=1)
-    return _Sets(shape, usual, bases, wrong <= _AGREE * np.abs(table).max(axis=(1, 2)))
+    linear = wrong <= _AGREE * np.abs(table).max(axis=(1, 2))
+    differenced = plan.case.drive.sensor.differenced
+    return _Sets(shape, usual, bases, linear & _told_apart(others, shape, differenced))
+
+
+def _told_apart(
+    others: dict[str, np.ndarray], shape: tuple[int, ...], differenced: bool
+) -> np.ndarray:
+    """Whether a polynomial's coefficients in z tell slow modes apart, shape (sets,)."""
+    rate = others["control_rate"]
+    with np.errstate(over="ignore"):
+        poles = np.minimum((others["wn"] / rate) ** 2, 1.0)
+    if differenced:
+        poles = poles * np.minimum(others["velocity_filter"] / rate, 1.0)
+    doubt = polynomial_doubt(np.broadcast_to(poles, shape)) * rate
+    return np.broadcast_to(doubt <= TOLERANCE, shape).reshape(-1)
 
 
 def _usual(samples: Samples, name: str) -> float:
