@@ -31,6 +31,7 @@ import jax.numpy as jnp
 from jaxact import characteristic as _characteristic
 from jaxact.delayed_loop import (
     DelayedLoop,
+    Logarithm,
     Pair,
     apart,
     denominator,
@@ -45,6 +46,8 @@ _WITHIN = 2e-3
 # Points of a circle on either side of z = 1, a pole, and z = -1: in equal ratios of their distance
 # from there, and farther away [rad] in equal steps.
 _RATIOS, _STEPS, _FINE = 24, 16, 0.15
+# Angles added to a circle where |L| turns around close to 1.
+_EXTREMA = 6
 _STARTS = 10
 _NEWTON_STEPS = 7
 _MOST_CIRCLES = 60
@@ -107,9 +110,41 @@ def _angles(loop: DelayedLoop, poles: jax.Array, sigma: jax.Array) -> jax.Array:
     return jnp.concatenate([*parts, zero + math.pi])
 
 
+def _cubic(t: jax.Array, ends: Pair, slopes: Pair) -> jax.Array:
+    """Value at t between 0 and 1 of the cubic with these values and slopes at 0 and 1."""
+    (y0, y1), (m0, m1) = ends, slopes
+    rise = t * t * (3.0 - 2.0 * t)
+    return y0 + rise * (y1 - y0) + t * (1.0 - t) * ((1.0 - t) * m0 - t * m1)
+
+
+def _flat_between(angle: jax.Array, at: Logarithm) -> jax.Array:
+    """Angles between the given ones where |L| has an extremum close to 1.
+
+    There |L| can pass 1 twice between two angles, and the curve go around 0 unseen.
+    """
+    width = jnp.diff(angle)
+    slope = -at.slope[1]
+    m0, m1 = slope[:-1] * width, slope[1:] * width
+    # The cubic's slope is m0 + 2 p t + q t^2, with p and q from its ends.
+    rise = jnp.diff(at.size)
+    p, q = 3.0 * rise - 2.0 * m0 - m1, 3.0 * (m0 + m1 - 2.0 * rise)
+    root = jnp.sqrt(jnp.maximum(p * p - m0 * q, 0.0))
+    t = m0 / jnp.where(m0 > 0.0, root - p, -root - p)
+    turns = (m0 * m1 < 0.0) & (t > 0.0) & (t < 1.0)
+    value = _cubic(t, (at.size[:-1], at.size[1:]), (m0, m1))
+    _, places = jax.lax.top_k(jnp.where(turns, -jnp.abs(value), -jnp.inf), _EXTREMA)
+    return angle[places] + width[places] * jnp.where(turns, t, 0.5)[places]
+
+
 def _sampled(loop: DelayedLoop, poles: jax.Array, sigma: jax.Array) -> _Sampled:
     angle = apart(_angles(loop, poles, sigma))
     at = logarithm(loop, sigma, angle)
+    more = apart(_flat_between(angle, at))
+    angle, at = jax.tree.map(
+        lambda *parts: jnp.concatenate(parts), (angle, at), (more, logarithm(loop, sigma, more))
+    )
+    order = jnp.argsort(angle)
+    angle, at = apart(jax.tree.map(lambda values: values[order], (angle, at)))
     turned = jnp.cumsum(wrapped(jnp.diff(at.short)))
     phase = at.short[0] + jnp.concatenate([jnp.zeros_like(turned[:1]), turned]) - at.late
     return apart(_Sampled(angle, at.size, phase, -at.slope[1], at.slope[0], newton_step(at)))
@@ -121,23 +156,19 @@ def _phase_at_unit_size(at: _Sampled) -> jax.Array:
     From the cubic through both ends with both slopes.
     """
     width = jnp.diff(at.angle)
-    a0, a1 = at.size[:-1], at.size[1:]
-    s0, s1 = at.size_slope[:-1] * width, at.size_slope[1:] * width
-
-    def cubic(t, y0, y1, m0, m1):
-        rise = t * t * (3.0 - 2.0 * t)
-        return y0 + rise * (y1 - y0) + t * (1.0 - t) * ((1.0 - t) * m0 - t * m1)
+    sizes = at.size[:-1], at.size[1:]
+    slopes = at.size_slope[:-1] * width, at.size_slope[1:] * width
 
     def halve(_, ends):
         low, high = ends
         middle = 0.5 * (low + high)
-        before = jnp.sign(cubic(middle, a0, a1, s0, s1)) == jnp.sign(a0)
+        before = jnp.sign(_cubic(middle, sizes, slopes)) == jnp.sign(sizes[0])
         return jnp.where(before, middle, low), jnp.where(before, high, middle)
 
     ends = jnp.zeros_like(width), jnp.ones_like(width)
     t, _ = jax.lax.fori_loop(0, 20, halve, ends)
-    p0, p1 = at.phase[:-1], at.phase[1:]
-    return cubic(t, p0, p1, at.phase_slope[:-1] * width, at.phase_slope[1:] * width)
+    phases = at.phase[:-1], at.phase[1:]
+    return _cubic(t, phases, (at.phase_slope[:-1] * width, at.phase_slope[1:] * width))
 
 
 def _outside(at: _Sampled, poles: jax.Array, sigma: jax.Array) -> jax.Array:

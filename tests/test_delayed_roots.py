@@ -20,7 +20,7 @@ from jaxact.plants.linear import LinearPlant
 from jaxact.robot_loop import period_map
 from jaxact.status import Verdict
 from jaxact.sweep import execute, plans, reading
-from jaxact.sweep.samples import expand
+from jaxact.sweep.samples import expand, explicit
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -81,6 +81,24 @@ def test_what_does_not_come_back_has_no_growth_rate_and_is_not_stable():
         )
         np.testing.assert_allclose(found["growth_rate"], 0.0, atol=2e-6)
         assert np.all(found["verdict"] != Verdict.STABLE)
+
+
+def test_slow_pairs_of_any_damping():
+    """Close to their roots the open loop passes gain 1 twice in a narrow band of frequencies."""
+    damping = np.linspace(0.4, 1.1, 36)
+    kd = np.append(2.0 * 3.4 * damping, 6.8 * 0.7)
+    delays = np.append(np.full(36, 0.0021), 0.02)
+    columns = {"kd": kd, "delay": delays}
+    specification = reading.parse(
+        'engine = "mass"\nduration = 0.02\nprecision = "float64"\n[parameters]\nmass = 1.0\n'
+        "kp = 11.56\nwn = 16000\nzeta = 0.0013\ncontrol_rate = 6200\n[axes]\nkd = [1.0]\n"
+    )
+    found = execute.run(specification, explicit(specification, columns))
+    want = [
+        exact_growth_rate(11.56, d, 1.0, 16000.0, 0.0013, delay, period=1 / 6200)
+        for d, delay in zip(kd, delays, strict=True)
+    ]
+    np.testing.assert_allclose(found["growth_rate"], np.ravel(want), rtol=5e-3)
 
 
 @pytest.mark.parametrize("rate", [1e3, 1e4])
