@@ -27,6 +27,8 @@ LINEAR = (
     "kp", "kd", "mass", "wn", "zeta", "delay", "measurement_delay", "output_delay",
     "velocity_filter",
 )  # fmt: skip
+# Delays within the loop: only their sum counts.
+DELAYS = ("delay", "measurement_delay", "output_delay")
 # Default of a number that was not given; told from any number by being this very object. A type
 # with None in it would make tyro's complaint about a mistyped number unreadable.
 UNSET = float("nan")
@@ -293,6 +295,34 @@ def without_preset(preset: Any) -> dict[str, float]:
     return {} if preset is None else dict(zip(("wn", "zeta"), PRESETS[preset], strict=True))
 
 
+def common_words(values: Mapping[str, float]) -> list[str]:
+    """The actuator and the delay, where several loops have them in common.
+
+    values: that they have in common, by short name
+    """
+    from jaxact.plot.wording import quantity
+
+    words = []
+    if "wn" in values and ("zeta" in values or np.isinf(values["wn"])):
+        words.append(_actuator_name(values["wn"], values.get("zeta", 1.0)))
+    if all(name in values for name in DELAYS):
+        words.append(f"delay {quantity(sum(values[name] for name in DELAYS), 's')}")
+    return words
+
+
+def _actuator_name(wn: float, zeta: float) -> str:
+    from jaxact.plot.wording import quantity
+
+    if np.isinf(wn):
+        return "ideal actuator"
+    if np.isnan(wn * zeta):
+        return "actuators as each joint has them"
+    known = {preset: name for name, preset in PRESETS.items()}.get((wn, zeta))
+    if known is not None:
+        return quantity(known)
+    return f"wn {quantity(wn, 'rad/s')}, ζ {zeta:g}"
+
+
 def loop_name(specification: Specification, values: Mapping[str, float] | None = None) -> str:
     """A single loop is called by its actuator and its delay: `HyQ, delay 1 ms`.
 
@@ -301,18 +331,10 @@ def loop_name(specification: Specification, values: Mapping[str, float] | None =
     from jaxact.plot.wording import quantity
 
     own = specification.nominal if values is None else values
-    known = {preset: name for name, preset in PRESETS.items()}.get((own["wn"], own["zeta"]))
-    if np.isinf(own["wn"]):
-        actuator = "ideal actuator"
-    elif np.isnan(own["wn"] * own["zeta"]):
-        actuator = "actuators as each joint has them"
-    elif known is not None:
-        actuator = quantity(known)
-    else:
-        actuator = f"wn {quantity(own['wn'], 'rad/s')}, ζ {own['zeta']:g}"
+    actuator = _actuator_name(own["wn"], own["zeta"])
     cutoff = own["velocity_filter"]
     words = f", velocity filter {quantity(cutoff, 'rad/s')}" if np.isfinite(cutoff) else ""
-    delay = own["delay"] + own["measurement_delay"] + own["output_delay"]
+    delay = sum(own[name] for name in DELAYS)
     if np.isnan(delay):
         return f"{actuator}, delays as each joint has them{words}"
     return f"{actuator}, delay {quantity(delay, 's')}{words}"

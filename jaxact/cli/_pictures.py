@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -107,22 +107,44 @@ def draw(
 
     from jaxact.cli._responses import responses
 
-    drawn = responses(chosen.loops, sampled=chosen.sampled, velocity=chosen.velocity)
-    figure = picture(drawn, title=title, footer=footer(chosen.loops, chosen.velocity))
+    loops = named(chosen.loops)
+    drawn = responses(loops, sampled=chosen.sampled, velocity=chosen.velocity)
+    figure = picture(drawn, title=title, footer=footer(loops, chosen.velocity))
     look.write(figure, out, title=title or f"jaxact {picture.__name__}")
     print(f"wrote {out}")
 
 
 def footer(loops: _loops.Loops, velocity: str) -> str:
-    """The gains, the mass and the filter where all loops share them, and what the velocity is."""
-    words = []
+    """What all loops have in common: gains, mass, actuator, delay, and how velocity is had."""
+    own, words = loops.values, []
     for name, unit in (("kp", "N/m"), ("kd", "N s/m"), ("mass", "kg")):
-        values = loops.values[name]
-        if (values == values[0]).all():
-            words.append(f"{name} {values[0]:g} {unit}")
-    if velocity == "differenced":
-        words.append("velocity differenced")
-        cutoff = loops.values["velocity_filter"]
-        if (cutoff == cutoff[0]).all() and np.isfinite(cutoff[0]):
-            words[-1] += f" and filtered at {cutoff[0]:g} rad/s"
-    return ", ".join(words)
+        if _common(own[name]):
+            words.append(f"{name} {own[name][0]:g} {unit}")
+    if len(loops) > 1:  # a single one is named by its actuator and its delay
+        words += _loops.common_words({name: v[0] for name, v in own.items() if _common(v)})
+    cutoff = own["velocity_filter"]
+    how = [] if velocity != "differenced" else ["differenced"]
+    if _common(cutoff) and np.isfinite(cutoff[0]):
+        how.append(f"filtered at {cutoff[0]:g} rad/s")
+    return ", ".join([*words, f"velocity {' and '.join(how)}"] if how else words)
+
+
+def named(loops: _loops.Loops) -> _loops.Loops:
+    """The loops as a picture calls them: with their velocity filters, where these differ."""
+    cutoff = loops.values["velocity_filter"]
+    if _common(cutoff):
+        return loops
+    labels = [
+        label if "velocity filter" in label else f"{label}, {_filter(float(value))}"
+        for label, value in zip(loops.labels, cutoff, strict=True)
+    ]
+    return replace(loops, labels=tuple(labels))
+
+
+def _filter(cutoff: float) -> str:
+    return f"velocity filter {cutoff:g} rad/s" if np.isfinite(cutoff) else "no velocity filter"
+
+
+def _common(values: np.ndarray) -> bool:
+    """Whether all loops have the same value."""
+    return bool((values == values[0]).all())

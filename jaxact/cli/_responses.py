@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -123,34 +123,38 @@ def responses(loops: Loops, *, sampled: bool, velocity: str) -> list[LoopRespons
 
     Raises UserError where there are more loops than a picture can show.
     """
-    count = len(_distinct(loops)) + len(loops) * sampled
+    groups = _groups(loops)
+    count = len(groups) + len(loops) * sampled
     if count > MOST_CURVES:
         raise UserError(
             f"{count} curves are too many for one picture (at most {MOST_CURVES}); "
             "give fewer values"
         )
     found = margins(loops)
-    drawn = [_continuous(loops, found, index) for index in _distinct(loops)]
-    if sampled:
-        found = sampled_margins(loops, velocity)
-        drawn += [_sampled(loops, found, index, velocity) for index in range(len(loops))]
+    at_rate = sampled_margins(loops, velocity) if sampled else {}
+    drawn = []
+    for number, group in enumerate(groups):
+        curves = [_continuous(loops, found, group[0], named=sampled)]
+        if sampled:
+            curves += [_sampled(loops, at_rate, index, velocity) for index in group]
+        drawn += [replace(curve, loop=number) for curve in curves]
     return drawn
 
 
-def _distinct(loops: Loops) -> list[int]:
-    """The first of all loops that differ in their control rate only."""
+def _groups(loops: Loops) -> list[list[int]]:
+    """Loops that differ in their control rate only, together: one loop in continuous time."""
     names = ("kp", "kd", "mass", "wn", "zeta", "velocity_filter")
     rows = zip(*(loops.values[name] for name in names), _total_delay(loops.values), strict=True)
-    first: dict[tuple[float, ...], int] = {}
+    groups: dict[tuple[float, ...], list[int]] = {}
     for index, row in enumerate(rows):
-        first.setdefault(tuple(map(float, row)), index)
-    return list(first.values())
+        groups.setdefault(tuple(map(float, row)), []).append(index)
+    return list(groups.values())
 
 
-def _without_rate(label: str) -> str:
-    """A label without the control rate, which says nothing in continuous time."""
-    words = [word for word in label.split(", ") if not word.startswith("control rate")]
-    return ", ".join(words) or "continuous time"
+def _label(label: str, kind: str) -> str:
+    """A label without the control rate, with what kind of curve it is, "" for nothing to say."""
+    words = [word for word in label.split(", ") if word and not word.startswith("control rate")]
+    return ", ".join([*words, kind] if kind else words) or "continuous time"
 
 
 def _in_degrees(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -204,7 +208,13 @@ def _frequencies(values: Mapping[str, float]) -> np.ndarray:
     return np.geomspace(low, min(high, _DECADES * low), _POINTS)
 
 
-def _continuous(loops: Loops, found: dict[str, np.ndarray], index: int) -> LoopResponse:
+def _continuous(
+    loops: Loops, found: dict[str, np.ndarray], index: int, *, named: bool
+) -> LoopResponse:
+    """The loop in continuous time.
+
+    named: say so in its label
+    """
     import jax
 
     from jaxact.plot.response import LoopResponse
@@ -214,7 +224,7 @@ def _continuous(loops: Loops, found: dict[str, np.ndarray], index: int) -> LoopR
     with jax.enable_x64(True):
         open_loop, turned = _compiled_response()(_joint_loop(values), w)
     return LoopResponse(
-        label=_without_rate(loops.labels[index]),
+        label=_label(loops.labels[index], "continuous time" if named else ""),
         frequency=w,
         open_loop=np.asarray(open_loop),
         phase=np.degrees(np.asarray(turned)) - 180.0,
@@ -240,7 +250,7 @@ def _sampled(loops: Loops, found: dict[str, np.ndarray], index: int, velocity: s
     turned = np.degrees(np.unwrap(np.angle(open_loop)))
     rate = quantity(values["control_rate"], "Hz")
     return LoopResponse(
-        label=f"{_without_rate(loops.labels[index])}, sampled at {rate}",
+        label=_label(loops.labels[index], f"sampled at {rate}"),
         frequency=w,
         open_loop=open_loop,
         phase=turned - 360.0 * round((turned[0] + 180.0) / 360.0),

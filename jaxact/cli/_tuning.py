@@ -184,7 +184,8 @@ def write_folder(
     }
     drawn = _responses.responses(loops, sampled=sampled, velocity=velocity)
     # As in the other pictures, blue is after.
-    pictures["sensitivity"] = sensitivity(drawn[::-1], footer=footer)
+    drawn.sort(key=lambda response: -(response.loop or 0))
+    pictures["sensitivity"] = sensitivity(drawn, footer=footer)
     for name, figure in pictures.items():
         look.write(figure, folder / f"{name}.png", title=f"jaxact tune: {name.replace('_', ' ')}")
 

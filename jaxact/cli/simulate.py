@@ -221,11 +221,13 @@ def _write(
             arrays["joints"] = np.array([one.name for one in run.joints])
         arrays["parameters"] = np.array(_json.dumps(_plain(run.values)))
         _files.write(npz, lambda file: np.savez_compressed(file, **arrays))
+    name = f"{run.joints[joint].name}: " if len(run.joints) > 1 else ""
     figure = trajectory(
         _joint(run, joint),
-        title=_loops.loop_name(specification, run.values),
+        title=name + _loops.loop_name(specification, run.values),
         footer=caption.loop(run.values, run.results, dataclasses.asdict(specification)),
         units=("rad", "N m") if run.rotary[joint] else ("m", "N"),
+        resolution=run.values["position_resolution"],
     )
     look.write(figure, out, title="jaxact: one loop over time")
 

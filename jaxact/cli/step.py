@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import OmitArgPrefixes, arg
 
 from jaxact.cli import _loops
-from jaxact.cli._pictures import LoopsFile, Out, Title, check_velocities, footer
+from jaxact.cli._pictures import LoopsFile, Out, Title, check_velocities, footer, named
 from jaxact.errors import UserError
 from jaxact.sweep.parameters import PARAMETERS
 
@@ -64,7 +64,7 @@ def main(
         if chosen.velocity == "differenced":
             static["velocity"] = velocity = "differenced"
         check_velocities(chosen, velocity, loops)
-    specification = _loops.specified(static)
+    chosen, specification = named(chosen), _loops.specified(static)
     if len(chosen) > MOST_LOOPS:
         raise UserError(
             f"{len(chosen)} loops are too many for one picture (at most {MOST_LOOPS}); "
@@ -102,7 +102,7 @@ def _response(run: Single, label: str) -> StepResponse:
     signals = ("setpoint", "position", "velocity", "command", "delayed_command", "force")
     rows = {name: getattr(run.trajectory, name)[:, 0] for name in signals}
     return StepResponse(
-        label=f"{label}: {', '.join(words)}",
+        label=f"{label}: {', '.join(words)}" if words else label,
         run=Joint(time=run.trajectory.time, **rows),
         stable=verdict in (Verdict.STABLE, Verdict.LIMIT_CYCLE),
     )

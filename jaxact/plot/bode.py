@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
 from jaxact.plot import look, wording
-from jaxact.plot.response import LoopResponse, decibel, frequency_axis, number
-from jaxact.plot.sheet import sheet
+from jaxact.plot.response import LoopResponse, curve_styles, decibel, frequency_axis, number
+from jaxact.plot.sheet import column, lines, sheet
 
 # The phase of a delay falls without end; below this it is cut off [deg].
 LOWEST_PHASE = -450.0
@@ -24,13 +24,11 @@ def bode(responses: Sequence[LoopResponse], *, title: str = "", footer: str = ""
     title, footer: above and below
     """
     with look.look():
-        paper = sheet(7.4, 5.6, title=title, footer=footer, entries=len(responses), entry_width=7.4)
+        labels = column([_name(response) for response in responses], 7.4)
+        paper = sheet(7.4, 5.6, title=title, footer=footer, entries=lines(labels), entry_width=7.4)
         magnitude, phase = paper.figure.subplots(2, 1, sharex=True)
-        for index, response in enumerate(responses):
-            line = look.style(index)
-            magnitude.plot(
-                response.frequency, decibel(response.open_loop), label=_name(response), **line
-            )
+        for response, label, line in zip(responses, labels, curve_styles(responses), strict=True):
+            magnitude.plot(response.frequency, decibel(response.open_loop), label=label, **line)
             phase.plot(response.frequency, response.phase, **line)
             _gain_margin(magnitude, phase, response, line["color"])
             _phase_margin(magnitude, phase, response, line["color"])

@@ -12,7 +12,7 @@ from matplotlib.colors import Colormap, LogNorm, Normalize, SymLogNorm
 from matplotlib.ticker import FixedLocator, FuncFormatter, Locator, NullLocator
 
 from jaxact.errors import UserError, nearest
-from jaxact.plot import look
+from jaxact.plot import look, ticks
 from jaxact.status import Verdict
 
 # Symmetric-log colours: linear within this fraction of the largest growth rate shown.
@@ -135,14 +135,4 @@ def dress_colorbar(bar: Colorbar, shown: Field) -> None:
         bar.ax.yaxis.set_minor_locator(NullLocator())
         bar.ax.yaxis.set_major_formatter(formatter)
     elif isinstance(shown.norm, LogNorm):
-        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        few = float(shown.norm.vmax or 1.0) / float(shown.norm.vmin or 1.0) < 300.0
-        minor = {1.0, 2.0, 5.0} if few else set()
-        bar.ax.yaxis.set_minor_formatter(
-            FuncFormatter(lambda value, _: f"{value:g}" if _leading(value) in minor else "")
-        )
-
-
-def _leading(value: float) -> float:
-    """First digit of a positive number: 5 for 0.05."""
-    return round(value / 10.0 ** math.floor(math.log10(value) + 1e-9), 6)
+        ticks.label(bar.ax.yaxis)

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator
 
-from jaxact.plot import look, wording
+from jaxact.plot import look, ticks, wording
 from jaxact.plot.field import field, settled, signed_scale, signed_ticks, variable_label
 from jaxact.plot.panels import Arrangement, Panel
 from jaxact.plot.stability_map import finish, frame, positions
@@ -72,6 +72,7 @@ def _value_axis(axes: Axes, finite: np.ndarray, growth: bool) -> None:
         axes.axhline(0.0, color=look.INK, linewidth=0.9, zorder=1)
     elif finite.min() > 0 and finite.max() / finite.min() > 100:
         axes.set_yscale("log")
+        ticks.label(axes.yaxis)
 
 
 def _curves(axes: Axes, arrangement: Arrangement, panel: Panel, variable: str) -> None:

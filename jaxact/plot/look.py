@@ -7,9 +7,10 @@ import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import matplotlib
-from matplotlib.colors import Colormap, LinearSegmentedColormap
+from matplotlib.colors import Colormap, LinearSegmentedColormap, to_hex, to_rgb
 from matplotlib.figure import Figure
 
 from jaxact.errors import UserError
@@ -29,7 +30,7 @@ SMALL_PRINT = "#5C5C5C"
 GRID = "#D9D9D9"
 
 # rc parameters of every jaxact picture. Applied with `look()`, never globally.
-LOOK = {
+LOOK: dict[str, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9.0,
@@ -91,6 +92,12 @@ def sequential() -> Colormap:
 def style(index: int) -> dict[str, object]:
     """Colour and dash of the index-th line, so that lines differ in grey as well."""
     return {"color": CYCLE[index % len(CYCLE)], "linestyle": DASHES[index % len(DASHES)]}
+
+
+def shade(color: str, share: float) -> str:
+    """A colour of the same hue: lighter by a share up to 1, or darker by one down to -1."""
+    end = 1.0 if share > 0.0 else 0.0
+    return to_hex([part + abs(share) * (end - part) for part in to_rgb(color)])
 
 
 def check_output(path: Path) -> Path:

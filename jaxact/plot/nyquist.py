@@ -9,10 +9,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from matplotlib.patheffects import withStroke
 
 from jaxact.plot import look
-from jaxact.plot.response import LoopResponse, number
-from jaxact.plot.sheet import sheet
+from jaxact.plot.response import LoopResponse, curve_styles, number
+from jaxact.plot.sheet import column, lines, sheet
+
+# Disks of more curves than this are drawn as circles only: their colours would mix to mud.
+_MOST_FILLED = 3
+_MARKS = "Circle: disk margin, L stays outside. On L: ○ phase crossover, □ gain crossover."
 
 
 def nyquist(
@@ -33,23 +38,23 @@ def nyquist(
     "An introduction to disk margins", 2020).
     """
     with look.look():
-        paper = sheet(6.6, 6.2, title=title, footer=footer, entries=len(responses), entry_width=6.6)
+        labels = column([_name(response) for response in responses], 6.6)
+        small_print = "\n".join(part for part in (footer, _MARKS) if part)
+        paper = sheet(
+            6.6, 6.2, title=title, footer=small_print, entries=lines(labels), entry_width=6.6
+        )
         axes = paper.figure.subplots()
         circle = Circle((0.0, 0.0), 1.0, fill=False, edgecolor=look.FAINT, linewidth=0.9, zorder=1)
         axes.add_patch(circle)
-        for index, response in enumerate(responses):
-            line = look.style(index)
-            _disk(axes, response, line["color"])
+        drawn = list(zip(responses, labels, curve_styles(responses), strict=True))
+        filled = len(responses) <= _MOST_FILLED
+        for response, label, line in drawn:
+            _disk(axes, response, line["color"], filled=filled)
             curve = response.open_loop
-            axes.plot(curve.real, curve.imag, label=_name(response), zorder=3, **line)
+            axes.plot(curve.real, curve.imag, label=label, **line)
             _arrow(axes, curve, line["color"], reach)
             _margins(axes, response, line["color"])
-        axes.plot(
-            -1.0, 0.0, marker="+", color="black", markersize=11, markeredgewidth=1.8, zorder=6
-        )
-        axes.annotate(
-            "−1", (-1.0, 0.0), (-9.0, -13.0), textcoords="offset points", ha="right", fontsize=9
-        )
+        _critical_point(axes)
         axes.axhline(0.0, color=look.GRID, linewidth=0.7, zorder=0)
         axes.axvline(0.0, color=look.GRID, linewidth=0.7, zorder=0)
         axes.set_aspect("equal")
@@ -83,14 +88,28 @@ def _name(response: LoopResponse) -> str:
     )
 
 
-def _disk(axes: Axes, response: LoopResponse, color: object) -> None:
+def _critical_point(axes: Axes) -> None:
+    """-1, above all that is drawn there."""
+    halo = [withStroke(linewidth=3.0, foreground="white")]
+    axes.plot(
+        -1.0, 0.0, marker="+", color="black", markersize=11, markeredgewidth=1.8, zorder=9,
+        path_effects=halo,
+    )  # fmt: skip
+    axes.annotate(
+        "−1", (-1.0, 0.0), (-7.0, 6.0), textcoords="offset points", ha="right", fontsize=10,
+        fontweight="bold", zorder=10, path_effects=halo,
+    )  # fmt: skip
+
+
+def _disk(axes: Axes, response: LoopResponse, color: object, *, filled: bool) -> None:
     margin = response.margin("disk_margin")
     if margin is None or not 0.0 < margin < 2.0:
         return
     centre, radius = disk(margin)
-    axes.add_patch(
-        Circle((centre, 0.0), radius, facecolor=color, alpha=0.10, edgecolor="none", zorder=0.5)  # type: ignore[arg-type]
-    )
+    if filled:
+        axes.add_patch(
+            Circle((centre, 0.0), radius, facecolor=color, alpha=0.10, edgecolor="none", zorder=0.5)  # type: ignore[arg-type]
+        )
     axes.add_patch(
         Circle((centre, 0.0), radius, fill=False, edgecolor=color, linewidth=0.8, zorder=1)  # type: ignore[arg-type]
     )

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, NullFormatter
+
+from jaxact.plot import look, ticks
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,8 @@ class LoopResponse:
         and missing or NaN where the loop is unstable
     stable: whether the closed loop is
     nyquist_frequency: pi/T of a sampled loop [rad/s], inf in continuous time
+    loop: number of the loop that this is a curve of; its curves share a colour. None: a loop of
+        its own
     """
 
     label: str
@@ -35,6 +39,7 @@ class LoopResponse:
     margins: Mapping[str, float] = field(default_factory=dict)
     stable: bool = True
     nyquist_frequency: float = math.inf
+    loop: int | None = None
 
     def margin(self, name: str) -> float | None:
         """A margin that can be drawn: finite, and the loop stable; None otherwise."""
@@ -54,13 +59,38 @@ class LoopResponse:
         return self.open_loop / (1.0 + self.open_loop)
 
 
+def curve_styles(responses: Sequence[LoopResponse]) -> list[dict[str, Any]]:
+    """Colour, dash and width of every curve, as `Axes.plot` takes them.
+
+    A loop has one colour and one dash. Where it is drawn both sampled and in continuous time, the
+    latter is wide and pale, below the sampled curves, which get darker from the first to the last:
+    curves that nearly coincide are all seen.
+    """
+    of_loop: dict[object, list[int]] = {}
+    for index, response in enumerate(responses):
+        own = ("alone", index) if response.loop is None else response.loop
+        of_loop.setdefault(own, []).append(index)
+    styles: list[dict[str, Any]] = [{} for _ in responses]
+    for number, indices in enumerate(of_loop.values()):
+        line = look.style(number)
+        sampled = [i for i in indices if math.isfinite(responses[i].nyquist_frequency)]
+        for index in indices:
+            styles[index] = {"zorder": 3} | line
+            if len(indices) > 1 and index not in sampled:
+                pale = look.shade(str(line["color"]), 0.6)
+                styles[index] = {"color": pale, "linestyle": "-", "linewidth": 3.4, "zorder": 2.5}
+            elif len(sampled) > 1:
+                darker = -0.6 * sampled.index(index) / (len(sampled) - 1)
+                styles[index]["color"] = look.shade(str(line["color"]), darker)
+    return styles
+
+
 def frequency_axis(axes: Axes, responses: Sequence[LoopResponse], *, label: bool = True) -> None:
     """Logarithmic, over all frequencies given, in rad/s."""
     axes.set_xscale("log")
     ends = [(float(r.frequency[0]), float(r.frequency[-1])) for r in responses]
     axes.set_xlim(min(low for low, _ in ends), max(high for _, high in ends))
-    axes.xaxis.set_major_locator(LogLocator(base=10.0, numticks=12))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    ticks.label(axes.xaxis)
     axes.grid(visible=True, which="major")
     if label:
         axes.set_xlabel("frequency [rad/s]")

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from jaxact.multiloop import Curves
-from jaxact.plot import look
+from jaxact.plot import look, ticks
 from jaxact.plot.response import number
 from jaxact.plot.sheet import sheet
 from jaxact.robot_changes import Change
@@ -70,8 +69,7 @@ def _sensitivities(axes: Axes, curves: Curves, named: list[int], symbol: str) ->
     top = float(np.nanmax(largest))
     axes.set_yscale("log")
     axes.set_ylim(_LOWEST, max(2.0, min(1.4 * top, 1e3)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    ticks.label(axes.yaxis)
     axes.axhline(1.0, color=look.INK, linewidth=0.9, zorder=1)
     axes.grid(visible=True, which="major")
     axes.set_ylabel(f"σmax({symbol}), |{symbol}ii|")
@@ -83,8 +81,7 @@ def _frequency_axis(upper: Axes, lower: Axes, curves: Curves) -> None:
     low = max(float(curves.frequency[0]), high / _DECADES)
     lower.set_xscale("log")
     lower.set_xlim(low, high)
-    lower.xaxis.set_major_locator(LogLocator(base=10.0, numticks=12))
-    lower.xaxis.set_minor_formatter(NullFormatter())
+    ticks.label(lower.xaxis)
     lower.set_xlabel("frequency [rad/s]")
     upper.tick_params(labelbottom=False)
 

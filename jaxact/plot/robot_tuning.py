@@ -10,9 +10,8 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from jaxact.plot import look
+from jaxact.plot import look, ticks
 from jaxact.plot.sheet import sheet
 from jaxact.plot.tuning import AFTER, BEFORE
 
@@ -81,9 +80,8 @@ def _band(axes, band: Band, color: str) -> None:
         panel.set_yscale("log")
         panel.set_xlim(band.frequency[0], band.frequency[-1])
         panel.set_ylim(_LOWEST, _HIGHEST)
-        panel.xaxis.set_major_locator(LogLocator(base=10.0, numticks=6))
-        panel.xaxis.set_minor_formatter(NullFormatter())
-        panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ticks.label(panel.xaxis)
+        ticks.label(panel.yaxis)
 
 
 def gains(
@@ -132,9 +130,7 @@ def gains(
                           markeredgecolor="white")  # fmt: skip
             axes.plot(places, after[row], "o", color=AFTER, markersize=8, markeredgecolor="white")
             axes.set_yscale("log")
-            axes.yaxis.set_major_locator(LogLocator(base=10.0, subs=(1.0, 2.0, 5.0)))
-            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axes.yaxis.set_minor_formatter(NullFormatter())
+            ticks.label(axes.yaxis)
             axes.set_ylabel(f"{symbol} [{units[row]}]")
             axes.grid(visible=True, axis="y", which="both")
         turned = {"rotation": 45, "ha": "right"} if len(names) > 6 else {}

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from jaxact.plot import look
-from jaxact.plot.response import LoopResponse, frequency_axis, number
-from jaxact.plot.sheet import sheet
+from jaxact.plot import look, ticks
+from jaxact.plot.response import LoopResponse, curve_styles, frequency_axis, number
+from jaxact.plot.sheet import column, lines, sheet
 
 
 def sensitivity(responses: Sequence[LoopResponse], *, title: str = "", footer: str = "") -> Figure:
@@ -21,15 +20,14 @@ def sensitivity(responses: Sequence[LoopResponse], *, title: str = "", footer: s
     title, footer: above and below
     """
     with look.look():
-        paper = sheet(7.4, 5.6, title=title, footer=footer, entries=len(responses), entry_width=7.4)
+        labels = column([_name(response) for response in responses], 7.4)
+        paper = sheet(7.4, 5.6, title=title, footer=footer, entries=lines(labels), entry_width=7.4)
         upper, lower = paper.figure.subplots(2, 1, sharex=True)
-        for index, response in enumerate(responses):
-            line = look.style(index)
+        for response, label, line in zip(responses, labels, curve_styles(responses), strict=True):
             faint = {} if response.stable else {"alpha": 0.45, "linewidth": 1.0}
             upper.plot(
-                response.frequency, np.abs(response.sensitivity), label=_name(response),
-                **(line | faint),
-            )  # fmt: skip
+                response.frequency, np.abs(response.sensitivity), label=label, **(line | faint)
+            )
             lower.plot(response.frequency, np.abs(response.complementary), **(line | faint))
             _peak(upper, response, "sensitivity_peak", line["color"])
             _peak(lower, response, "complementary_peak", line["color"])
@@ -67,7 +65,6 @@ def _dress(upper: Axes, lower: Axes, responses: Sequence[LoopResponse]) -> None:
         peak = max(float(np.nanmax(np.abs(curve))) for curve in curves)
         axes.set_yscale("log")
         axes.set_ylim(0.01, max(2.0, min(1.3 * peak, 100.0)))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.yaxis.set_minor_formatter(NullFormatter())
+        ticks.label(axes.yaxis)
         axes.axhline(1.0, color=look.INK, linewidth=0.9, zorder=1)
         axes.set_ylabel(f"|{symbol}(jω)|")

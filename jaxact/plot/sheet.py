@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import text_to_path
 
 from jaxact.plot import look
 
 _LETTERS_PER_INCH = 16.5
+_HANDLE = 0.5  # of a legend [inch], with the room beside it
 _LEGEND_LINE, _FOOTER_LINE = 0.185, 0.15
 
 
@@ -80,6 +84,39 @@ def sheet(
             color=look.SMALL_PRINT, linespacing=1.25,
         )  # fmt: skip
     return Sheet(figure, columns, small_print / total)
+
+
+def column(labels: Sequence[str], width: float) -> list[str]:
+    """Labels of a legend of one column, those that are too long broken into lines.
+
+    width: of the panels [inch]
+
+    The legend takes as many entries of room as there are lines, see `lines`.
+    """
+    return ["\n".join(_broken(label, 72.0 * (width - _HANDLE))) for label in labels]
+
+
+def lines(labels: Sequence[str]) -> int:
+    """How many lines these labels take."""
+    return sum(label.count("\n") + 1 for label in labels)
+
+
+def _broken(label: str, room: float) -> list[str]:
+    """Lines that fit into a width [points], broken after commas and colons."""
+    lines = [""]
+    for part in re.split(r"(?<=[,:]) ", label):
+        longer = f"{lines[-1]} {part}" if lines[-1] else part
+        if not lines[-1] or _width(longer) <= room:
+            lines[-1] = longer
+        else:
+            lines.append(f"    {part}")
+    return lines
+
+
+def _width(text: str) -> float:
+    """Of one line in a legend [points]."""
+    font = FontProperties(family=look.LOOK["font.sans-serif"], size=look.LOOK["legend.fontsize"])
+    return float(text_to_path.get_text_width_height_descent(text, font, ismath=False)[0])
 
 
 def _heading(title: str, width: float) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -19,11 +18,9 @@ from matplotlib.ticker import (
     FixedFormatter,
     FixedLocator,
     FuncFormatter,
-    LogLocator,
-    NullFormatter,
 )
 
-from jaxact.plot import look, wording
+from jaxact.plot import look, ticks, wording
 from jaxact.plot.field import Field, dress_colorbar, field, settled
 from jaxact.plot.panels import Arrangement, Axis, Panel
 from jaxact.plot.sheet import Sheet, sheet
@@ -43,8 +40,6 @@ INVALID_FILL = "#C9C9C9"
 # A loop that does not have the figure that is drawn, e.g. one that did not settle in time.
 EMPTY_FILL = "#EDEDED"
 LINEARISED = "linearised boundary"
-# Logarithmic axes shorter than this are labelled at 2 and 5 of each decade too.
-_FEW_DECADES = 2.0
 
 
 @dataclass(frozen=True)
@@ -161,17 +156,9 @@ def dress_axis(axes: Axes, which: str, shown: Axis) -> None:
         line.set_major_formatter(FixedFormatter(names))
     elif shown.scale == "log":
         (axes.set_xscale if which == "x" else axes.set_yscale)("log")
-        line.set_major_locator(LogLocator(base=10.0, numticks=12))
-        line.set_minor_formatter(NullFormatter())
-        if math.log10(shown.values[-1] / shown.values[0]) < _FEW_DECADES:
-            # Decades alone would leave one or two labels.
-            line.set_minor_locator(LogLocator(base=10.0, subs=(2.0, 5.0), numticks=12))
-            for dress in (line.set_major_formatter, line.set_minor_formatter):
-                dress(FuncFormatter(lambda value, _: f"{value:g}"))
-    if shown.scale != "category" and shown.in_milliseconds:
+        ticks.label(line, factor=1e3 if shown.in_milliseconds else 1.0)
+    elif shown.in_milliseconds:
         line.set_major_formatter(FuncFormatter(lambda value, _: f"{value * 1e3:.6g}"))
-        if shown.scale == "log":
-            line.set_minor_formatter(NullFormatter())
     edges = cell_edges(shown)
     (axes.set_xlim if which == "x" else axes.set_ylim)(edges[0], edges[-1])
 

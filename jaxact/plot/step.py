@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxact.plot import look
-from jaxact.plot.sheet import sheet
+from jaxact.plot.dust import spans, widen
+from jaxact.plot.sheet import column, lines, sheet
 from jaxact.plot.trajectory import Joint, seconds_or_milliseconds
 
 
@@ -47,8 +48,9 @@ def step(
     until: end of the time axis [s], where it is before the end of the runs
     """
     with look.look():
+        labels = column([response.label for response in responses], 7.4)
         paper = sheet(
-            7.4, 5.2, title=title, footer=footer, entries=len(responses) + 1, entry_width=7.4
+            7.4, 5.2, title=title, footer=footer, entries=lines(labels) + 1, entry_width=7.4
         )
         heights = {"height_ratios": (1.5, 1)}
         upper, lower = paper.figure.subplots(2, 1, sharex=True, gridspec_kw=heights)
@@ -59,15 +61,21 @@ def step(
         for index, response in enumerate(responses):
             line = look.style(index) | ({} if response.stable else {"linewidth": 0.9})
             time = response.run.time * scale
-            upper.plot(time, response.run.position, label=response.label, zorder=3, **line)
+            upper.plot(time, response.run.position, label=labels[index], zorder=3, **line)
             lower.plot(time, response.run.force, zorder=3, **line)
         calm = [r for r in responses if r.stable]
         if len(calm) < len(responses):
             _limit(upper, [r.run.position for r in calm] + [responses[0].run.setpoint])
             _limit(lower, [r.run.force for r in calm] or [responses[0].run.command[:1]])
+        least = spans(
+            longest, [r.run.position for r in calm or responses], responses[0].run.setpoint,
+            [r.run.force for r in calm or responses], unit=units[0],
+        )  # fmt: skip
+        widen(upper, least.position)
+        widen(lower, least.force)
         upper.set_ylabel(f"position [{units[0]}]")
         lower.set_ylabel(f"force [{units[1]}]")
-        lower.axhline(0.0, color=look.FAINT, linewidth=0.6)
+        lower.axhline(0.0, color=look.FAINT, linewidth=0.6, zorder=1)
         lower.set_xlabel(label)
         lower.set_xlim(0.0, min(float(longest[-1]), until) * scale)
         for axes in (upper, lower):

@@ -10,6 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from jaxact.plot import look, wording
+from jaxact.plot.dust import note as at_rest
+from jaxact.plot.dust import spans, widen
 from jaxact.plot.sheet import sheet
 
 # A response this many times the step is not drawn any further.
@@ -43,14 +45,17 @@ def trajectory(
     title: str = "",
     footer: str = "",
     units: tuple[str, str] = ("m", "N"),
+    resolution: float = 0.0,
 ) -> Figure:
     """Position with its setpoint, velocity, and command, delayed command and force.
 
     run: the joint's trajectory
     title, footer: above and below
     units: of the position and of the force; ("rad", "N m") for a rotary joint
+    resolution: of the encoder, 0 where it is not known [m or rad]
 
-    A motion that diverges is drawn until it is DIVERGED times as large as the step.
+    A motion that diverges is drawn until it is DIVERGED times as large as the step. Axes show at
+    least what `jaxact.plot.dust` says, so that rounding does not look like a motion.
     """
     length, force = units
     kept, note = until_divergence(run)
@@ -66,23 +71,22 @@ def trajectory(
         top.plot(time, run.position, color=look.BLUE, label="position")
         top.set_ylabel(f"position [{length}]")
         middle.plot(time, run.velocity, color=look.BLUE)
-        middle.axhline(0.0, color=look.FAINT, linewidth=0.6)
+        middle.axhline(0.0, color=look.FAINT, linewidth=0.6, zorder=1)
         middle.set_ylabel(f"velocity [{length}/s]")
-        # Held values are steps, the force is continuous.
-        held = {"drawstyle": "steps-post"}
-        bottom.plot(time, run.command, color=look.SKY, linewidth=1.1, label="command", **held)
-        bottom.plot(
-            time, run.delayed_command, color=look.ORANGE, linewidth=1.1, ls=(0, (5, 1.5)),
-            label="delayed command", **held,
-        )  # fmt: skip
-        bottom.plot(time, run.force, color=look.BLACK, linewidth=1.3, label="force")
-        bottom.axhline(0.0, color=look.FAINT, linewidth=0.6)
+        _forces(bottom, time, run)
         bottom.set_ylabel(f"force [{force}]")
         bottom.set_xlabel(label)
         for axes in (top, bottom):
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
         for axes in (top, middle, bottom):
             _dress(axes, time)
+        least = spans(
+            run.time, [run.position], run.setpoint, [run.command, run.force],
+            unit=length, resolution=resolution,
+        )  # fmt: skip
+        for axes, span in ((top, least.position), (middle, least.velocity), (bottom, least.force)):
+            widen(axes, span)
+        note = note or at_rest(run.position, least.position, length)
         if note:
             top.text(
                 0.01, 0.93, note, transform=top.transAxes, va="top", fontsize=8,
@@ -90,6 +94,20 @@ def trajectory(
             )  # fmt: skip
         figure.align_ylabels()
     return figure
+
+
+def _forces(axes: Axes, time: np.ndarray, run: Joint) -> None:
+    """Command, delayed command and force, each thinner than the one below: none hides another.
+
+    Held values are steps, the force is continuous.
+    """
+    held = {"drawstyle": "steps-post"}
+    axes.plot(time, run.command, color=look.SKY, linewidth=3.2, label="command", **held)
+    axes.plot(
+        time, run.delayed_command, color=look.ORANGE, linewidth=1.8, label="delayed command", **held
+    )
+    axes.plot(time, run.force, color=look.BLACK, linewidth=0.9, label="force")
+    axes.axhline(0.0, color=look.FAINT, linewidth=0.6, zorder=1)
 
 
 def until_divergence(run: Joint) -> tuple[int, str]:
