@@ -240,8 +240,11 @@ def write_folder(folder: Path, tuned: RobotTuned, held: Held | None, command: st
 
     command: that made it
     """
-    from jaxact.plot import look, tuning
+    from jaxact.cli import _tuning_pictures
+    from jaxact.plot import look
     from jaxact.plot import robot_tuning as pictures
+    from jaxact.plot.convergence import convergence
+    from jaxact.plot.robot_gains import gains
     from jaxact.tune import robot_result
 
     text = robot_result.toml_text(tuned, held, command)
@@ -264,10 +267,11 @@ def write_folder(folder: Path, tuned: RobotTuned, held: Held | None, command: st
             [] if tuned.before is None else _bands(tuned, tuned.before), _bands(tuned, pair),
             max_peak=goal.max_peak, footer=tuned.verdict,
         ),
-        "convergence": tuning.convergence(values, ratio, label=label, given=False),
-        "gains": pictures.gains(
-            groups.names, before, after, ends, units=robot_result.units(tuned)
+        "convergence": convergence(
+            values, ratio, label=label, given=False,
+            stable=np.isfinite(paths.violation[0]), missed=_tuning_pictures.missed(tuned),
         ),
+        "gains": gains(groups.names, before, after, ends, units=robot_result.units(tuned)),
     }  # fmt: skip
     for name, figure in drawn.items():
         look.write(figure, folder / f"{name}.png", title=f"jaxact tune: {name}")

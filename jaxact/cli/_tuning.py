@@ -14,12 +14,10 @@ from jaxact.cli import _loops
 from jaxact.cli.margins import ALWAYS, MARGINS, plain
 
 if TYPE_CHECKING:
-    from jaxact.tune.ensemble import Ensemble
     from jaxact.tune.run import Tuned
 
 _SHOWN = ("gain_margin", "phase_margin", "delay_margin", "sensitivity_peak", "complementary_peak",
           "disk_margin")  # fmt: skip
-_GRID = 110
 
 
 def report(tuned: Tuned, loops: _loops.Loops, sampled: bool, velocity: str) -> dict[str, Any]:
@@ -165,98 +163,20 @@ def write_folder(
 
     nominal: figures of the nominal loop with the gains, as `report` has them
     """
-    from jaxact.cli import _responses
-    from jaxact.plot import look, tuning
+    from jaxact.cli import _responses, _tuning_pictures
+    from jaxact.plot import look
     from jaxact.plot.sensitivity import sensitivity
     from jaxact.tune.result import mjcf_text, toml_text
 
     (folder / "gains.toml").write_text(toml_text(tuned, command, nominal), encoding="utf-8")
     (folder / "gains.xml").write_text(mjcf_text(tuned, joint), encoding="utf-8")
-    footer = tuned.verdict
-    after = tuned.kp, tuned.kd
-    plane = _plane(tuned)
-    pictures = {
-        "stability_map": tuning.tuning_map(
-            plane, tuned.before, after, max_peak=tuned.goal.max_peak, footer=footer
-        ),
-        "convergence": _convergence(tuned),
-        "step": _steps(tuned),
-    }
+    pictures = _tuning_pictures.of_joint(tuned, loops)
     drawn = _responses.responses(loops, sampled=sampled, velocity=velocity)
     # As in the other pictures, blue is after.
     drawn.sort(key=lambda response: -(response.loop or 0))
-    pictures["sensitivity"] = sensitivity(drawn, footer=footer)
+    pictures["sensitivity"] = sensitivity(drawn, footer=tuned.verdict)
     for name, figure in pictures.items():
         look.write(figure, folder / f"{name}.png", title=f"jaxact tune: {name.replace('_', ' ')}")
-
-
-def _binding(tuned: Tuned) -> Ensemble:
-    """A few members that say where the bounds are: those that bind, else the first."""
-    from jaxact.tune.ensemble import chosen
-
-    named = {tuned.members.name(i): i for i in range(len(tuned.members))}
-    index = [named[name] for name in tuned.certificate.binding if name in named][:4]
-    return chosen(tuned.members, np.array(index or [0]))
-
-
-def _plane(tuned: Tuned) -> Any:
-    from jaxact.boundary import continuous_boundary, sampled_boundary
-    from jaxact.plot.tuning import Plane
-    from jaxact.tune import figures
-
-    members = _binding(tuned)
-    pairs = np.array([pair for pair in (tuned.before, (tuned.kp, tuned.kd)) if pair is not None])
-    low, high = pairs.min(axis=0) / np.array([8.0, 4.0]), pairs.max(axis=0) * np.array([8.0, 4.0])
-    kp, kd = (np.geomspace(a, b, _GRID) for a, b in zip(low, high, strict=True))
-    sampling = tuned.members.sampling
-    grid = _GRID if sampling is None else _GRID // 3
-    kp, kd = kp[:: _GRID // grid], kd[:: _GRID // grid]
-    log_kp, log_kd = np.meshgrid(np.log(kp), np.log(kd))
-    shaped = {name: getattr(members, name)[:, None, None] for name in _FIELDS}
-    found = figures.evaluate(log_kp[None], log_kd[None], shaped, sampling)
-    peak = np.maximum(found.log["sensitivity_peak"], found.log["complementary_peak"])
-    worst = np.where(found.stable, peak, np.inf).max(axis=0)
-    ranges: dict[str, Any] = {"kp_range": (low[0], high[0]), "kd_range": (low[1], high[1])}
-    curves = []
-    for i in range(len(members)):
-        plant = [float(getattr(members, name)[i]) for name in _FIELDS]
-        if sampling is None:
-            curves += continuous_boundary(*plant, **ranges)
-        else:
-            curves += sampled_boundary(
-                *plant, sampling.control_period, velocity=sampling.velocity,
-                velocity_filter=sampling.velocity_filter, **ranges,
-            )  # fmt: skip
-    return Plane(kp, kd, np.where(np.isfinite(worst), np.exp(worst), np.nan), curves)
-
-
-_FIELDS = ("mass", "natural_frequency", "damping_ratio", "delay")
-
-
-def _convergence(tuned: Tuned) -> Any:
-    from jaxact.plot import tuning
-    from jaxact.tune.goal import OBJECTIVES
-
-    goal, paths = tuned.goal, tuned.paths
-    unit = OBJECTIVES[goal.objective][2]
-    label = goal.objective if unit == "1" else f"{goal.objective} [{unit}]"
-    with np.errstate(over="ignore"):
-        values = np.exp(goal.sense * paths.path_value)
-        ratio = np.exp(paths.path_violation)
-    return tuning.convergence(values, ratio, label=label, given=tuned.before is not None)
-
-
-def _steps(tuned: Tuned) -> Any:
-    from jaxact.plot import tuning
-    from jaxact.tune.response import step_responses
-
-    slowest = max(tuned.kd / tuned.kp, math.sqrt(float(tuned.members.mass.max()) / tuned.kp))
-    duration = 6.0 * slowest
-    time, after = step_responses(tuned.members, tuned.kp, tuned.kd, duration)
-    before = None
-    if tuned.before is not None:
-        _, before = step_responses(tuned.members, *tuned.before, duration)
-    return tuning.step_band(time, before, after)
 
 
 def loops_of(loops: _loops.Loops, tuned: Tuned) -> _loops.Loops:

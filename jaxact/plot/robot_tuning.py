@@ -1,4 +1,4 @@
-"""Pictures of a robot's tuning: sensitivities before and after, gains of the groups."""
+"""A robot's sensitivities before and after tuning, in every situation."""
 
 from __future__ import annotations
 
@@ -82,60 +82,3 @@ def _band(axes, band: Band, color: str) -> None:
         panel.set_ylim(_LOWEST, _HIGHEST)
         ticks.label(panel.xaxis)
         ticks.label(panel.yaxis)
-
-
-def gains(
-    names: Sequence[str],
-    before: tuple[np.ndarray, np.ndarray] | None,
-    after: tuple[np.ndarray, np.ndarray],
-    ends: np.ndarray,
-    *,
-    units: tuple[str, str],
-    title: str = "",
-    footer: str = "",
-) -> Figure:
-    """kp and kd of every group, before and after, and where every start ended.
-
-    names: of the groups
-    before, after: kp and kd, shape (groups,) each; None without a start
-    ends: of the descent, shape (starts, 2, groups)
-    units: of kp and kd
-    title, footer: above and below
-    """
-    with look.look():
-        handles: list[Artist] = [
-            Line2D([], [], marker="o", ls="none", color=AFTER, markersize=8, label="after"),
-            Line2D(
-                [],
-                [],
-                marker="_",
-                ls="none",
-                color=look.INK,
-                markersize=9,
-                label="ends of the starts",
-            ),
-        ]
-        if before is not None:
-            handles.insert(1, Line2D([], [], marker="X", ls="none", color=BEFORE, markersize=8,
-                                     label="before"))  # fmt: skip
-        width = min(max(5.2, 1.4 + 0.9 * len(names)), 12.0)
-        paper = sheet(width, 4.6, title=title, footer=footer, entries=len(handles), entry_width=1.9)
-        grid = paper.figure.subplots(2, 1, sharex=True)
-        places = np.arange(len(names))
-        for row, (axes, symbol) in enumerate(zip(grid, ("kp", "kd"), strict=True)):
-            for end in ends[:, row]:
-                axes.plot(places, end, "_", color=look.INK, markersize=9, alpha=0.5)
-            if before is not None:
-                axes.plot(places, before[row], "X", color=BEFORE, markersize=8,
-                          markeredgecolor="white")  # fmt: skip
-            axes.plot(places, after[row], "o", color=AFTER, markersize=8, markeredgecolor="white")
-            axes.set_yscale("log")
-            ticks.label(axes.yaxis)
-            axes.set_ylabel(f"{symbol} [{units[row]}]")
-            axes.grid(visible=True, axis="y", which="both")
-        turned = {"rotation": 45, "ha": "right"} if len(names) > 6 else {}
-        grid[1].set_xticks(places, names, **turned)
-        grid[1].set_xlim(-0.6, len(names) - 0.4)
-        paper.figure.align_ylabels()
-        paper.legend(handles)
-    return paper.figure

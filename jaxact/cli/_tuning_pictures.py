@@ -1,0 +1,156 @@
+"""The pictures of `jaxact tune`: gain plane, convergence and step responses of its result."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxact.cli import _loops
+from jaxact.plot.wording import quantity
+
+if TYPE_CHECKING:
+    from jaxact.plot.convergence import Missed
+    from jaxact.plot.tuning_map import Boundary
+    from jaxact.tune.ensemble import Ensemble
+    from jaxact.tune.robot_tuned import RobotTuned
+    from jaxact.tune.run import Tuned
+
+_GRID = 110
+_FIELDS = ("mass", "natural_frequency", "damping_ratio", "delay")
+# Step responses last this many times the slower one's time constant; that of the start counts up
+# to some multiple of the result's.
+_CONSTANTS, _SLOWER = 6.0, 5.0
+
+
+def of_joint(tuned: Tuned, loops: _loops.Loops) -> dict[str, Any]:
+    """Pictures of one joint's tuning by name.
+
+    loops: the nominal loop, with the gains before (where there is a start) and after
+    """
+    from jaxact.plot.tuning_map import tuning_map
+
+    after = tuned.kp, tuned.kd
+    return {
+        "stability_map": tuning_map(
+            _plane(tuned), tuned.before, after, max_peak=tuned.goal.max_peak, footer=tuned.verdict
+        ),
+        "convergence": _convergence(tuned),
+        "step": _steps(tuned, loops),
+    }
+
+
+def missed(tuned: Tuned | RobotTuned) -> Missed | None:
+    """What a tuning did not reach, None where it reached everything."""
+    from jaxact.plot.convergence import Missed
+
+    if tuned.feasible:
+        return None
+    checks = [check for check in tuned.closest if not check.met]
+    if not tuned.certificate.stable:
+        return Missed("not reached: no gains found that make every member stable", math.inf)
+    if not checks:
+        return Missed("not reached: no gains found that meet the constraints together", math.inf)
+    worst = max(checks, key=lambda check: check.excess)
+    sign = "≤" if worst.constraint.startswith("max") else "≥"
+    figure = worst.figure.replace("_", " ")
+    words = f"not reached: {figure} {worst.value:.4g} at best, asked for {sign} {worst.bound:g}"
+    return Missed(words, math.exp(worst.excess))
+
+
+def _binding(tuned: Tuned) -> Ensemble:
+    """A few members that say where the bounds are: those that bind, else the first."""
+    from jaxact.tune.ensemble import chosen
+
+    named = {tuned.members.name(i): i for i in range(len(tuned.members))}
+    index = [named[name] for name in tuned.certificate.binding if name in named][:4]
+    return chosen(tuned.members, np.array(index or [0]))
+
+
+def _plane(tuned: Tuned) -> Any:
+    from jaxact.plot.tuning_map import Plane
+    from jaxact.tune import figures
+
+    members = _binding(tuned)
+    pairs = np.array([pair for pair in (tuned.before, (tuned.kp, tuned.kd)) if pair is not None])
+    low, high = pairs.min(axis=0) / np.array([8.0, 4.0]), pairs.max(axis=0) * np.array([8.0, 4.0])
+    kp, kd = (np.geomspace(a, b, _GRID) for a, b in zip(low, high, strict=True))
+    sampling = tuned.members.sampling
+    grid = _GRID if sampling is None else _GRID // 3
+    kp, kd = kp[:: _GRID // grid], kd[:: _GRID // grid]
+    log_kp, log_kd = np.meshgrid(np.log(kp), np.log(kd))
+    shaped = {name: getattr(members, name)[:, None, None] for name in _FIELDS}
+    found = figures.evaluate(log_kp[None], log_kd[None], shaped, sampling)
+    peak = np.maximum(found.log["sensitivity_peak"], found.log["complementary_peak"])
+    worst = np.where(found.stable, peak, np.inf).max(axis=0)
+    ranges = {"kp_range": (low[0], high[0]), "kd_range": (low[1], high[1])}
+    boundaries = [_boundary(members, index, ranges) for index in range(len(members))]
+    return Plane(kp, kd, np.where(np.isfinite(worst), np.exp(worst), np.nan), boundaries)
+
+
+def _boundary(members: Ensemble, index: int, ranges: dict[str, Any]) -> Boundary:
+    """Where a member changes stability: sampled as it is controlled, or in continuous time."""
+    from jaxact.boundary import continuous_boundary, sampled_boundary
+    from jaxact.plot.tuning_map import Boundary
+
+    plant = [float(getattr(members, name)[index]) for name in _FIELDS]
+    name = members.name(index) if len(members) > 1 else ""
+    sampling = members.sampling
+    if sampling is None:
+        return Boundary(name or "continuous time", continuous_boundary(*plant, **ranges))
+    curves = sampled_boundary(
+        *plant, sampling.control_period, velocity=sampling.velocity,
+        velocity_filter=sampling.velocity_filter, **ranges,
+    )  # fmt: skip
+    return Boundary(name or f"sampled at {quantity(1.0 / sampling.control_period, 'Hz')}", curves)
+
+
+def _convergence(tuned: Tuned) -> Any:
+    from jaxact.plot.convergence import convergence
+    from jaxact.tune.goal import OBJECTIVES
+
+    goal, paths = tuned.goal, tuned.paths
+    unit = OBJECTIVES[goal.objective][2]
+    label = goal.objective if unit == "1" else f"{goal.objective} [{unit}]"
+    with np.errstate(over="ignore"):
+        values = np.exp(goal.sense * paths.path_value)
+        ratio = np.exp(paths.path_violation)
+    return convergence(
+        values, ratio, label=label, given=tuned.before is not None,
+        stable=np.isfinite(paths.violation), missed=missed(tuned),
+    )  # fmt: skip
+
+
+def _steps(tuned: Tuned, loops: _loops.Loops) -> Any:
+    from jaxact.plot.step_band import Responses, step_band
+    from jaxact.tune.ensemble import joined
+    from jaxact.tune.response import step_responses
+
+    members = tuned.members
+    several = len(members) > 1
+    simulated = joined(members, _nominal(loops, tuned)) if several else members
+    heaviest = float(members.mass.max())
+    slow = [
+        max(kd / kp, math.sqrt(heaviest / kp))
+        for kp, kd in (tuned.before or (tuned.kp, tuned.kd), (tuned.kp, tuned.kd))
+    ]
+    duration = _CONSTANTS * min(max(slow), _SLOWER * slow[-1])
+    names = [members.name(index) for index in range(len(members))]
+
+    def responses(gains: tuple[float, float]) -> tuple[np.ndarray, Responses]:
+        time, rows = step_responses(simulated, *gains, duration)
+        return time, Responses(rows[:-1], names, rows[-1]) if several else Responses(rows)
+
+    time, after = responses((tuned.kp, tuned.kd))
+    before = None if tuned.before is None else responses(tuned.before)[1]
+    return step_band(time, before, after)
+
+
+def _nominal(loops: _loops.Loops, tuned: Tuned) -> Ensemble:
+    """The plant that was named, as an ensemble of one."""
+    from jaxact.tune.ensemble import ensemble
+
+    own = loops.one(0)
+    delay = sum(own[name] for name in _loops.DELAYS)
+    return ensemble(own["mass"], own["wn"], own["zeta"], delay, sampling=tuned.members.sampling)
