@@ -31,6 +31,10 @@ _LONG = {
 }
 
 
+# What only a limit cycle has; of a loop that settles its amplitude is none, not small.
+OF_LIMIT_CYCLES = ("limit_cycle_amplitude", "limit_cycle_frequency")
+
+
 @dataclass(frozen=True)
 class Field:
     """How one variable is coloured.
@@ -68,6 +72,8 @@ def field(dataset: xr.Dataset, variable: str) -> Field:
     # an unstable loop's overshoot or settling time is a number about the explosion, not a response
     shown = array.values if variable == "growth_rate" else settled(dataset, variable)
     finite = shown[np.isfinite(shown)].astype(float)
+    if finite.size == 0 and variable in OF_LIMIT_CYCLES:
+        raise UserError(f"variable '{variable}': no loop of this sweep is a limit cycle")
     if finite.size == 0:
         raise UserError(f"variable '{variable}' has no finite value in this sweep; choose another")
     label = variable_label(array)
@@ -76,7 +82,9 @@ def field(dataset: xr.Dataset, variable: str) -> Field:
     low, high = (float(v) for v in np.percentile(finite, [0.5, 99.5]))
     extend = _extend(finite, low, high)
     colors = look.sequential()
-    if low > 0 and high / low > 30:
+    if variable == OF_LIMIT_CYCLES[0] and low == high:
+        low, high = low / 2.0, high * 2.0
+    if low > 0 and (high / low > 30 or variable == OF_LIMIT_CYCLES[0]):
         return Field(variable, label, colors, LogNorm(low, high), None, extend)
     if low == high:
         low, high, extend = low - 0.5, high + 0.5, "neither"
@@ -84,10 +92,15 @@ def field(dataset: xr.Dataset, variable: str) -> Field:
 
 
 def settled(dataset: xr.Dataset, variable: str) -> np.ndarray:
-    """Values of a variable where the verdict is stable or limit cycle, NaN elsewhere."""
-    verdict = dataset["verdict"].values
+    """Values of a variable where the verdict is stable or limit cycle, NaN elsewhere.
+
+    What only limit cycles have is NaN where the loop settles.
+    """
+    verdict, values = dataset["verdict"].values, dataset[variable].values.astype(float)
+    if variable in OF_LIMIT_CYCLES:
+        return np.where((verdict == Verdict.LIMIT_CYCLE) & (values > 0.0), values, np.nan)
     keep = (verdict == Verdict.STABLE) | (verdict == Verdict.LIMIT_CYCLE)
-    return np.where(keep, dataset[variable].values.astype(float), np.nan)
+    return np.where(keep, values, np.nan)
 
 
 def variable_label(array: xr.DataArray) -> str:

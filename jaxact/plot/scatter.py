@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jaxact.plot import look
-from jaxact.plot.field import Field, field, settled
+from jaxact.plot.field import OF_LIMIT_CYCLES, Field, field, settled
 from jaxact.plot.panels import Arrangement, Axis, Panel
 from jaxact.plot.stability_map import (
     boundary_handles,
@@ -59,7 +59,7 @@ def scatter(
     """
     shown = field(dataset, variable)
     with look.look():
-        handles = _legend(arrangement, boundaries, nominal)
+        handles = _legend(arrangement, boundaries, nominal, variable)
         drawn = frame(arrangement, title, footer=footer, entries=len(handles))
         for number, panel in enumerate(arrangement.panels):
             axes = drawn.grid[panel.row, panel.column]
@@ -109,6 +109,7 @@ def _legend(
     arrangement: Arrangement,
     boundaries: Sequence[ExactLines | None] | None,
     nominal: tuple[float, float] | None,
+    variable: str,
 ) -> list[Artist]:
     present = {int(v) for panel in arrangement.panels for v in np.unique(panel.data["verdict"])}
     fills = {Verdict.STABLE: "#6FA8D6", Verdict.LIMIT_CYCLE: "#FBDCC0", Verdict.UNSTABLE: "#B8501B"}
@@ -122,6 +123,11 @@ def _legend(
         for kind, marker in _MARKERS.items()
         if int(kind) in present
     ]  # fmt: skip
+    if variable in OF_LIMIT_CYCLES and present - {int(Verdict.LIMIT_CYCLE)}:
+        grey = {"markerfacecolor": "#D0D0D0", "markeredgecolor": "none", "markersize": 6}
+        handles.append(
+            Line2D([], [], linestyle="none", marker="s", label="grey: no limit cycle", **grey)  # type: ignore[arg-type]
+        )
     handles += boundary_handles(boundaries)
     if nominal is not None:
         handles.append(nominal_handle(arrangement, nominal))

@@ -21,7 +21,7 @@ from matplotlib.ticker import (
 )
 
 from jaxact.plot import look, ticks, wording
-from jaxact.plot.field import Field, dress_colorbar, field, settled
+from jaxact.plot.field import OF_LIMIT_CYCLES, Field, dress_colorbar, field, settled
 from jaxact.plot.panels import Arrangement, Axis, Panel
 from jaxact.plot.sheet import Sheet, sheet
 from jaxact.plot.zero_line import zero_line
@@ -83,7 +83,8 @@ def stability_map(
             _field(axes, arrangement, panel, shown)
             exact = None if boundaries is None else boundaries[number]
             # A line that says where the border is needs no staircase of cells beside it.
-            _verdicts(axes, arrangement, panel, border=exact is None and not zero[number])
+            border = exact is None and not zero[number]
+            _verdicts(axes, arrangement, panel, variable, border=border)
             if exact is not None:
                 draw_boundary(axes, exact)
             for x, y in zero[number]:
@@ -203,13 +204,21 @@ def _field(axes: Axes, arrangement: Arrangement, panel: Panel, shown: Field) -> 
     )  # fmt: skip
 
 
-def _verdicts(axes: Axes, arrangement: Arrangement, panel: Panel, *, border: bool) -> None:
-    """Hatch what is not stable, and draw the border of what is where that is wanted."""
+def _verdicts(
+    axes: Axes, arrangement: Arrangement, panel: Panel, variable: str, *, border: bool
+) -> None:
+    """Hatch what is not stable, and draw the border of what is where that is wanted.
+
+    Limit cycles whose amplitude or frequency is coloured need no hatch to be told.
+    """
     assert arrangement.y is not None
     x, y = _corners(cell_edges(arrangement.x)), _corners(cell_edges(arrangement.y))
     verdict = panel.data["verdict"].values
     for kind, (pattern, color) in HATCHES.items():
-        mask = np.repeat(np.repeat(verdict == kind, 2, axis=0), 2, axis=1)
+        own = verdict == kind
+        if variable in OF_LIMIT_CYCLES and kind is Verdict.LIMIT_CYCLE:
+            own = own & ~np.isfinite(settled(panel.data, variable))
+        mask = np.repeat(np.repeat(own, 2, axis=0), 2, axis=1)
         if not mask.any():
             continue
         area = axes.contourf(
@@ -302,13 +311,36 @@ def _legend(
     handles: list[Artist] = []
     if growth and int(Verdict.STABLE) in present:
         handles.append(Patch(facecolor="#6FA8D6", linewidth=0.0, label=Verdict.STABLE.label))
+    if variable in OF_LIMIT_CYCLES:
+        handles += _cycle_handles(arrangement, present, variable)
+        present -= {int(Verdict.LIMIT_CYCLE)}
+    elif not growth and any(_lacks_value(panel.data, variable) for panel in arrangement.panels):
+        handles.append(_empty("stable, no value"))
     handles += verdict_handles(present)
-    if not growth and any(_lacks_value(panel.data, variable) for panel in arrangement.panels):
-        handles.append(Patch(facecolor=EMPTY_FILL, edgecolor=look.GRID, label="stable, no value"))
     handles += boundary_handles(boundaries)
     if nominal is not None:
         handles.append(nominal_handle(arrangement, nominal))
     return handles
+
+
+def _cycle_handles(arrangement: Arrangement, present: set[int], variable: str) -> list[Artist]:
+    """Legend entries of what is coloured on a map of limit cycles, and of what is not, and why."""
+    handles: list[Artist] = [Patch(facecolor="#5CBAC6", linewidth=0.0, label="limit cycle")]
+    cycles = [panel.data["verdict"].values == Verdict.LIMIT_CYCLE for panel in arrangement.panels]
+    known = [np.isfinite(settled(panel.data, variable)) for panel in arrangement.panels]
+    if any((cycle & ~value).any() for cycle, value in zip(cycles, known, strict=True)):
+        pattern, color = HATCHES[Verdict.LIMIT_CYCLE]
+        words = f"limit cycle without a {variable.rsplit('_', 1)[1]}"
+        handles.append(
+            Patch(facecolor=EMPTY_FILL, edgecolor=color, hatch=pattern, linewidth=0.0, label=words)
+        )
+    if int(Verdict.STABLE) in present:
+        handles.append(_empty("stable: no limit cycle"))
+    return handles
+
+
+def _empty(words: str) -> Artist:
+    return Patch(facecolor=EMPTY_FILL, edgecolor=look.GRID, label=words)
 
 
 def _lacks_value(data: xr.Dataset, variable: str) -> bool:

@@ -12,8 +12,8 @@ from matplotlib.ticker import Formatter, Locator, LogLocator, MaxNLocator, NullF
 # Labels of each decade, from few to many: the first that gives ENOUGH of them is taken.
 _OF_A_DECADE = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0))
 ENOUGH, _MOST = 4, 9
-# Numbers in between are written out, 0.001 to 10000; others as powers of ten.
-_WRITTEN_OUT = 1e-3, 1e5
+# Numbers in between are written out, 0.0001 to 10000; others as powers of ten.
+_WRITTEN_OUT = 1e-4, 1e5
 
 
 class LogTicks(Locator):
