@@ -9,11 +9,12 @@ import numpy as np
 import tyro
 from tyro.conf import OmitArgPrefixes, UseAppendAction
 
-from jaxact.cli import _loops, _mounting, _single
+from jaxact.cli import _loops, _mounting, _single, _warnings
 from jaxact.errors import UserError
 from jaxact.sweep.parameters import PARAMETERS
 
 if TYPE_CHECKING:
+    from jaxact.plants.robot import Robot
     from jaxact.plot.film import Motion
     from jaxact.sweep.specification import Specification
 
@@ -146,8 +147,9 @@ def main(
     Both are simulated with the same gains, setpoint and push. The bare one has ideal actuators, no
     delays, no noise, quantisation or bias; the other one what the options or a specification say.
     Or motions simulated earlier are shown. Below each runs the speed of its joints (root mean
-    square), on one scale for both. Needs OpenGL, but no screen: EGL is tried, then OSMesa;
-    MUJOCO_GL chooses. Angles in degrees, the rest SI.
+    square), on one scale for both. Links without a shape, as where mesh files are missing, are
+    drawn as the boxes that have their inertia. Needs OpenGL, but no screen: EGL is tried, then
+    OSMesa; MUJOCO_GL chooses. Angles in degrees, the rest SI.
 
     examples:
       jaxact render --model robot.xml --keyframe home --actuator hyq --delay 0.005 --gain-scale 3
@@ -182,17 +184,36 @@ def main(
     from jaxact.sweep import robots
 
     if files is None:
-        robot = robots.scene(chosen.plant).robot.model
+        robot = robots.scene(chosen.plant).robot
     else:  # of a base that is fixed or held, the keyframe says where
-        robot = read(model, keyframe=keyframe, **_mounting.chosen(base, None)).model
+        robot = read(model, keyframe=keyframe, **_mounting.chosen(base, None))
     if files is None:
         motions = _simulated(chosen, labels, start)
     else:
-        _demand_fit(motions, files, robot.nq, model)
+        _demand_fit(motions, files, robot.model.nq, model)
     view = scene.View(size[0], size[1], azimuth, elevation, distance)
-    images = film(robot, *motions, module=module, view=view, fps=fps, speed=speed)
+    caption = _shapeless(robot)
+    images = film(
+        robot.model, *motions, module=module, view=view, fps=fps, speed=speed, caption=caption
+    )
     video.write(images, out, fps=fps)
     print(f"wrote {out}")
+
+
+def _shapeless(robot: Robot) -> str:
+    """A caption, and a line on standard error, where links are drawn as boxes; "" for none."""
+    from jaxact.plants.assets import MISSING
+    from jaxact.plot.stand_ins import stand_ins
+
+    found = stand_ins(robot.model)
+    if not len(found.bodies):
+        return ""
+    count = f"{len(found.bodies)} of {found.links}" if len(found.bodies) < found.links else "all"
+    caption = f"{count} links drawn as the boxes that have their inertia"
+    lost = [item.value for item in robot.findings if item.field == MISSING]
+    why = f"files are missing: {lost[0]}" if lost else "the model has no shapes for them"
+    _warnings.warn(f"{caption} ({why})")
+    return f"{caption}: {'mesh files are missing' if lost else 'the model has no shapes for them'}"
 
 
 def _loaded(

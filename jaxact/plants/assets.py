@@ -11,7 +11,10 @@ import mujoco
 
 from jaxact.plants.findings import HARMLESS, Finding, named
 
-_MISSING = re.compile(r"opening file '([^']+)'")
+MISSING = "missing files"
+"""Field of the finding on files that were left out."""
+
+_OPENING = re.compile(r"opening file '([^']+)'")
 _PACKAGE = re.compile(r"package://([^/]+)/(.+)")
 
 
@@ -58,7 +61,7 @@ def compile_model(
                 model = spec.compile()
             break
         except ValueError as error:
-            missing = _MISSING.search(str(error))
+            missing = _OPENING.search(str(error))
             if missing is None or not _leave_out(spec, Path(missing[1]).name, untouched=untouched):
                 raise
             gone.append(Path(missing[1]).name)
@@ -74,7 +77,7 @@ def compile_model(
         found.append(
             Finding(
                 "model",
-                "missing files",
+                MISSING,
                 value,
                 "cannot load the model",
                 HARMLESS,

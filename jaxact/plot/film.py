@@ -41,6 +41,7 @@ def film(
     view: View = STANDARD,
     fps: float = 25.0,
     speed: float = 1.0,
+    caption: str = "",
 ) -> Iterator[np.ndarray]:
     """Frames of two motions of one model beside each other, until the shorter one ends.
 
@@ -51,6 +52,7 @@ def film(
         view: where the camera stands, and the size of one half.
         fps: frames per second.
         speed: 1 for real time, 0.25 for four times slower.
+        caption: said below both, "" for nothing.
 
     Yields:
         RGB images, shape (height, width, 3), uint8.
@@ -71,7 +73,7 @@ def film(
         fastest = np.maximum.reduceat(swiftness, np.r_[0, indices[:-1] + 1].clip(max=indices))
         sides.append(Side(images, motion.label, fastest, _failed(motion)))
     times = left.time[0] + np.arange(frames) * speed / fps
-    yield from side_by_side(*sides, times=times, speed=speed, unit=_unit(model))
+    yield from side_by_side(*sides, times=times, speed=speed, unit=_unit(model), caption=caption)
 
 
 def _failed(motion: Motion) -> str:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
+from jaxact.plot import stand_ins
 
 if TYPE_CHECKING:
     import mujoco
@@ -99,6 +100,8 @@ def frames(
     model: mujoco.MjModel, qpos: np.ndarray, *, step: float, module: str, view: View = STANDARD
 ) -> Iterator[np.ndarray]:
     """Images of a model along a motion, one after the other.
+
+    Links without a shape to look at are drawn as in `jaxact.plot.stand_ins`.
 
     Args:
         model: the compiled model; not changed.
@@ -207,11 +210,13 @@ class _Studio:
         self._data = mujoco.MjData(self._model)
         self._scene = mujoco.MjvScene(self._model, maxgeom=10_000)
         self._option = mujoco.MjvOption()
+        self._stand_ins = stand_ins.stand_ins(self._model)
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FREE
         self._camera.azimuth, self._camera.elevation = view.azimuth, view.elevation
         seen = math.radians(model.vis.global_.fovy) / 2.0
-        suits = _ROOM * model.stat.extent / (2.0 * math.tan(seen))
+        around = stand_ins.extent(self._model, self._stand_ins)
+        suits = _ROOM * around / (2.0 * math.tan(seen))
         self._camera.distance = suits if view.distance is None else view.distance
         self._rectangle = mujoco.MjrRect(0, 0, view.width, view.height)
         self._module = module
@@ -247,6 +252,7 @@ class _Studio:
         mujoco.mjv_updateScene(
             self._model, self._data, self._option, None, self._camera, everything, self._scene
         )
+        stand_ins.add(self._scene, self._model, self._data, self._stand_ins)
         mujoco.mjr_render(self._rectangle, self._scene, self._context)
         pixels = np.empty((self._rectangle.height, self._rectangle.width, 3), np.uint8)
         mujoco.mjr_readPixels(pixels, None, self._rectangle, self._context)

@@ -14,6 +14,8 @@ from jaxact.plot import look
 
 _GAP = 4  # pixels between the two
 _HEAD, _STRIP = 0.085, 0.2  # heights of the label and of the strip below, as shares of an image's
+_SMALL = 0.75  # height of the small print, as a share of the label's
+_STILL = 1e-3  # joints that are slower stand still, whatever rounding makes of them [rad/s or m/s]
 _COLOURS = (look.BLUE, look.VERMILION)
 
 
@@ -35,7 +37,13 @@ class Side:
 
 
 def side_by_side(
-    left: Side, right: Side, *, times: Sequence[float], speed: float, unit: str = "rad/s"
+    left: Side,
+    right: Side,
+    *,
+    times: Sequence[float],
+    speed: float,
+    unit: str = "rad/s",
+    caption: str = "",
 ) -> Iterator[np.ndarray]:
     """Frames of a film of two motions.
 
@@ -44,16 +52,18 @@ def side_by_side(
         times: of the frames [s], shape (frames,).
         speed: 1 for real time, 0.25 for four times slower; only said.
         unit: of the joint speed.
+        caption: small print below, "" for nothing.
 
     Yields:
         RGB images of even width and height, shape (height, width, 3), uint8.
     """
-    highest = max(float(np.max(left.speed)), float(np.max(right.speed)), 1e-9)
+    highest = max(float(np.max(left.speed)), float(np.max(right.speed)), _STILL)
     pace = "" if speed == 1.0 else f"   {_pace(speed)}"
     for index, (time, *pair) in enumerate(zip(times, left.images, right.images, strict=True)):
         height, width, _ = pair[0].shape
         head, strip = round(_HEAD * height), round(_STRIP * height)
-        size = (2 * width + _GAP, head + height + strip + head)
+        foot = head + (round(_SMALL * head) if caption else 0)
+        size = (2 * width + _GAP, head + height + strip + foot)
         paper = Image.new("RGB", tuple(length + length % 2 for length in size), "white")
         draw = ImageDraw.Draw(paper)
         for number, (side, picture) in enumerate(zip((left, right), pair, strict=True)):
@@ -69,7 +79,11 @@ def side_by_side(
             draw.text(
                 (x + 0.16 * strip, head + height + 0.08 * strip), words, fill=look.INK, font=font
             )
-        _centred(draw, size[0] / 2, size[1] - head / 2, f"{time:.2f} s{pace}", head, look.INK)
+        below = head + height + strip
+        _centred(draw, size[0] / 2, below + head / 2, f"{time:.2f} s{pace}", head, look.INK)
+        if caption:
+            room = (size[0] / 2, below + (1.0 + 0.5 * _SMALL) * head)
+            _centred(draw, *room, caption, _fitting(caption, _SMALL * head, size[0]), look.INK)
         yield np.asarray(paper)
 
 
@@ -107,6 +121,12 @@ def _centred(
     bold: bool = False,
 ) -> None:
     draw.text((x, y), words, fill=colour, font=_font(0.62 * height, bold=bold), anchor="mm")
+
+
+def _fitting(words: str, height: float, width: float) -> float:
+    """A height of one line at which these words fit the width."""
+    length = _font(0.62 * height, bold=False).getlength(words)
+    return height * min(1.0, 0.97 * width / max(length, 1.0))
 
 
 @cache
