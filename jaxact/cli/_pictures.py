@@ -29,7 +29,8 @@ Velocity = Annotated[
     str,
     arg(
         metavar="sampled|differenced",
-        help="Velocity that the sampled controller sees: sensed, or positions differenced.",
+        help="Velocity that the controller sees: sensed, or positions differenced, which"
+        " --velocity-filter filters.",
     ),
 ]
 Title = Annotated[

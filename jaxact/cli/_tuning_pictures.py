@@ -77,7 +77,7 @@ def _plane(tuned: Tuned) -> Any:
     low, high = pairs.min(axis=0) / np.array([8.0, 4.0]), pairs.max(axis=0) * np.array([8.0, 4.0])
     kp, kd = (np.geomspace(a, b, _GRID) for a, b in zip(low, high, strict=True))
     sampling = tuned.members.sampling
-    grid = _GRID if sampling is None else _GRID // 3
+    grid = _GRID if sampling.control_period is None else _GRID // 3
     kp, kd = kp[:: _GRID // grid], kd[:: _GRID // grid]
     log_kp, log_kd = np.meshgrid(np.log(kp), np.log(kd))
     shaped = {name: getattr(members, name)[:, None, None] for name in _FIELDS}
@@ -96,14 +96,14 @@ def _boundary(members: Ensemble, index: int, ranges: dict[str, Any]) -> Boundary
 
     plant = [float(getattr(members, name)[index]) for name in _FIELDS]
     name = members.name(index) if len(members) > 1 else ""
-    sampling = members.sampling
-    if sampling is None:
-        return Boundary(name or "continuous time", continuous_boundary(*plant, **ranges))
+    period, cutoff = members.sampling.control_period, members.sampling.velocity_filter
+    if period is None:
+        curves = continuous_boundary(*plant, velocity_filter=cutoff, **ranges)
+        return Boundary(name or "continuous time", curves)
     curves = sampled_boundary(
-        *plant, sampling.control_period, velocity=sampling.velocity,
-        velocity_filter=sampling.velocity_filter, **ranges,
-    )  # fmt: skip
-    return Boundary(name or f"sampled at {quantity(1.0 / sampling.control_period, 'Hz')}", curves)
+        *plant, period, velocity=members.sampling.velocity, velocity_filter=cutoff, **ranges
+    )
+    return Boundary(name or f"sampled at {quantity(1.0 / period, 'Hz')}", curves)
 
 
 def _convergence(tuned: Tuned) -> Any:

@@ -294,17 +294,10 @@ def _nominal(chosen: _loops.Loops, velocity: str, *, sampled: bool) -> Ensemble:
     """The plant that was named, as an ensemble of one."""
     from jaxact.tune.ensemble import Sampling, ensemble
 
-    if not sampled and velocity == "differenced":
-        raise UserError(
-            "--velocity differenced: tuning in continuous time neither differences nor filters the"
-            " velocity; add --control-rate"
-        )
-
     own = chosen.one(0)
     delay = own["delay"] + own["measurement_delay"] + own["output_delay"]
-    sampling = None
-    if sampled:
-        sampling = Sampling(1.0 / own["control_rate"], velocity, own["velocity_filter"])
+    period = 1.0 / own["control_rate"] if sampled else None
+    sampling = Sampling(period, velocity, own["velocity_filter"])
     return ensemble(own["mass"], own["wn"], own["zeta"], delay, sampling=sampling,
                     names=(chosen.labels[0],))  # fmt: skip
 

@@ -22,12 +22,13 @@ DEFAULT_PERIOD = 1e-3
 class Sampling:
     """How the controller samples; static, the same for all members.
 
-    control_period: T [s]
-    velocity: "sampled" or "differenced"
-    velocity_filter: cutoff of the filter of the differenced velocity [rad/s], inf = none
+    control_period: T [s]; None for the loop in continuous time
+    velocity: "sampled" or "differenced"; the same in continuous time
+    velocity_filter: cutoff of the first-order filter of the differenced velocity, in continuous
+        time of the velocity [rad/s], inf = none
     """
 
-    control_period: float
+    control_period: float | None = None
     velocity: str = "sampled"
     velocity_filter: float = math.inf
 
@@ -40,7 +41,7 @@ class Ensemble:
     natural_frequency: wn of the force servo [rad/s], > 0, inf = ideal
     damping_ratio: zeta [-], > 0
     delay: sum of command, measurement and output delay [s], >= 0
-    sampling: of the controller; None for the loop in continuous time
+    sampling: of the controller, or that there is none
     names: what each is called in reports, numbered by default
     """
 
@@ -48,7 +49,7 @@ class Ensemble:
     natural_frequency: np.ndarray
     damping_ratio: np.ndarray
     delay: np.ndarray
-    sampling: Sampling | None = None
+    sampling: Sampling = Sampling()
     names: tuple[str, ...] = field(default=())
 
     def __len__(self) -> int:
@@ -57,9 +58,9 @@ class Ensemble:
 
     @property
     def lag(self) -> np.ndarray:
-        """What delays the force at low frequency [s], shape (n,): delay + 2 zeta / wn + T / 2."""
-        hold = 0.0 if self.sampling is None else 0.5 * self.sampling.control_period
-        return self.delay + 2.0 * self.damping_ratio / self.natural_frequency + hold
+        """What delays the damping [s], shape (n,): delay + 2 zeta / wn + T / 2 + 1 / cutoff."""
+        own = 0.5 * (self.sampling.control_period or 0.0) + 1.0 / self.sampling.velocity_filter
+        return self.delay + 2.0 * self.damping_ratio / self.natural_frequency + own
 
     def name(self, index: int) -> str:
         """What a member is called."""
@@ -72,7 +73,7 @@ def ensemble(
     damping_ratio: object,
     delay: object,
     *,
-    sampling: Sampling | None = None,
+    sampling: Sampling = Sampling(),
     names: tuple[str, ...] = (),
 ) -> Ensemble:
     """A checked ensemble from numbers or arrays that broadcast to one dimension.

@@ -57,7 +57,7 @@ def evaluate(
     log_kp: np.ndarray,
     log_kd: np.ndarray,
     members: Ensemble | Mapping[str, np.ndarray],
-    sampling: Sampling | None,
+    sampling: Sampling,
     extra: tuple[str, ...] = (),
     timed: Any = None,
 ) -> Exact:
@@ -65,7 +65,7 @@ def evaluate(
 
     log_kp, log_kd: ln of the gains, any shape
     members: parameters that broadcast with them
-    sampling: of the controller, None for continuous time
+    sampling: of the controller
     extra: figures beyond the margins, "noise_gain" and "bandwidth"; other names change nothing
     timed: static `jaxact.tune.response.Timed`, of figures from simulated time; None for none
     """
@@ -74,7 +74,7 @@ def evaluate(
     shape = arrays[0].shape
     flat = np.stack([np.asarray(a, dtype=float).reshape(-1) for a in arrays])
     steps = 0
-    if sampling is not None and flat.shape[1]:
+    if sampling.control_period is not None and flat.shape[1]:
         steps = delay_steps(flat[5], sampling.control_period)
     # Only what makes a difference to the program, so that goals share it.
     wanted = tuple(name for name in _EXTRA if name in extra)
@@ -97,9 +97,7 @@ def evaluate(
 
 
 @functools.cache
-def _compiled(
-    sampling: Sampling | None, steps: int, wanted: tuple[str, ...], timed: Any
-) -> Program:
+def _compiled(sampling: Sampling, steps: int, wanted: tuple[str, ...], timed: Any) -> Program:
     def logs(inputs: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         """ln of all figures of loops, shape (loops,), and which loops are stable."""
         kp, kd = jnp.exp(inputs[0]), jnp.exp(inputs[1])
@@ -122,7 +120,7 @@ def _figures(
     kp: jax.Array,
     kd: jax.Array,
     plant: jax.Array,
-    sampling: Sampling | None,
+    sampling: Sampling,
     steps: int,
     wanted: tuple[str, ...],
     timed: Any,
@@ -130,9 +128,11 @@ def _figures(
     """All figures of a flat batch, with `stable`; the gains' own logarithms are not among them."""
     mass, wn, zeta, delay = plant
     found: Any
-    if sampling is None:
-        found = margins(JointLoop(kp, kd, mass, wn, zeta, delay))
-        period, hold = DEFAULT_PERIOD, 0.0
+    finite = math.isfinite(sampling.velocity_filter)
+    cutoff = jnp.full_like(kp, sampling.velocity_filter) if finite else None
+    period, hold = DEFAULT_PERIOD, 0.0
+    if sampling.control_period is None:
+        found = margins(JointLoop(kp, kd, mass, wn, zeta, delay, cutoff))
     else:
         period, hold = sampling.control_period, 0.5 * sampling.control_period
         loop = SampledLoop(
@@ -143,8 +143,6 @@ def _figures(
         found = sampled_margins(loop, max_delay_steps=steps)
     result = {name: getattr(found, name) for name in _ALWAYS}
     # The hold delays by half a period: what is defined in continuous time sees it so.
-    filtered = sampling is not None and math.isfinite(sampling.velocity_filter)
-    cutoff = jnp.full_like(kp, sampling.velocity_filter) if sampling and filtered else None
     held = JointLoop(kp, kd, mass, wn, zeta, delay + hold, cutoff)
 
     def settled(value: jax.Array) -> jax.Array:

@@ -1,7 +1,8 @@
 """Figures from simulated time: settling and tracking, smooth for the descent and exact for the end.
 
 The loop that is simulated is that of every sweep, drive and all, under the exact mass. Without a
-control rate it is sampled at a tenth of the shortest lag, so that the hold hardly counts.
+control rate it is sampled at a tenth of the shortest lag, so that the hold hardly counts; a filter
+of the velocity then sees positions differenced at that rate.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class Timed:
     period: float
     reference: tuple[float, ...]
     options: DriveOptions
-    sampling: Sampling | None
+    sampling: Sampling
 
     def of_loops(self, kp: jax.Array, kd: jax.Array, plant: jax.Array) -> jax.Array:
         """The figure of a flat batch of loops, shape (n,); plant: shape (4, n)."""
@@ -76,11 +77,8 @@ class Timed:
         """Position less setpoint at the ticks [m], shape (ticks,)."""
         mass, wn, zeta, delay = plant
         actuator = Actuator(natural_frequency=wn, damping_ratio=zeta, delay=delay)
-        cutoff = math.inf if self.sampling is None else self.sampling.velocity_filter
-        drive = Drive(
-            Controller(kp=kp, kd=kd), actuator, Sensor(velocity_filter=cutoff),
-            control_period=self.period,
-        )  # fmt: skip
+        sensor = Sensor(velocity_filter=self.sampling.velocity_filter)
+        drive = Drive(Controller(kp=kp, kd=kd), actuator, sensor, control_period=self.period)
         step = (1.0,) * self.ticks
         given = jnp.asarray(self.reference or step, kp.dtype)
         still = jnp.zeros_like(given)
@@ -113,7 +111,7 @@ def timed(goal: Goal, ensembles: Sequence[Ensemble]) -> Timed | None:
         return None
     sampling = ensembles[0].sampling
     lags = np.concatenate([members.lag for members in ensembles])
-    period = sampling.control_period if sampling else min(1e-3, 0.1 * max(lags.min(), 1e-4))
+    period = sampling.control_period or min(1e-3, 0.1 * max(lags.min(), 1e-4))
     if goal.figure == "tracking_error":
         end = (len(goal.reference) - 1) * goal.reference_period
         ticks = max(2, min(math.floor(end / period), _MOST_TICKS))
@@ -124,7 +122,7 @@ def timed(goal: Goal, ensembles: Sequence[Ensemble]) -> Timed | None:
         reference = np.empty(0)
     longest = max(float(members.delay.max()) for members in ensembles)
     drive = Drive(Controller(1.0, 1.0), Actuator(delay=longest), control_period=period)
-    differenced = sampling is not None and sampling.velocity == "differenced"
+    differenced = sampling.velocity == "differenced"
     options = _drive.options(drive, differenced=differenced)
     return Timed(goal.figure, ticks, period, tuple(map(float, reference)), options, sampling)
 

@@ -56,9 +56,11 @@ def document(
         values = getattr(tuned.members, name)
         low, high = float(values.min()), float(values.max())
         assumed[name] = low if low == high else [low, high]
-    if tuned.members.sampling is not None:
-        sampling = tuned.members.sampling
+    sampling = tuned.members.sampling
+    if sampling.control_period is not None:
         assumed |= {"control_period": sampling.control_period, "velocity": sampling.velocity}
+    if math.isfinite(sampling.velocity_filter):
+        assumed |= {"velocity_filter": sampling.velocity_filter}
     asked = {name: getattr(goal, name) for name in goal.active}
     asked |= {"min_kp": goal.min_kp} if goal.min_kp > 0 else {}
     asked |= {"max_kp": goal.max_kp} if math.isfinite(goal.max_kp) else {}

@@ -57,12 +57,12 @@ def tabulate(members: Ensemble, scale: np.ndarray, points: int = POINTS) -> Spec
     """
     x = np.geomspace(_LOW, _HIGH, points)
     w = x / scale[:, None]
-    if members.sampling is None:
+    period = members.sampling.control_period
+    if period is None:
         position = _continuous(members, w)
-        velocity = 1j * w * position
+        velocity = 1j * w / (1.0 + 1j * w / members.sampling.velocity_filter) * position
         period = DEFAULT_PERIOD
     else:
-        period = members.sampling.control_period
         w = np.minimum(w, np.pi / period)
         position, velocity = _sampled(members, w)
     parts = (np.stack([g.real, g.imag], axis=1) for g in (position, velocity))
@@ -78,7 +78,6 @@ def _continuous(members: Ensemble, w: np.ndarray) -> np.ndarray:
 
 
 def _sampled(members: Ensemble, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    assert members.sampling is not None
     with jax.enable_x64(True):
         plants = tuple(jnp.asarray(getattr(members, name)) for name in PARAMETERS)
         both = _pulse_responses(members.sampling)(plants, jnp.asarray(w))

@@ -39,7 +39,7 @@ def _gains(members):
 def test_slopes_of_exact_figures_are_those_of_central_differences(members):
     log_kp, log_kd = _gains(members)
     plant = {name: getattr(members, name) for name in PARAMETERS}
-    found = figures.evaluate(log_kp, log_kd, plant, None, EXTRA)
+    found = figures.evaluate(log_kp, log_kd, plant, Sampling(), EXTRA)
     assert found.stable.all()
     for column in range(6):
         ends = []
@@ -48,7 +48,7 @@ def test_slopes_of_exact_figures_are_those_of_central_differences(members):
             step = 1e-5 * (np.ones(8) if column < 2 else np.maximum(inputs[column], 1e-3))
             inputs[column] = inputs[column] + sign * step
             moved = dict(zip(PARAMETERS, inputs[2:], strict=True))
-            ends.append(figures.evaluate(inputs[0], inputs[1], moved, None, EXTRA))
+            ends.append(figures.evaluate(inputs[0], inputs[1], moved, Sampling(), EXTRA))
         for name, slope in found.slope.items():
             numeric = (ends[0].log[name] - ends[1].log[name]) / (2.0 * step)
             np.testing.assert_allclose(slope[:, column], numeric, rtol=2e-4, atol=1e-4)
@@ -58,7 +58,7 @@ def test_smooth_figures_become_the_exact_ones(members):
     log_kp, log_kd = _gains(members)
     names = ("sensitivity_peak", "complementary_peak", "disk_margin", "gain_margin",
              "delay_margin", *EXTRA)  # fmt: skip
-    found = figures.evaluate(log_kp, log_kd, members, None, EXTRA)
+    found = figures.evaluate(log_kp, log_kd, members, Sampling(), EXTRA)
     table = spectrum.tabulate(members, members.lag, 3000)
     with jax.enable_x64(True):
         table = jax.tree.map(jnp.asarray, table)
@@ -75,7 +75,7 @@ def test_smooth_figures_become_the_exact_ones(members):
 
 @pytest.mark.parametrize("period", [0.0, 2e-3])
 def test_the_winding_of_the_table_counts_as_the_roots_do(members, period):
-    sampling = Sampling(period, "differenced", 300.0) if period else None
+    sampling = Sampling(period, "differenced", 300.0) if period else Sampling()
     sampled = ensemble(*(getattr(members, name) for name in PARAMETERS), sampling=sampling)
     table = spectrum.tabulate(sampled, sampled.lag, 1200)
     random = np.random.default_rng(2)
@@ -130,7 +130,7 @@ def test_noise_gain_is_the_h2_norm():
 
 def test_bandwidth_is_where_the_response_has_fallen_to_half_power(members):
     log_kp, log_kd = _gains(members)
-    found = figures.evaluate(log_kp, log_kd, members, None, EXTRA)
+    found = figures.evaluate(log_kp, log_kd, members, Sampling(), EXTRA)
     w = np.exp(found.log["bandwidth"])
     m, wn, zeta, td = (getattr(members, name) for name in PARAMETERS)
     s = 1j * w

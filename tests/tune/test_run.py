@@ -145,6 +145,27 @@ def test_sampled_margins_count_where_a_control_rate_is_given():
     assert tuned.kp == pytest.approx(held.kp, rel=0.02)
 
 
+def test_a_filter_of_the_velocity_counts_in_continuous_time():
+    """Against frequency responses on a dense grid, with poles and zeros written out here."""
+    mass, wn, zeta, delay, cutoff = 0.7, 110.0, 0.9, 1e-3, 60.0
+    members = ensemble(mass, wn, zeta, delay, sampling=Sampling(velocity_filter=cutoff))
+    tuned = tune(members, Goal(max_peak=1.6))
+    assert tuned.certified
+    s = 1j * np.geomspace(0.05, 5e4, 20_000)
+    plant = np.exp(-s * delay) / (mass * s**2 * (1.0 + 2.0 * zeta * s / wn + (s / wn) ** 2))
+
+    def peak(kp, kd):
+        loop = (kp + kd * s / (1.0 + s / cutoff)) * plant
+        return max(np.abs(1.0 / (1.0 + loop)).max(), np.abs(loop / (1.0 + loop)).max())
+
+    assert peak(tuned.kp, tuned.kd) == pytest.approx(1.6, rel=1e-5)
+    # Stiffer by 2 %, no damping is within the bound.
+    factors = np.geomspace(0.5, 2.0, 200)
+    assert min(peak(1.02 * tuned.kp, tuned.kd * factor) for factor in factors) > 1.6
+    # Without the filter the joint may be much stiffer.
+    assert tune(STARLETH, Goal(max_peak=1.6)).kp > 1.5 * tuned.kp
+
+
 def test_the_whole_box_is_certified_corners_and_interior():
     box = read_box("wn=0.8..1.2,zeta=0.7..1.1,delay=0..5e-3,mass=0.5..1.0", STARLETH)
     tuned = tune_box(box, Goal(max_peak=1.6), number=16)
