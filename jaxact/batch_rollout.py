@@ -29,7 +29,7 @@ from jaxact.packing import Packed, pack, unpack
 from jaxact.plants.linear import hermite
 from jaxact.plants.mujoco import Simulations
 from jaxact.plants.silence import silenced
-from jaxact.programs import Program
+from jaxact.programs import KEPT, Program
 from jaxact.sensor import Draws
 from jaxact.single_kernel import single_kernel
 from jaxact.verdicts import Judgement
@@ -181,7 +181,7 @@ class _Stages:
     last: Program
 
 
-@functools.cache
+@functools.lru_cache(maxsize=KEPT)
 def _stages(options: DriveOptions, masked: bool) -> _Stages:
     """The functions between which the physics runs; batched over loops.
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from jaxact.frequency import JointLoop
 from jaxact.lobes import Count, Gains, Range, frequency_grid
-from jaxact.programs import Program
+from jaxact.programs import KEPT, Program
 from jaxact.pulse import plant_response, pulse_transfer
 from jaxact.roots import count_unstable_roots
 from jaxact.sampled import SampledLoop, one_period_matrix
@@ -150,7 +150,7 @@ _transfer = Program(lambda: pulse_transfer, "pulse transfer")
 _counter = Program(lambda: count_unstable_roots, "unstable roots")
 
 
-@functools.cache
+@functools.lru_cache(maxsize=KEPT)
 def _period_matrix(steps: int) -> Program:
     return Program(lambda: lambda loop: one_period_matrix(loop, steps), ("period matrix", steps))
 

@@ -30,6 +30,10 @@ FOLDER = "JAXACT_PROGRAMS"
 """Environment variable: the folder, of the user's own, as what is in it is executed. Unset: nothing
 is kept."""
 
+KEPT = 32
+"""Programs of one kind that a process keeps: each takes some hundred mappings of memory, of which
+Linux gives a process 65,530, and XLA crashes where none is left."""
+
 MOST = 2**30
 """Bytes of all programs that are kept; those that were not used for longest make room."""
 
@@ -75,6 +79,9 @@ class Program:
                 if path is not None:
                     _keep(path, found)
             self._compiled[shapes] = found
+            for old in list(self._compiled)[:-KEPT]:
+                self._compiled.pop(old, None)
+            return found
         return self._compiled[shapes]
 
     @functools.cached_property

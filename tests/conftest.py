@@ -25,6 +25,7 @@ import jax  # noqa: E402
 from jaxact.cli import _xla  # noqa: E402
 from jaxact.sweep import memory  # noqa: E402
 
+_MAPPINGS = 25_000  # of memory, beyond which compiled functions are let go of
 _WORKER = 4 * 2**30  # bytes that one takes at most, with what it starts
 
 _xla.enlarge_pool()  # JAX reads it when it starts its devices
@@ -52,6 +53,16 @@ def programs_are_not_kept():
     """A command that runs in this process asks for it, for what runs in it afterwards too."""
     yield
     os.environ.pop("JAXACT_PROGRAMS", None)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def mappings_do_not_run_out():
+    """A compiled function takes some hundred mappings of memory, and Linux allows 65,530."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > _MAPPINGS:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.hookimpl(optionalhook=True)

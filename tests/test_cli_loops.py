@@ -289,7 +289,7 @@ def test_a_file_says_which_velocity_and_what_linear_loops_leave_out(capsys, tmp_
         (("tune", "--velocity-filter", "300"), "--velocity-filter: filters differenced"),
         (("simulate", "--velocity", "differenced", "--velocity-noise", "0.1"), "--velocity-noise:"),
         (("margins", "--velocity", "differenced"), "--velocity differenced: has no effect"),
-        (("tune", "--velocity", "differenced"), "--velocity differenced: tuning in continuous"),
+        (("tune", "--velocity", "differenced"), "--velocity differenced: has no effect"),
     ],
 )  # fmt: skip
 def test_what_the_velocity_does_not_have_is_refused_by_name(capsys, arguments, message):

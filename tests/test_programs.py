@@ -200,3 +200,12 @@ def test_programs_that_were_not_used_for_longest_make_room(folder, monkeypatch):
         program, made = _counted(name)
         program(X)
         assert len(made) == expected, name
+
+
+def test_a_program_lets_go_of_what_it_compiled_first():
+    """Of arrays of ever other shapes; else a process runs out of mappings of memory."""
+    double = Program(lambda: lambda x: 2.0 * x, None)
+    for size in range(1, programs.KEPT + 4):
+        assert np.all(np.asarray(double(jnp.ones(size))) == 2.0)
+    assert len(double._compiled) == programs.KEPT
+    assert np.all(np.asarray(double(jnp.ones(1))) == 2.0)

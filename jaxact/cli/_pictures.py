@@ -75,14 +75,19 @@ def chosen_loops(parameters: Any, file: Path | None, velocity: str) -> Chosen:
         sampled = "control_rate" in given or "control_rate" in loops.said
         velocity = "differenced" if loops.velocity == "differenced" else velocity
         check_velocities(loops, velocity, file)
-    filters = loops.values["velocity_filter"]
-    if file is None and velocity == "differenced" and not sampled and np.isinf(filters).all():
+    if file is None and not sampled:
+        check_continuous(loops, velocity)
+    _loops.say_what_is_left_out(loops)
+    return Chosen(loops, sampled, velocity)
+
+
+def check_continuous(loops: _loops.Loops, velocity: str) -> None:
+    """Raise UserError where differencing would be ignored in continuous time."""
+    if velocity == "differenced" and np.isinf(loops.values["velocity_filter"]).all():
         raise UserError(
             "--velocity differenced: has no effect in continuous time without a filter; add"
             " --control-rate or --velocity-filter"
         )
-    _loops.say_what_is_left_out(loops)
-    return Chosen(loops, sampled, velocity)
 
 
 def check_velocities(loops: _loops.Loops, velocity: str, file: Path) -> None:

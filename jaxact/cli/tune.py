@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import OmitArgPrefixes, arg
 
 from jaxact.cli import _cache, _folders, _loops, _progress, _robot_tuning
-from jaxact.cli._pictures import VELOCITIES, Velocity
+from jaxact.cli._pictures import VELOCITIES, Velocity, check_continuous
 from jaxact.errors import UserError, nearest, shown
 
 if TYPE_CHECKING:
@@ -294,6 +294,8 @@ def _nominal(chosen: _loops.Loops, velocity: str, *, sampled: bool) -> Ensemble:
     """The plant that was named, as an ensemble of one."""
     from jaxact.tune.ensemble import Sampling, ensemble
 
+    if not sampled:
+        check_continuous(chosen, velocity)
     own = chosen.one(0)
     delay = own["delay"] + own["measurement_delay"] + own["output_delay"]
     period = 1.0 / own["control_rate"] if sampled else None

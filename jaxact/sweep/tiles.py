@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
-from jaxact.programs import Program
+from jaxact.programs import KEPT, Program
 from jaxact.sweep import kernel
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.plans import Plan
@@ -20,7 +20,7 @@ from jaxact.sweep.specification import Setting
 NEVER_SHARED = "kp"
 
 
-@functools.cache
+@functools.lru_cache(maxsize=KEPT)
 def compiled(stage: str, case: Case, devices: int, setting: Setting, double: bool) -> Program:
     """The program that runs one batch: arrays of shape (devices * tiles, tile) in and out.
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxact.frequency import JointLoop
 from jaxact.margins import margins
-from jaxact.programs import Program
+from jaxact.programs import KEPT, Program
 from jaxact.sampled import SampledLoop, delay_steps
 from jaxact.sampled_margins import sampled_margins
 from jaxact.tune.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
@@ -96,7 +96,7 @@ def evaluate(
     )
 
 
-@functools.cache
+@functools.lru_cache(maxsize=KEPT)
 def _compiled(sampling: Sampling, steps: int, wanted: tuple[str, ...], timed: Any) -> Program:
     def logs(inputs: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         """ln of all figures of loops, shape (loops,), and which loops are stable."""

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxact.frequency import JointLoop, servo_denominator
-from jaxact.programs import Program
+from jaxact.programs import KEPT, Program
 from jaxact.pulse import plant_response, pulse_transfer
 from jaxact.sampled import SampledLoop
 from jaxact.tune.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
@@ -84,7 +84,7 @@ def _sampled(members: Ensemble, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(both[0]), np.asarray(both[1])
 
 
-@functools.cache
+@functools.lru_cache(maxsize=KEPT)
 def _pulse_responses(sampling: Sampling) -> Program:
     """From parameters of plants, (n,) each, and frequencies: Gp and Gv, shape (n, points)."""
 
