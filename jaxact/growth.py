@@ -304,7 +304,7 @@ def growth_rate(
         enough = TOLERANCE * control_period
         return _delayed_roots.log_radius(delayed, longest, enough) / control_period
     if measure.stacked:
-        return _stacked(prepared, options, state, setpoint, measure) / control_period
+        return slow_modes(prepared, options, state, setpoint, measure).growth / control_period
     space = _space(prepared, options, state, setpoint, measure)
     kept = functools.partial(_loop.stage, options)
     small = _krylov.hessenberg(space.apply, space.start, space.dimension, space.whole, kept)
@@ -312,14 +312,38 @@ def growth_rate(
     return log_radius / (space.block * control_period)
 
 
-def _stacked(
+@dataclass(frozen=True)
+class SlowModes:
+    """What a loop of many slow modes does over one control period.
+
+    Attributes:
+        growth: logarithm of the largest eigenvalue's size over a period; as `growth_rate`.
+        matrix: of the period in a space of all slow modes, without the usual growth, shape (n, n).
+        usual: logarithm of the growth that was left out of it.
+    """
+
+    growth: jax.Array
+    matrix: jax.Array
+    usual: jax.Array
+
+
+jax.tree_util.register_dataclass(
+    SlowModes, data_fields=["growth", "matrix", "usual"], meta_fields=[]
+)
+
+
+def slow_modes(
     prepared: Prepared,
     options: DriveOptions,
     state: LoopState,
     setpoint: Setpoint,
-    measure: GrowthOptions,
-) -> jax.Array:
-    """Logarithm of the largest eigenvalue's size over a control period, of many slow modes."""
+    measure: GrowthOptions = GrowthOptions(),
+) -> SlowModes:
+    """The slow modes of a robot's loop; arguments as for `growth_rate`.
+
+    Blocks of periods tell slow modes apart; what they span is then mapped over a single period, in
+    which no oscillation of a sampled loop passes for another one.
+    """
     tangent, _ = ravel_pytree(_perturbation(aligned(state), prepared))
     parts, apply = propagation(prepared, options, state, setpoint, 1)
     _, unravel = ravel_pytree(parts)
@@ -345,13 +369,22 @@ def _stacked(
     usual = log_size / settling
     relief = jnp.exp(-usual)
 
-    def block(vector: jax.Array) -> jax.Array:
-        def relieved(image: jax.Array, _: None) -> tuple[jax.Array, None]:
-            return once(image) * relief, None
+    def relieved(image: jax.Array) -> jax.Array:
+        return once(image) * relief
 
-        return jax.lax.scan(relieved, vector * scale, None, length=measure.block)[0] / scale
+    def block(vector: jax.Array) -> jax.Array:
+        image, _ = jax.lax.scan(
+            lambda image, _: (relieved(image), None), vector * scale, None, length=measure.block
+        )
+        return image / scale
 
     slow = sum(leaf.size for leaf in jax.tree.leaves(state.plant))
     dimension = min(max(measure.dimension, slow + _SPARE), start.size)
-    matrix = _krylov.arnoldi(block, settled / scale, dimension)
-    return usual + _krylov.log_radius(matrix, measure.squarings) / measure.block
+    matrix, basis = _krylov.arnoldi(block, settled / scale, dimension)
+    growth = usual + _krylov.log_radius(matrix, measure.squarings) / measure.block
+    if _joint.applies(prepared, state):
+        growth = (
+            growth_rate(prepared, options, state, setpoint) * prepared.drive.drive.control_period
+        )
+    images = jax.lax.map(lambda vector: relieved(vector * scale) / scale, basis)
+    return SlowModes(growth, basis @ images.T, usual)

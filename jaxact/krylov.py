@@ -102,8 +102,13 @@ def log_radius(matrix: jax.Array, squarings: int) -> jax.Array:
     return growth
 
 
-def arnoldi(apply: Callable, start: jax.Array, dimension: int) -> jax.Array:
-    """As `hessenberg` for a map of one flat vector; the matrix has shape (dimension, dimension)."""
+def arnoldi(apply: Callable, start: jax.Array, dimension: int) -> tuple[jax.Array, jax.Array]:
+    """As `hessenberg` for a map of one flat vector.
+
+    Returns:
+        The matrix, shape (dimension, dimension), and the space's orthonormal basis as rows; those
+        of a space that is exhausted early are zero.
+    """
     exhausted = jnp.finfo(start.dtype).eps ** 0.375
     basis = jnp.zeros((dimension + 1, start.size), start.dtype)
     basis = basis.at[0].set(start * inverse(jnp.linalg.norm(start)))
@@ -124,5 +129,5 @@ def arnoldi(apply: Callable, start: jax.Array, dimension: int) -> jax.Array:
         return (basis, matrix), None
 
     matrix = jnp.zeros((dimension + 1, dimension), start.dtype)
-    (_, matrix), _ = jax.lax.scan(column, (basis, matrix), jnp.arange(dimension))
-    return matrix[:-1]
+    (basis, matrix), _ = jax.lax.scan(column, (basis, matrix), jnp.arange(dimension))
+    return matrix[:-1], basis[:-1]

@@ -12,6 +12,7 @@ class Verdict(IntEnum):
     LIMIT_CYCLE = 1
     UNSTABLE = 2
     INVALID = 3
+    TOPPLES = 4
 
     @property
     def label(self) -> str:
@@ -31,6 +32,10 @@ _ADVICE = {
         "friction, that keeps shaking; lower the gains, or raise the resolution or the force limit."
     ),
     Verdict.UNSTABLE: "Perturbations grow; lower the gains or shorten the delay.",
+    Verdict.TOPPLES: (
+        "The robot falls, or leaves its posture, without swinging: its gains do not balance it, as "
+        'no gains may. Nothing shakes; hang it up, base = "fixed", to judge its gains alone.'
+    ),
     Verdict.INVALID: (
         "The simulation produced values that are not numbers, or the growth rate was not found; "
         "check the model and its time step, and compute in float64."

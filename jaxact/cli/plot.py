@@ -60,12 +60,13 @@ def main(
         ),
     ] = (),
     variable: Annotated[
-        str,
+        str | None,
         tyro.conf.arg(
             metavar="NAME",
             help="Result to colour, e.g. overshoot, settling_time, peak_force.",
+            help_behavior_hint="(default: growth_rate; shaking_rate where robots topple)",
         ),
-    ] = "growth_rate",
+    ] = None,
     kind: Annotated[
         str | None,
         tyro.conf.arg(
@@ -108,7 +109,8 @@ def main(
 
     The growth rate [1/s] of every loop is coloured (blue decays, brown grows), verdicts other than
     stable are hatched, and the exact boundary is drawn for the sampled loop (solid) and in
-    continuous time (dashed). Units are SI: kp [N/m], kd [N s/m], delays [s].
+    continuous time (dashed). Where robots topple it is the shaking rate that is coloured: what
+    gains and delays change. Units are SI: kp [N/m], kd [N s/m], delays [s].
 
     examples:
       jaxact plot results/paper_gain_map
@@ -117,7 +119,7 @@ def main(
       jaxact margins --loops sweep.toml --store m.zarr && jaxact plot m.zarr --variable gain_margin
       jaxact plot results/paper_gain_map --kind lines --x kd --y delay --select kp=400
     """
-    from jaxact.plot import look, panels, regular
+    from jaxact.plot import field, look, panels, regular
     from jaxact.sweep import opening
 
     if out is not None:
@@ -127,6 +129,7 @@ def main(
     computed = results if regular.refined(results) else None
     if computed is not None:
         results = regular.regular(computed)
+    shown = field.usual(results) if variable is None else variable
     arrangement = panels.arrange(
         results,
         kind=kind,  # type: ignore[arg-type] # checked there
@@ -136,10 +139,14 @@ def main(
         select=_pairs(select),
     )
     figure, said = _draw(
-        results, arrangement, variable, nominal, title, computed=computed, quick=quick
+        results, arrangement, shown, nominal, title, computed=computed, quick=quick
     )
-    path = out if out is not None else _default_output(result, arrangement.kind, variable)
-    look.write(figure, path, title=f"jaxact: {variable}")
+    path = (
+        out
+        if out is not None
+        else _default_output(result, arrangement.kind, shown, usual=shown == field.usual(results))
+    )
+    look.write(figure, path, title=f"jaxact: {shown}")
     print(said)
     print(f"wrote {path}")
 
@@ -237,12 +244,12 @@ def _pairs(given: tuple[str, ...]) -> dict[str, str]:
     return pairs
 
 
-def _default_output(result: str, kind: str, variable: str) -> Path:
-    """`stability_map.png` beside the store, or a name that says what else was drawn."""
+def _default_output(result: str, kind: str, variable: str, *, usual: bool) -> Path:
+    """`stability_map.png` beside the store, or of another than the usual variable its name."""
     from jaxact.sweep.place import is_url
     from jaxact.sweep.store import STORE
 
     path = Path() / STORE if is_url(result) else Path(result)
     folder = path if (path / STORE).is_dir() else path.parent
-    stem = "stability_map" if (kind, variable) == ("map", "growth_rate") else f"{variable}_{kind}"
+    stem = "stability_map" if kind == "map" and usual else f"{variable}_{kind}"
     return folder / f"{stem}.png"

@@ -290,7 +290,7 @@ def _table(run: Single) -> str:
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_row("verdict", f"[bold]{verdict.label}[/bold]")
     for name, about in VARIABLES.items():
-        value = run.results[name]
+        value = run.results.get(name, np.nan)
         if name == "verdict" or np.isnan(value):
             continue
         shown = f"{100 * value:.3g} %" if name == "overshoot" else quantity(value, about.units)

@@ -236,7 +236,7 @@ def _forecast(asked: Specification, how: How) -> str:
         grid = adaptive.lattice(asked, how.width)
         fine = " x ".join(f"{n:,}" for n in grid.shape)
         first += f", refined to a grid of {fine} at the boundary"
-    size = sum(layout.loops * (1 if name == "verdict" else 4) for name in _variables())
+    size = sum(layout.loops * (1 if name == "verdict" else 4) for name in _variables(asked))
     if asked.precision == "float64":
         size *= 2
     basis = "measured on this machine" if planned.measured else "roughly; nothing measured here yet"
@@ -263,10 +263,10 @@ def _time(planned: Planned, basis: str) -> str:
     )
 
 
-def _variables() -> tuple[str, ...]:
-    from jaxact.sweep.store import VARIABLES
+def _variables(specification: Specification) -> tuple[str, ...]:
+    from jaxact.sweep.store import variables
 
-    return tuple(VARIABLES)
+    return variables(robot=specification.plant is not None)
 
 
 def _shape(samples: Samples) -> str:

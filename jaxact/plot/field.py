@@ -19,6 +19,7 @@ from jaxact.status import Verdict
 LINEAR_FRACTION = 1e-3
 _LONG = {
     "growth_rate": "growth rate",
+    "shaking_rate": "shaking rate",
     "rise_time": "rise time",
     "settling_time": "settling time",
     "integrated_absolute_error": "integrated absolute error",
@@ -31,6 +32,8 @@ _LONG = {
 }
 
 
+# Rates of small perturbations, drawn with their sign, of every loop.
+RATES = ("growth_rate", "shaking_rate")
 # What only a limit cycle has; of a loop that settles its amplitude is none, not small.
 OF_LIMIT_CYCLES = ("limit_cycle_amplitude", "limit_cycle_frequency")
 
@@ -60,6 +63,16 @@ def variables(dataset: xr.Dataset) -> list[str]:
     return [str(name) for name in dataset.data_vars if name != "verdict"]
 
 
+def usual(dataset: xr.Dataset) -> str:
+    """What is coloured unless something else is asked for: a rate.
+
+    Where robots topple, whose growth rates are those of falling, the shaking rate: what gains and
+    delays change.
+    """
+    topples = "shaking_rate" in dataset and np.any(dataset["verdict"].values == Verdict.TOPPLES)
+    return "shaking_rate" if topples else "growth_rate"
+
+
 def field(dataset: xr.Dataset, variable: str) -> Field:
     """Colours of a variable over the whole sweep, so that all panels share them.
 
@@ -70,14 +83,14 @@ def field(dataset: xr.Dataset, variable: str) -> Field:
         raise UserError(f"unknown variable '{variable}'; {nearest(variable, known)}")
     array = dataset[variable]
     # an unstable loop's overshoot or settling time is a number about the explosion, not a response
-    shown = array.values if variable == "growth_rate" else settled(dataset, variable)
+    shown = array.values if variable in RATES else settled(dataset, variable)
     finite = shown[np.isfinite(shown)].astype(float)
     if finite.size == 0 and variable in OF_LIMIT_CYCLES:
         raise UserError(f"variable '{variable}': no loop of this sweep is a limit cycle")
     if finite.size == 0:
         raise UserError(f"variable '{variable}' has no finite value in this sweep; choose another")
     label = variable_label(array)
-    if variable == "growth_rate":
+    if variable in RATES:
         return _signed(variable, label, finite)
     low, high = (float(v) for v in np.percentile(finite, [0.5, 99.5]))
     extend = _extend(finite, low, high)

@@ -14,12 +14,17 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator
 
 from jaxact.plot import look, ticks, wording
-from jaxact.plot.field import field, settled, signed_scale, signed_ticks, variable_label
+from jaxact.plot.field import RATES, field, settled, signed_scale, signed_ticks, variable_label
 from jaxact.plot.panels import Arrangement, Panel
 from jaxact.plot.stability_map import finish, frame, positions
 from jaxact.status import Verdict
 
-_FACES = {Verdict.STABLE: None, Verdict.LIMIT_CYCLE: "white", Verdict.UNSTABLE: "none"}
+_FACES = {
+    Verdict.STABLE: None,
+    Verdict.LIMIT_CYCLE: "white",
+    Verdict.UNSTABLE: "none",
+    Verdict.TOPPLES: "#B9C2CE",
+}
 _UNSTABLE_MARK = "x"
 
 
@@ -41,7 +46,7 @@ def lines(
     title, footer: above and below
     """
     field(dataset, variable)  # refuses unknown names and empty variables
-    growth = variable == "growth_rate"
+    growth = variable in RATES
     values = dataset[variable].values if growth else settled(dataset, variable)
     with look.look():
         handles = _legend(arrangement, growth, nominal)
@@ -77,7 +82,7 @@ def _value_axis(axes: Axes, finite: np.ndarray, growth: bool) -> None:
 
 def _curves(axes: Axes, arrangement: Arrangement, panel: Panel, variable: str) -> None:
     x = positions(arrangement.x)
-    growth = variable == "growth_rate"
+    growth = variable in RATES
     values = panel.data[variable].values if growth else settled(panel.data, variable)
     verdict = panel.data["verdict"].values
     if arrangement.y is None:
@@ -108,7 +113,7 @@ def _legend(arrangement: Arrangement, growth: bool, nominal: float | None) -> li
             handles.append(Line2D([], [], label=label, **look.style(number)))
     present = {int(v) for panel in arrangement.panels for v in np.unique(panel.data["verdict"])}
     for kind, face in _FACES.items():
-        if int(kind) in present and (growth or kind is not Verdict.UNSTABLE):
+        if int(kind) in present and (growth or kind not in (Verdict.UNSTABLE, Verdict.TOPPLES)):
             handles.append(
                 Line2D(
                     [], [], linestyle="none", color=look.INK, markersize=4.5, label=kind.label,

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jaxact.plot import look
-from jaxact.plot.field import OF_LIMIT_CYCLES, Field, field, settled
+from jaxact.plot.field import OF_LIMIT_CYCLES, RATES, Field, field, settled
 from jaxact.plot.panels import Arrangement, Axis, Panel
 from jaxact.plot.stability_map import (
     boundary_handles,
@@ -34,6 +34,7 @@ _MARKERS: dict[Verdict, dict[str, Any]] = {
     Verdict.STABLE: {"marker": "o", "edgecolors": "#16365C", "linewidths": 0.35},
     Verdict.LIMIT_CYCLE: {"marker": "D", "edgecolors": "black", "linewidths": 0.9},
     Verdict.UNSTABLE: {"marker": "^", "edgecolors": "#4A1A08", "linewidths": 0.35},
+    Verdict.TOPPLES: {"marker": "v", "edgecolors": "#3C4654", "linewidths": 0.35},
     Verdict.INVALID: {"marker": "x"},
 }
 
@@ -76,7 +77,7 @@ def scatter(
 def _points(axes: Axes, arrangement: Arrangement, panel: Panel, shown: Field) -> None:
     assert arrangement.y is not None
     x, y = (_places(axis, panel.data[axis.name].values) for axis in (arrangement.x, arrangement.y))
-    growth = shown.variable == "growth_rate"
+    growth = shown.variable in RATES
     values = panel.data[shown.variable].values if growth else settled(panel.data, shown.variable)
     verdict = panel.data["verdict"].values
     size = float(np.clip(6000.0 / max(len(x), 1), 7.0, 34.0))
@@ -112,7 +113,10 @@ def _legend(
     variable: str,
 ) -> list[Artist]:
     present = {int(v) for panel in arrangement.panels for v in np.unique(panel.data["verdict"])}
-    fills = {Verdict.STABLE: "#6FA8D6", Verdict.LIMIT_CYCLE: "#FBDCC0", Verdict.UNSTABLE: "#B8501B"}
+    fills = {
+        Verdict.STABLE: "#6FA8D6", Verdict.LIMIT_CYCLE: "#FBDCC0", Verdict.UNSTABLE: "#B8501B",
+        Verdict.TOPPLES: "#B9C2CE",
+    }  # fmt: skip
     handles: list[Artist] = [
         Line2D(
             [], [], linestyle="none", marker=marker["marker"], markersize=6, label=kind.label,

@@ -21,7 +21,7 @@ from matplotlib.ticker import (
 )
 
 from jaxact.plot import look, ticks, wording
-from jaxact.plot.field import OF_LIMIT_CYCLES, Field, dress_colorbar, field, settled
+from jaxact.plot.field import OF_LIMIT_CYCLES, RATES, Field, dress_colorbar, field, settled, usual
 from jaxact.plot.panels import Arrangement, Axis, Panel
 from jaxact.plot.sheet import Sheet, sheet
 from jaxact.plot.zero_line import zero_line
@@ -34,12 +34,16 @@ if TYPE_CHECKING:
 HATCHES = {
     Verdict.LIMIT_CYCLE: ("....", "#2B2B2B"),
     Verdict.UNSTABLE: ("////", "#8C5A3C"),
+    Verdict.TOPPLES: ("\\\\", "#7A8594"),
     Verdict.INVALID: ("xxxx", "#5A5A5A"),
 }
 INVALID_FILL = "#C9C9C9"
 # A loop that does not have the figure that is drawn, e.g. one that did not settle in time.
 EMPTY_FILL = "#EDEDED"
-LINEARISED = "linearised boundary"
+LINEARISED = {
+    "growth_rate": "linearised boundary",
+    "shaking_rate": "linearised boundary of shaking",
+}
 
 
 @dataclass(frozen=True)
@@ -65,18 +69,23 @@ def stability_map(
 
     dataset: the whole sweep (the colour scale is shared by all panels)
     arrangement: kind "map", see `jaxact.plot.panels.arrange`
-    variable: coloured; the growth rate is centred on zero
+    variable: coloured; rates are centred on zero
     boundaries: exact boundary of each panel in order, None where there is none
     nominal: (x, y) of the point to mark
-    linearised: draw where the growth rate of the linearised loops is zero, as of robots
+    linearised: draw where the rate of the linearised loops is zero, as of robots: the one that is
+        coloured, else the one that is usual
     title, footer: above and below
     """
     shown = field(dataset, variable)
     with look.look():
-        zero = [zero_line(arrangement, panel) if linearised else () for panel in arrangement.panels]
+        rate = variable if variable in RATES else usual(dataset)
+        zero = [
+            zero_line(arrangement, panel, rate) if linearised else ()
+            for panel in arrangement.panels
+        ]
         handles = _legend(arrangement, boundaries, nominal, variable)
         if any(zero):
-            handles.append(Line2D([], [], color="black", linewidth=1.5, label=LINEARISED))
+            handles.append(Line2D([], [], color="black", linewidth=1.5, label=LINEARISED[rate]))
         drawn = frame(arrangement, title, footer=footer, entries=len(handles))
         for number, panel in enumerate(arrangement.panels):
             axes = drawn.grid[panel.row, panel.column]
@@ -195,7 +204,7 @@ def cell_edges(shown: Axis) -> np.ndarray:
 
 def _field(axes: Axes, arrangement: Arrangement, panel: Panel, shown: Field) -> None:
     assert arrangement.y is not None
-    growth = shown.variable == "growth_rate"
+    growth = shown.variable in RATES
     values = panel.data[shown.variable].values if growth else settled(panel.data, shown.variable)
     axes.set_facecolor(INVALID_FILL if growth else EMPTY_FILL)
     axes.pcolormesh(
@@ -226,7 +235,8 @@ def _verdicts(
         )
         area.set_edgecolor(color)
         area.set_linewidth(0.0)
-    stable = np.repeat(np.repeat(verdict == Verdict.STABLE, 2, axis=0), 2, axis=1)
+    calm = (verdict == Verdict.STABLE) | (verdict == Verdict.TOPPLES)
+    stable = np.repeat(np.repeat(calm, 2, axis=0), 2, axis=1)
     if border and stable.any() and not stable.all():
         axes.contour(
             x, y, stable.astype(float), levels=[0.5], colors="white", linewidths=2.2, zorder=3
@@ -306,7 +316,7 @@ def _legend(
     nominal: tuple[float, float] | None,
     variable: str,
 ) -> list[Artist]:
-    growth = variable == "growth_rate"
+    growth = variable in RATES
     present = {int(v) for panel in arrangement.panels for v in np.unique(panel.data["verdict"])}
     handles: list[Artist] = []
     if growth and int(Verdict.STABLE) in present:

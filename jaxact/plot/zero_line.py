@@ -1,4 +1,4 @@
-"""The smooth line on which the growth rate of a map's loops is zero, between the loops computed."""
+"""The smooth line on which a rate of a map's loops is zero, between the loops computed."""
 
 from __future__ import annotations
 
@@ -12,16 +12,18 @@ from jaxact.sweep.tracing import Curve, trace
 _ZERO = 1e-4
 
 
-def zero_line(arrangement: Arrangement, panel: Panel) -> tuple[Curve, ...]:
-    """Where the growth rate, linear between neighbours on the axes' own scales, is zero.
+def zero_line(
+    arrangement: Arrangement, panel: Panel, rate: str = "growth_rate"
+) -> tuple[Curve, ...]:
+    """Where a rate, linear between neighbours on the axes' own scales, is zero.
 
-    Growth rates are those of linearised loops, so that this is where those change stability; it is
+    Rates are those of linearised loops, so that this is where those change stability; it is
     interpolated between the loops that were computed. None of an axis of categories.
     """
     x, y = arrangement.x, arrangement.y
     if y is None or "category" in (x.scale, y.scale):
         return ()
-    growth = np.asarray(panel.data["growth_rate"].values, dtype=float)
+    growth = np.asarray(panel.data[rate].values, dtype=float)
     finite = np.abs(growth[np.isfinite(growth)])
     if min(growth.shape) < 2 or not finite.size:
         return ()

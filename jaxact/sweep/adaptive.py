@@ -230,7 +230,7 @@ class Known:
         """What a store has."""
         size = math.prod(store.layout.shape)
         there = np.zeros(size, bool)
-        values = {name: np.zeros(size, store.dtype(name)) for name in _store.VARIABLES}
+        values = {name: np.zeros(size, store.dtype(name)) for name in store.variables}
         for number in range(len(store.layout)):
             first, count = store.layout.span(number)
             for name, part in store.attempt(number)[1].items():
@@ -323,7 +323,8 @@ def _joined(
     identity = planning.identity(specification, planned, layout, **_more(planned, width))
     attributes = _store.provenance(specification, planned.device) | origin
     attributes |= {"complete": False, "adaptive": _described(specification, grid, points, width)}
-    store = Store(target, layout, specification.precision, planned.tile)
+    robot = specification.plant is not None
+    store = Store(target, layout, specification.precision, planned.tile, robot)
     files = _store.skeleton(specification, samples, layout, _store.as_json(identity), attributes)
     if _store.identity_of(target) != identity:
         target.remove()

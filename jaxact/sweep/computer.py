@@ -19,6 +19,7 @@ from jaxact.sweep.specification import Specification
 if TYPE_CHECKING:
     from jaxact.sweep.execute import Begun
     from jaxact.sweep.plans import Plan
+    from jaxact.sweep.spectra import Rates
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Computer:
         from jaxact.sweep import plans
 
         self._tile = tile
-        self._prepared: dict[int, Future[list[np.ndarray]]] = {}
+        self._prepared: dict[int, Future[list[Rates]]] = {}
         self._specification = dataclasses.replace(self._work.specification, tile=tile)
         self._groups = plans.groups(
             self._specification, self._work.outline, together=self._work.together
@@ -135,7 +136,7 @@ class Computer:
         for ended, begun in running:
             yield ended, self.finish(ended, begun)
 
-    def _begun(self, number: int) -> list[np.ndarray]:
+    def _begun(self, number: int) -> list[Rates]:
         """Growth rates of a chunk [1/s], and all that is needed to simulate it."""
         if self._helper is None:
             return self._growth(number)
@@ -148,8 +149,8 @@ class Computer:
             execute.prepare(self._groups, self._specification, self._work.samples, numbers)
         return self._prepared.pop(number).result()
 
-    def _growth(self, number: int) -> list[np.ndarray]:
-        """Growth rates of a chunk [1/s]."""
+    def _growth(self, number: int) -> list[Rates]:
+        """Growth rates of a chunk."""
         from jaxact.sweep import execute
 
         numbers = self._work.store.layout.numbers(number)

@@ -53,7 +53,9 @@ def simulated(
     samples = explicit(specification, dict(columns))
     found: dict[str, np.ndarray] = {}
     for plan, batch, count in _batches(specification, samples):
-        rows = execute.simulate_batch(plan, specification, samples, batch, growth_rate[batch])
+        rows = execute.simulate_batch(
+            plan, specification, samples, batch, spectra.Rates(growth_rate[batch])
+        )
         for name, row in rows.items():
             found.setdefault(name, np.zeros(len(samples), row.dtype))[batch[:count]] = row[:count]
     return found

@@ -15,11 +15,14 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxact.growth import TOLERANCE
 from jaxact.metrics import Metrics
 from jaxact.programs import Program
+from jaxact.status import Verdict
 from jaxact.sweep import plans, spectra, tiles
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Specification
+from jaxact.sweep.spectra import Rates
 
 # A perturbation that grows this often by a factor of e has overflowed in single precision.
 _OVERFLOW = 44.0
@@ -33,12 +36,12 @@ class _Batch:
 
     Attributes:
         order: in which its samples are computed.
-        growth: their growth rates [1/s] in that order, shape (batch,).
+        rates: of its samples.
         metrics: in that order; not waited for.
     """
 
     order: slice | np.ndarray
-    growth: np.ndarray
+    rates: Rates
     metrics: Metrics
 
 
@@ -60,10 +63,10 @@ def simulate_batch(
     specification: Specification,
     samples: Samples,
     numbers: np.ndarray,
-    growth: np.ndarray,
+    rates: Rates,
 ) -> dict[str, np.ndarray]:
-    """Metrics of one batch of samples whose growth rates [1/s] are known; each (batch,)."""
-    return _rows(_simulated(plan, specification, samples, numbers, growth))
+    """Metrics of one batch of samples whose growth rates are known; each (batch,)."""
+    return _rows(_simulated(plan, specification, samples, numbers, rates))
 
 
 def _simulated(
@@ -71,16 +74,16 @@ def _simulated(
     specification: Specification,
     samples: Samples,
     numbers: np.ndarray,
-    growth: np.ndarray,
+    rates: Rates,
 ) -> _Batch:
     """A batch that is being simulated; arguments as for `simulate_batch`."""
     with _precision(specification):
         if plan.case.engine == "mujoco":
-            found = _outside(plan, specification, samples, numbers, growth)
-            return _Batch(slice(None), growth, found)
-        order = _by_life(plan, growth)
-        rates = growth[order]
-        program, inputs = _program(plan, specification, samples, numbers[order], rates)
+            found = _outside(plan, specification, samples, numbers, rates.growth)
+            return _Batch(slice(None), rates, found)
+        order = _by_life(plan, rates.growth)
+        growth = rates.growth[order]
+        program, inputs = _program(plan, specification, samples, numbers[order], growth)
         return _Batch(order, rates, program(*inputs))
 
 
@@ -161,8 +164,20 @@ def _rows(batch: _Batch) -> dict[str, np.ndarray]:
     """Metrics as flat arrays by name, the growth rates as they were before any rounding."""
     names = Metrics.__dataclass_fields__
     rows = {name: np.asarray(getattr(batch.metrics, name)).reshape(-1) for name in names}
-    rows |= {"growth_rate": batch.growth}
-    return {name: _reordered(row, batch.order) for name, row in rows.items()}
+    rows = {name: _reordered(row, batch.order) for name, row in rows.items()}
+    return with_rates(rows, batch.rates)
+
+
+def with_rates(rows: dict[str, np.ndarray], rates: Rates) -> dict[str, np.ndarray]:
+    """Metrics with the growth rates; a robot that falls, but would not shake, topples."""
+    rows = rows | {"growth_rate": rates.growth}
+    if rates.shaking is None:
+        return rows
+    # Rounding makes pairs of the roots at z = 1 that a free base has.
+    falls = (rates.growth > TOLERANCE) & (rates.shaking <= TOLERANCE)
+    falls &= rows["verdict"] == Verdict.UNSTABLE
+    verdict = np.where(falls, Verdict.TOPPLES, rows["verdict"]).astype(rows["verdict"].dtype)
+    return rows | {"verdict": verdict, "shaking_rate": rates.shaking}
 
 
 def _reordered(row: np.ndarray, order: slice | np.ndarray) -> np.ndarray:
@@ -179,10 +194,10 @@ def growth_rates(
     specification: Specification,
     samples: Samples,
     numbers: np.ndarray,
-) -> list[np.ndarray]:
-    """Growth rates of some samples of a sweep [1/s], batch by batch; arguments as for `compute`."""
+) -> list[Rates]:
+    """Growth rates of some samples of a sweep, batch by batch; arguments as for `compute`."""
     return [
-        spectra.growth_batch(plan, specification, samples, batch)
+        spectra.rates_batch(plan, specification, samples, batch)
         for plan in groups
         for batch, _ in plans.batches(plan, samples, numbers)
     ]
@@ -193,7 +208,7 @@ def begin(
     specification: Specification,
     samples: Samples,
     numbers: np.ndarray,
-    growth: Sequence[np.ndarray],
+    growth: Sequence[Rates],
 ) -> Begun:
     """Set devices to simulate some samples, without waiting for them.
 
@@ -240,7 +255,8 @@ def compute(
         numbers: of the samples, rising, shape (n,).
 
     Returns:
-        One array for each field of `jaxact.metrics.Metrics`, shape (n,).
+        One array for each field of `jaxact.metrics.Metrics`, shape (n,); of robots the shaking
+        rate as well.
     """
     growth = growth_rates(groups, specification, samples, numbers)
     return finish(begin(groups, specification, samples, numbers, growth))

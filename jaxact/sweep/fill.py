@@ -70,7 +70,8 @@ def fill(
         attributes |= _store.beginning(target)
     tile = int(str(wanted["tile"]))
     specification = dataclasses.replace(specification, tile=tile)
-    store = Store(target, layout, specification.precision, tile)
+    robot = specification.plant is not None
+    store = Store(target, layout, specification.precision, tile, robot)
 
     @functools.cache
     def description() -> dict[str, bytes]:

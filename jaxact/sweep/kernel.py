@@ -21,7 +21,7 @@ from jaxact import rollout as _rollout
 from jaxact.actuator import Actuator
 from jaxact.controller import Controller, Setpoint
 from jaxact.drive import Drive, DriveOptions
-from jaxact.growth import GrowthOptions
+from jaxact.growth import GrowthOptions, SlowModes
 from jaxact.loop import Loop, LoopState, Prepared
 from jaxact.metrics import Metrics
 from jaxact.plants import Mass
@@ -109,7 +109,7 @@ def drive_of(values: Values) -> Drive:
 def template_of(case: Case, setting: Setting, stage: str) -> Template:
     """What the samples of a kernel share, in the precision that JAX has at this moment.
 
-    `stage` is the kernel's name: growth rates of a robot need its linearised plant.
+    `stage` is the kernel's name: rates of a robot need its linearised plant.
     """
     if setting.plant is None:
         return _template.built_in(case.engine, corrected=setting.corrected)
@@ -120,7 +120,7 @@ def template_of(case: Case, setting: Setting, stage: str) -> Template:
         step=case.step,
         period=case.step * case.drive.substeps,
         ticks=case.rollout.ticks,
-        growth=stage == "growth_rate",
+        growth=stage in ("growth_rate", "slow_modes"),
     )
 
 
@@ -268,10 +268,23 @@ def growth_rate(
     if template.linear is None:
         prepared, state, setpoint = start(case, template, values)
         return _growth.growth_rate(prepared, case.drive, state, setpoint, case.growth)
+    return _growth.growth_rate(*_at_rest(case, template, values, moved), case.growth)
+
+
+def slow_modes(
+    case: Case, template: Template, values: Values, moved: tuple[jax.Array, jax.Array] | None = None
+) -> SlowModes:
+    """The slow modes of a robot's loop, the growth rate among them; as `growth_rate`."""
+    return _growth.slow_modes(*_at_rest(case, template, values, moved), case.growth)
+
+
+def _at_rest(
+    case: Case, template: Template, values: Values, moved: tuple[jax.Array, jax.Array] | None
+) -> tuple[Prepared, DriveOptions, LoopState, Setpoint]:
+    """A robot's linearised loop at rest."""
     prepared = _loop.prepare(linear_loop(case, template, values, moved), case.drive)
-    rest = jnp.zeros(template.linear.shape)
-    state = _loop.init(prepared, case.drive, rest, rest)
-    return _growth.growth_rate(prepared, case.drive, state, Setpoint(rest), case.growth)
+    rest = jnp.zeros(prepared.plant.shape)
+    return prepared, case.drive, _loop.init(prepared, case.drive, rest, rest), Setpoint(rest)
 
 
 def transition(case: Case, template: Template, values: Values) -> jax.Array:

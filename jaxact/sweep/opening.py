@@ -16,7 +16,7 @@ from jaxact.sweep import integrity, seal
 from jaxact.sweep import place as _place
 from jaxact.sweep.place import Place
 from jaxact.sweep.progress import Finding, Store
-from jaxact.sweep.store import STORE, VARIABLES, is_ours, unwritable
+from jaxact.sweep.store import STORE, is_ours, unwritable
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -94,7 +94,7 @@ def _filled(
 ) -> xr.Dataset:
     """The results with the numbers of all chunks, which are let go of."""
     size = int(np.prod(store.layout.shape, dtype=np.int64))
-    whole = {name: np.empty(size, store.dtype(name)) for name in VARIABLES if name in results}
+    whole = {name: np.empty(size, store.dtype(name)) for name in store.variables if name in results}
     for number in sorted(read):
         first, count = store.layout.span(number)
         part = read.pop(number)

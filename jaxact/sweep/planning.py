@@ -11,7 +11,7 @@ from jaxact.sweep import layout, memory
 from jaxact.sweep.layout import Layout
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Specification
-from jaxact.sweep.store import VARIABLES, as_json, numeric_versions
+from jaxact.sweep.store import as_json, numeric_versions, variables
 
 # Chunks of a sweep that are enough, where they would otherwise be a second of work each.
 _CHUNKS = 32
@@ -77,7 +77,9 @@ def plan(
 
     coordinates = sum(array.nbytes for array in samples.along.values() if array.size > 1)
     each = memory.per_loop(
-        len(samples.along), len(VARIABLES), 8 if specification.precision == "float64" else 4
+        len(samples.along),
+        len(variables(robot=specification.plant is not None)),
+        8 if specification.precision == "float64" else 4,
     )
     case = plans.groups(specification, samples)[0].case
     base = memory.base(case.engine, robot=specification.plant is not None)
@@ -134,6 +136,7 @@ def identity(
         "platform": planned.platform,
         "versions": numeric_versions(planned.engine),
         **more,
+        **({"shaking_rate": True} if specification.plant is not None else {}),
         "tile": planned.tile,
         "precision": specification.precision,
         "shape": list(layout.shape),

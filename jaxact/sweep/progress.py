@@ -20,7 +20,7 @@ from jaxact.sweep import seal
 from jaxact.sweep import store as _store
 from jaxact.sweep.layout import DamagedError, Layout
 from jaxact.sweep.place import Entry, Place
-from jaxact.sweep.store import PROGRESS, RECEIPT, ROOT, SECOND, VARIABLES
+from jaxact.sweep.store import PROGRESS, RECEIPT, ROOT, SECOND
 
 _RECEIPTS = f"{PROGRESS}/{RECEIPT}"
 
@@ -55,12 +55,19 @@ class Store:
     layout: how the sweep is cut into chunks
     precision: of the results, "float32" or "float64"
     tile: loops in a tile, as planned
+    robot: whether it has the variables that only robots have
     """
 
     place: Place
     layout: Layout
     precision: str
     tile: int
+    robot: bool = False
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the results of every loop, in the order of the receipts."""
+        return _store.variables(robot=self.robot)
 
     def dtype(self, variable: str) -> np.dtype:
         """Type of the numbers of a variable."""
@@ -68,7 +75,7 @@ class Store:
 
     @property
     def _row(self) -> int:
-        return 2 + len(VARIABLES)
+        return 2 + len(self.variables)
 
     def write(self, number: int, results: Mapping[str, np.ndarray], tile: int) -> None:
         """Write the results of a chunk, and then its receipt; durable when it returns.
@@ -80,7 +87,7 @@ class Store:
         Raises OSError where the store cannot be written.
         """
         files, checksums = {}, []
-        for name in VARIABLES:
+        for name in self.variables:
             values = np.asarray(results[name], self.dtype(name))
             content, checksum = _layout.encode(values, self.layout.loops)
             files[f"{name}/{self.layout.key(number)}"] = content
@@ -112,7 +119,7 @@ class Store:
             raise DamagedError("it has no receipt")
         _, count = self.layout.span(number)
         found = {}
-        for name, wanted in zip(VARIABLES, row[2:], strict=True):
+        for name, wanted in zip(self.variables, row[2:], strict=True):
             content = self.place.read(f"{name}/{self.layout.key(number)}")
             if content is None:
                 raise DamagedError(f"{name} is missing")
@@ -145,14 +152,14 @@ class Store:
     def keys(self) -> set[str]:
         """Of the files of all chunks."""
         numbers = range(len(self.layout))
-        results = {f"{name}/{self.layout.key(n)}" for name in VARIABLES for n in numbers}
+        results = {f"{name}/{self.layout.key(n)}" for name in self.variables for n in numbers}
         return results | {_receipt_key(n) for n in numbers}
 
     def glance(self, number: int, entries: Mapping[str, Entry]) -> Finding:
         """Whether a chunk is done, by names and sizes of files only."""
         if _receipt_key(number) not in entries:
             return Finding(State.MISSING)
-        for name in VARIABLES:
+        for name in self.variables:
             entry = entries.get(f"{name}/{self.layout.key(number)}")
             size = self.layout.loops * self.dtype(name).itemsize + 4
             if entry is None or entry.size != size:
@@ -186,7 +193,8 @@ def existing(place: Place) -> Store | None:
         return None
     try:
         layout = Layout(tuple(identity["shape"]), tuple(identity["chunk"]))
-        return Store(place, layout, identity["precision"], int(identity["tile"]))
+        precision, tile = identity["precision"], int(identity["tile"])
+        return Store(place, layout, precision, tile, robot=bool(identity.get("shaking_rate")))
     except (KeyError, TypeError, ValueError):
         return None
 

@@ -18,7 +18,7 @@ from jaxact.metrics import Metrics
 from jaxact.programs import Program
 from jaxact.rollout import Trajectory
 from jaxact.status import Verdict
-from jaxact.sweep import kernel, plans, spectra, starts
+from jaxact.sweep import execute, kernel, plans, spectra, starts
 from jaxact.sweep.kernel import Case
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Setting, Specification
@@ -119,12 +119,12 @@ def simulate_all(specification: Specification, samples: Samples) -> list[Single]
     found: dict[int, Single] = {}
     for plan in groups:
         for batch, count in plans.batches(plan, samples):
-            growth = spectra.growth_batch(plan, one, samples, batch)
+            rates = spectra.rates_batch(plan, one, samples, batch)
             values = samples.take(batch)
             numbers = samples.first + batch
-            figures, kept, judged = _followed(one, plan.case, values, growth, numbers)
+            figures, kept, judged = _followed(one, plan.case, values, rates.growth, numbers)
             rows = {name: np.asarray(getattr(figures, name)) for name in _NAMES}
-            rows |= {"growth_rate": growth}  # before any rounding
+            rows = execute.with_rates(rows, rates)
             for place, number in enumerate(batch[:count].tolist()):
                 found[number] = Single(
                     trajectory=jax.tree.map(lambda leaf, place=place: leaf[place], kept),

@@ -13,6 +13,7 @@ sample. Robots, long delay lines and sparse samples go through the loop sample b
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,6 +23,7 @@ import numpy as np
 from jaxact.delayed_roots import polynomial_doubt
 from jaxact.drive import DriveOptions
 from jaxact.growth import TOLERANCE, GrowthOptions, TooManyStatesError
+from jaxact.robot_modes import swinging
 from jaxact.rollout import RolloutOptions
 from jaxact.sweep import kernel, tiles
 from jaxact.sweep.kernel import Case
@@ -57,18 +59,41 @@ class _Sets:
     linear: np.ndarray
 
 
+@dataclass(frozen=True)
+class Rates:
+    """Growth rates of samples in float64 [1/s].
+
+    Attributes:
+        growth: of the fastest-growing motion, shape (batch,).
+        shaking: of a robot, of the fastest-growing one that swings faster than it grows or decays,
+            likewise; minus the control rate where no slow one swings; None without a robot.
+    """
+
+    growth: np.ndarray
+    shaking: np.ndarray | None = None
+
+
+def rates_batch(
+    plan: Plan, specification: Specification, samples: Samples, numbers: np.ndarray
+) -> Rates:
+    """Growth rates of one batch of samples, and of robots the shaking rates."""
+    with jax.enable_x64(True):
+        if specification.plant is not None:
+            return _of_robots(plan, specification, samples, numbers)
+        sets = _sets(plan, specification, samples)
+        if sets is None:
+            return Rates(_each(plan, specification, samples, numbers))
+        rates, sound = _of_gains(plan, sets, samples, numbers)
+        if sound.all():
+            return Rates(rates)
+        return Rates(np.where(sound, rates, _each(plan, specification, samples, numbers)))
+
+
 def growth_batch(
     plan: Plan, specification: Specification, samples: Samples, numbers: np.ndarray
 ) -> np.ndarray:
     """Growth rates of one batch of samples [1/s], shape (batch,), in float64."""
-    with jax.enable_x64(True):
-        sets = _sets(plan, specification, samples)
-        if sets is None:
-            return _each(plan, specification, samples, numbers)
-        rates, sound = _of_gains(plan, sets, samples, numbers)
-        if sound.all():
-            return rates
-        return np.where(sound, rates, _each(plan, specification, samples, numbers))
+    return rates_batch(plan, specification, samples, numbers).growth
 
 
 def _each(
@@ -76,10 +101,19 @@ def _each(
 ) -> np.ndarray:
     """Growth rates, every sample by itself."""
     case, setting = kernel.linear_part(plan.case, specification.setting)
-    if specification.plant is not None:
-        # MJX's own derivatives are the same, and take as long to compile as its simulation.
-        case = replace(case, engine="mujoco")
     grow = tiles.compiled("growth_rate", case, plan.devices, setting, True)
+    found = grow(*tiles.tiled(plan, samples, numbers, np.float64))
+    return np.asarray(found).reshape(-1)
+
+
+def _of_robots(
+    plan: Plan, specification: Specification, samples: Samples, numbers: np.ndarray
+) -> Rates:
+    """Growth and shaking rates, every robot by itself."""
+    case, setting = kernel.linear_part(plan.case, specification.setting)
+    # MJX's own derivatives are the same, and take as long to compile as its simulation.
+    case = replace(case, engine="mujoco")
+    look = tiles.compiled("slow_modes", case, plan.devices, setting, True)
     inputs: list[Any] = [*tiles.tiled(plan, samples, numbers, np.float64)]
     if plan.case.varied:
         from jaxact.sweep import outside  # imports MuJoCo
@@ -88,7 +122,28 @@ def _each(
         assert moved is not None
         rows = plan.devices * plan.tiles, plan.tile
         inputs.append([part.reshape(*rows, *part.shape[1:]) for part in moved])
-    return np.asarray(grow(*inputs)).reshape(-1)
+    modes = look(*inputs)
+    growth, usual = (np.asarray(part).reshape(-1) for part in (modes.growth, modes.usual))
+    matrices = np.asarray(modes.matrix)
+    shaking = _shaking(growth, usual, matrices.reshape(-1, *matrices.shape[2:]))
+    rate = samples.take(numbers, {"control_rate"})["control_rate"]
+    return Rates(growth * rate, shaking * rate)
+
+
+def _shaking(growth: np.ndarray, usual: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+    """Logarithm of the largest swinging root's size over a period; see `growth.SlowModes`.
+
+    The growth itself where the largest of all roots swings, -1 where no slow one does.
+    """
+    sound = np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(growth)
+    roots = np.linalg.eigvals(np.where(sound[:, None, None], matrices, 0.0))
+    roots = roots * np.exp(np.where(sound, usual, 0.0))[:, None]
+    swings = swinging(roots)
+    sizes = np.abs(roots)
+    swinging_size = np.log(np.where(swings, sizes, 0.0).max(axis=1, initial=math.exp(-1.0)))
+    first = np.take_along_axis(swings, sizes.argmax(axis=1)[:, None], axis=1)[:, 0]
+    found = np.where(first, growth, np.minimum(swinging_size, growth))
+    return np.where(sound, found, np.nan)
 
 
 def _sets(plan: Plan, specification: Specification, samples: Samples) -> _Sets | None:

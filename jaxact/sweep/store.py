@@ -60,6 +60,12 @@ VARIABLES: dict[str, Variable] = {
     "growth_rate": Variable(
         "1/s", "growth rate", "Exponential rate of a small perturbation; negative: stable."
     ),
+    "shaking_rate": Variable(
+        "1/s",
+        "shaking rate",
+        "Growth rate of the fastest-growing motion that swings faster than it grows or decays: of"
+        " a robot, without its toppling; negative: nothing shakes.",
+    ),
     "verdict": Variable("1", "verdict", "What the loop did, see flag_meanings."),
     "overshoot": Variable(
         "1", "overshoot", "Largest excess over the setpoint, relative to the step's height."
@@ -84,6 +90,15 @@ VARIABLES: dict[str, Variable] = {
         "rad/s", "limit cycle frequency", "Angular frequency of the oscillation at the end."
     ),
 }
+
+
+OF_ROBOTS = ("shaking_rate",)
+"""Variables that only robots have."""
+
+
+def variables(*, robot: bool) -> tuple[str, ...]:
+    """Names of the results of every loop of a sweep, in the order of a store."""
+    return tuple(name for name in VARIABLES if robot or name not in OF_ROBOTS)
 
 
 def dtype_of(variable: str, precision: str) -> np.dtype[Any]:
@@ -132,7 +147,8 @@ def skeleton(
             "filters": None,
             "chunk_key_encoding": {"name": "default", "separator": "."},
         }
-        for name in VARIABLES:
+        names = variables(robot=specification.plant is not None)
+        for name in names:
             dtype = dtype_of(name, specification.precision)
             root.create_array(
                 name,
@@ -145,7 +161,7 @@ def skeleton(
                 **checked,
             )
         progress = root.create_group(PROGRESS, attributes={IDENTITY: identity})
-        row = 2 + len(VARIABLES)
+        row = 2 + len(names)
         progress.create_array(
             RECEIPT, shape=(len(layout), row), chunks=(1, row), dtype="uint32", fill_value=0,
             dimension_names=("chunk", "entry"), **checked,

@@ -21,6 +21,7 @@ from jaxact.sweep import cache, engines, execute, plans
 from jaxact.sweep.plans import Plan
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Specification
+from jaxact.sweep.spectra import Rates
 
 # Tiles that are measured, as factors on the usual one.
 _FACTORS = (0.5, 1.0, 2.0, 4.0)
@@ -149,11 +150,11 @@ def _measured(
         tiles = max(1, 4 * max(1, int(plan.tile * max(_FACTORS))) // tile)
         short = Plan(case, plan.rates, tile, tiles, plan.devices)
         numbers = np.arange(short.batch) % len(samples)
-        growth = np.zeros(short.batch)
+        rates = Rates(np.zeros(short.batch))
         spent = []
         for _ in range(3):
             begun = time.perf_counter()
-            execute.simulate_batch(short, specification, samples, numbers, growth)
+            execute.simulate_batch(short, specification, samples, numbers, rates)
             spent.append(time.perf_counter() - begun)
         found[tile] = short.batch * short.steps / min(spent) / plan.devices
         keep(short, specification, found[tile], ROLLOUTS)

@@ -15,7 +15,6 @@ from jaxact.sweep.place import Place
 from jaxact.sweep.progress import Store
 from jaxact.sweep.samples import Samples, expand, explicit
 from jaxact.sweep.specification import Specification
-from jaxact.sweep.store import VARIABLES
 
 # Another compiler may round otherwise; near a threshold a figure then jumps.
 _TOLERANCE = {"float32": 1e-3, "float64": 1e-9}
@@ -89,7 +88,7 @@ def recompute(target: Place, number: int, seed: int) -> Again:
             rows.setdefault(name, np.zeros(chosen.size, values.dtype))[part] = values
     other = _rounds_otherwise(target)
     differing = np.zeros(chosen.size, bool)
-    for name in VARIABLES:
+    for name in store.variables:
         kind = store.dtype(name)
         old, new = stored[name], rows[name].astype(kind)
         equal = (old == new) | (np.isnan(old.astype(float)) & np.isnan(new.astype(float)))
@@ -133,7 +132,7 @@ def _stored(store: Store, numbers: np.ndarray) -> tuple[dict[str, np.ndarray], n
     """The results of some loops by variable, and the tile of each; shape (n,) each."""
     spans = np.array([store.layout.span(chunk)[0] for chunk in range(len(store.layout))])
     chunks = np.searchsorted(spans, numbers, side="right") - 1
-    found = {name: np.zeros(numbers.size, store.dtype(name)) for name in VARIABLES}
+    found = {name: np.zeros(numbers.size, store.dtype(name)) for name in store.variables}
     tiles = np.zeros(numbers.size, int)
     for chunk in np.unique(chunks):
         here = chunks == chunk
