@@ -171,3 +171,20 @@ def test_tuned_gains_say_that_they_hold_the_damping(capsys):
         written = (Path(damping) / "gains.xml").read_text()
         assert ("give them damping 0" in written) is says and "<position" in written
     capsys.readouterr()
+
+
+def test_margins_with_the_base_held_say_that_the_feet_never_slip(capsys):
+    assert main(["margins", *WHICH, *SHAKES, "--base", "held"]) == 0
+    assert "feet that never slip" in capsys.readouterr().out
+    assert main(["margins", *WHICH, *SHAKES, "--base", "fixed"]) == 0
+    assert "feet that never slip" not in capsys.readouterr().out
+
+
+def test_figures_of_a_hinge_have_the_units_of_a_hinge(capsys):
+    loop = ("simulate", *WHICH, "--base", "fixed", "--duration", "0.2", "--out", "one.png")
+    assert main([*loop]) == 0
+    text = capsys.readouterr().out
+    assert "rad s" in text and "(N m)^2 s" in text and " m s" not in text
+    assert main([*loop, "--json"]) == 0
+    units = json.loads(capsys.readouterr().out)["units"]
+    assert units["peak_force"] == "N m" and units["integrated_squared_error"] == "rad^2 s"

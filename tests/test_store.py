@@ -218,3 +218,23 @@ def test_summary_counts_verdicts_and_the_stable_share_of_every_case(results):
 def test_summary_of_a_sample_is_its_totals():
     sampled = "[axes]\nkp={min=1,max=9}\n[sampling]\nmethod='sobol'\nsamples=8"
     assert len(summary(_results(sampled)).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("units", "hinge"),
+    [
+        ("m s", "rad s"),
+        ("m^2 s", "rad^2 s"),
+        ("m", "rad"),
+        ("N", "N m"),
+        ("N^2 s", "(N m)^2 s"),
+        ("rad/s", "rad/s"),
+        ("1/s", "1/s"),
+        ("s", "s"),
+    ],
+)
+def test_units_are_those_of_the_joints(units, hinge):
+    assert store.joint_units(units, [False, False]) == units
+    assert store.joint_units(units, [True, True]) == hinge
+    mixed = units if hinge == units else f"{hinge} or {units}"
+    assert store.joint_units(units, [True, False]) == mixed

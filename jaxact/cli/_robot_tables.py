@@ -144,6 +144,11 @@ def _head(specification: Specification, label: str, found: WholeRobot) -> str:
             f"dry friction of up to {found.left_out:.3g} left out: these are the margins of joints "
             "that move, which it does not damp"
         )
+    if plant.base == "held":
+        lines.append(
+            "base held: contacts that stick act as strong damping in the linearisation, so these "
+            "are the margins of feet that never slip"
+        )
     if found.residual > RESIDUAL:
         lines.append(
             f"warning: the posture is no equilibrium (accelerations up to {found.residual:.3g}); "

@@ -270,9 +270,15 @@ def _as_object(held: Stiction | None) -> dict[str, Any] | None:
 
 def _json_text(run: Single, said: dict[str, Any]) -> str:
     from jaxact.status import Verdict
+    from jaxact.sweep.store import VARIABLES, joint_units
 
     figures: dict[str, Any] = dict(_plain(run.results))
     figures["verdict"] = Verdict(int(run.results["verdict"])).label
+    figures["units"] = {
+        name: joint_units(about.units, run.rotary)
+        for name, about in VARIABLES.items()
+        if name in run.results and name != "verdict"
+    }
     figures |= {**said, "starts": _starts.document(run), "parameters": _plain(run.values)}
     return _json.dumps(figures)
 
@@ -284,7 +290,7 @@ def _table(run: Single) -> str:
 
     from jaxact.plot.wording import quantity
     from jaxact.status import Verdict
-    from jaxact.sweep.store import VARIABLES
+    from jaxact.sweep.store import VARIABLES, joint_units
 
     verdict = Verdict(int(run.results["verdict"]))
     table = Table(box=None, show_header=False, pad_edge=False)
@@ -293,7 +299,8 @@ def _table(run: Single) -> str:
         value = run.results.get(name, np.nan)
         if name == "verdict" or np.isnan(value):
             continue
-        shown = f"{100 * value:.3g} %" if name == "overshoot" else quantity(value, about.units)
+        units = joint_units(about.units, run.rotary)
+        shown = f"{100 * value:.3g} %" if name == "overshoot" else quantity(value, units)
         table.add_row(about.long_name, shown)
     console = Console(width=100, highlight=False)
     with console.capture() as captured:

@@ -92,6 +92,26 @@ VARIABLES: dict[str, Variable] = {
 }
 
 
+def joint_units(units: str, rotary: Sequence[bool]) -> str:
+    """The unit of a result, written for slides in `VARIABLES`, of joints of these kinds.
+
+    Args:
+        units: as `Variable.units`: "m s", "N^2 s".
+        rotary: of each joint, whether it is measured in rad and N m.
+
+    Returns:
+        `units` of slides, that of hinges ("rad s", "(N m)^2 s"), or both of a robot that has both.
+    """
+    turned = units
+    for slide, hinge in (("N^2", "(N m)^2"), ("N", "N m"), ("m", "rad")):
+        if units.startswith(slide):
+            turned = hinge + units.removeprefix(slide)
+            break
+    if turned == units or not any(rotary):
+        return units
+    return turned if all(rotary) else f"{turned} or {units}"
+
+
 OF_ROBOTS = ("shaking_rate",)
 """Variables that only robots have."""
 
