@@ -319,16 +319,18 @@ class SlowModes:
     Attributes:
         growth: logarithm of the largest eigenvalue's size over a period; as `growth_rate`.
         matrix: of the period in a space of all slow modes, without the usual growth, shape (n, n).
-        usual: logarithm of the growth that was left out of it.
+        products: scalar products of what the period makes of the space's basis, likewise.
+        usual: logarithm of the growth that was left out of both.
     """
 
     growth: jax.Array
     matrix: jax.Array
+    products: jax.Array
     usual: jax.Array
 
 
 jax.tree_util.register_dataclass(
-    SlowModes, data_fields=["growth", "matrix", "usual"], meta_fields=[]
+    SlowModes, data_fields=["growth", "matrix", "products", "usual"], meta_fields=[]
 )
 
 
@@ -387,4 +389,4 @@ def slow_modes(
             growth_rate(prepared, options, state, setpoint) * prepared.drive.drive.control_period
         )
     images = jax.lax.map(lambda vector: relieved(vector * scale) / scale, basis)
-    return SlowModes(growth, basis @ images.T, usual)
+    return SlowModes(growth, basis @ images.T, images @ images.T, usual)

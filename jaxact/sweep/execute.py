@@ -173,7 +173,6 @@ def with_rates(rows: dict[str, np.ndarray], rates: Rates) -> dict[str, np.ndarra
     rows = rows | {"growth_rate": rates.growth}
     if rates.shaking is None:
         return rows
-    # Rounding makes pairs of the roots at z = 1 that a free base has.
     falls = (rates.growth > TOLERANCE) & (rates.shaking <= TOLERANCE)
     falls &= rows["verdict"] == Verdict.UNSTABLE
     verdict = np.where(falls, Verdict.TOPPLES, rows["verdict"]).astype(rows["verdict"].dtype)

@@ -22,7 +22,7 @@ import numpy as np
 
 from jaxact.delayed_roots import polynomial_doubt
 from jaxact.drive import DriveOptions
-from jaxact.growth import TOLERANCE, GrowthOptions, TooManyStatesError
+from jaxact.growth import TOLERANCE, GrowthOptions, SlowModes, TooManyStatesError
 from jaxact.robot_modes import swinging
 from jaxact.rollout import RolloutOptions
 from jaxact.sweep import kernel, tiles
@@ -39,6 +39,10 @@ _PAIRS = np.array([[1.0, 1.0], [0.5, 1.0], [1.0, 0.5], [0.7, 0.6]])
 _STRIDE = -0.5
 # How well the polynomial at the last pair must follow from the others, relative to its size.
 _AGREE = 1e-9
+# Slower than this nothing swings [rad/s], and faster nothing falls: a pole of 1 cm does [1/s].
+_SLOWEST, _FALL = 0.1, 30.0
+# Largest residual of an eigenvalue over a period that counts.
+_RESIDUAL = 1e-5
 _NO_ROBOT = Setting(plant=None, motion=None, push=None, keys=(), corrected=False)
 
 
@@ -66,7 +70,8 @@ class Rates:
     Attributes:
         growth: of the fastest-growing motion, shape (batch,).
         shaking: of a robot, of the fastest-growing one that swings faster than it grows or decays,
-            likewise; minus the control rate where no slow one swings; None without a robot.
+            likewise; minus the control rate where no slow one swings, and the growth rate beyond
+            30 1/s, at which nothing falls; None without a robot.
     """
 
     growth: np.ndarray
@@ -122,27 +127,36 @@ def _of_robots(
         assert moved is not None
         rows = plan.devices * plan.tiles, plan.tile
         inputs.append([part.reshape(*rows, *part.shape[1:]) for part in moved])
-    modes = look(*inputs)
-    growth, usual = (np.asarray(part).reshape(-1) for part in (modes.growth, modes.usual))
-    matrices = np.asarray(modes.matrix)
-    shaking = _shaking(growth, usual, matrices.reshape(-1, *matrices.shape[2:]))
+    modes = jax.tree.map(np.asarray, look(*inputs))
+    modes = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), modes)
     rate = samples.take(numbers, {"control_rate"})["control_rate"]
-    return Rates(growth * rate, shaking * rate)
+    return Rates(modes.growth * rate, _shaking(modes, rate) * rate)
 
 
-def _shaking(growth: np.ndarray, usual: np.ndarray, matrices: np.ndarray) -> np.ndarray:
-    """Logarithm of the largest swinging root's size over a period; see `growth.SlowModes`.
+def _shaking(modes: SlowModes, rate: np.ndarray) -> np.ndarray:
+    """Logarithm of the largest swinging root's size over a period, shape (batch,).
 
-    The growth itself where the largest of all roots swings, -1 where no slow one does.
+    The growth itself where the largest of all roots swings, -1 where no slow one does. Eigenvalues
+    of a projection are those of the loop where their residual is small,
+
+        |P V y - z V y|^2 = y* (P V)* (P V) y - |z|^2,    V* P V y = z y
+
+    Source: Saad, "Numerical Methods for Large Eigenvalue Problems", 2nd ed., section 4.3.
     """
-    sound = np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(growth)
-    roots = np.linalg.eigvals(np.where(sound[:, None, None], matrices, 0.0))
-    roots = roots * np.exp(np.where(sound, usual, 0.0))[:, None]
-    swings = swinging(roots)
-    sizes = np.abs(roots)
+    sound = np.isfinite(modes.matrix).all(axis=(1, 2)) & np.isfinite(modes.growth)
+    matrices = np.where(sound[:, None, None], modes.matrix, 0.0)
+    roots, vectors = np.linalg.eig(matrices)
+    lengths = np.einsum("lij,lik,lkj->lj", vectors.conj(), modes.products, vectors).real
+    known = lengths - np.abs(roots) ** 2 < _RESIDUAL**2
+    roots = roots * np.exp(np.where(sound, modes.usual, 0.0))[:, None]
+    sizes = np.where(known, np.abs(roots), 0.0)
+    # Rounding makes pairs of the roots at z = 1 that a free base has.
+    swings = known & swinging(roots) & (np.abs(np.angle(roots)) * rate[:, None] > _SLOWEST)
     swinging_size = np.log(np.where(swings, sizes, 0.0).max(axis=1, initial=math.exp(-1.0)))
     first = np.take_along_axis(swings, sizes.argmax(axis=1)[:, None], axis=1)[:, 0]
-    found = np.where(first, growth, np.minimum(swinging_size, growth))
+    # The slow modes of a loop that grows so fast are lost beside the one that does.
+    first |= modes.growth * rate > _FALL
+    found = np.where(first, modes.growth, np.minimum(swinging_size, modes.growth))
     return np.where(sound, found, np.nan)
 
 

@@ -75,7 +75,7 @@ def test_any_chunks_any_order_any_devices_give_the_same_bits(loops, devices, who
     assert len(jax.local_devices()) == 2
     _run(tmp_path, f"devices = {devices}\n" + NOISY, loops=loops, backwards=True)
     there, one = (opening.open_result(folder).load() for folder in (tmp_path, whole))
-    for name in store.VARIABLES:
+    for name in store.variables(robot=False):
         np.testing.assert_array_equal(there[name].values, one[name].values, err_msg=name)
     again = validation.recompute(opening.find(tmp_path), 20, seed=3)
     assert (again.loops, again.wrong) == (20, 0) and again.words == "bit for bit the same"
@@ -97,7 +97,7 @@ def test_a_device_short_of_memory_gets_smaller_tiles(monkeypatch, tmp_path):
     tiles = []
 
     def begin(groups, specification, samples, numbers, growth):
-        assert growth[0].size == groups[0].batch
+        assert growth[0].growth.size == groups[0].batch
         tiles.append(groups[0].tile)
         if groups[0].tile > 8:
             raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating")
