@@ -54,7 +54,7 @@ def _mass(quick: bool) -> Iterator:
 
     from benchmarks import rivals, sweeps
     from benchmarks.timing import Row, alternate
-    from jaxact.sweep.samples import expand
+    from jaxact.loops.samples import expand
 
     asked = sweeps.specification("mass", 64 if quick else 512, 0.2 if quick else 2.0)
     samples = expand(asked)
@@ -107,8 +107,8 @@ def _mass(quick: bool) -> Iterator:
 def _mjx(quick: bool) -> Iterator:
     from benchmarks import rivals, sweeps
     from benchmarks.timing import Row, alternate
-    from jaxact.sweep import plans
-    from jaxact.sweep.samples import expand
+    from jaxact.loops.samples import expand
+    from jaxact.simulation import plans
 
     gains, duration = (8, 0.04) if quick else (32, 0.5)
     coarse = sweeps.specification("mjx", gains, duration, physics_step=0.001)

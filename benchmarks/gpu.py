@@ -20,10 +20,10 @@ import numpy as np
 
 from benchmarks import robots, sweeps
 from benchmarks.timing import machine, seconds
-from jaxact import loop, metrics
-from jaxact.metrics import Period
-from jaxact.sweep import kernel, plans
-from jaxact.sweep.samples import expand
+from jaxact.loops import loop
+from jaxact.loops.samples import expand
+from jaxact.simulation import kernel, metrics, plans
+from jaxact.simulation.metrics import Period
 
 RESULTS = Path("results/benchmarks")
 _CHAIN = 64

@@ -37,7 +37,7 @@ def _main() -> None:
     _xla.prepare(all_cores=True)
 
     from benchmarks import robots
-    from jaxact.sweep.samples import expand
+    from jaxact.loops.samples import expand
 
     asked = robots.specification(robots.WITH_ARM, "mujoco", float(sys.argv[1]), 1)
     _xla.call_at_once(asked)

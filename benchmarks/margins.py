@@ -13,8 +13,8 @@ def rows(quick: bool) -> Iterator:
     import jax
 
     from benchmarks.timing import Row, alternate
-    from jaxact.frequency import JointLoop
-    from jaxact.margins import margins
+    from jaxact.analysis.joint.frequency import JointLoop
+    from jaxact.analysis.joint.margins import margins
 
     number = 256 if quick else 8192
     random = np.random.default_rng(0)

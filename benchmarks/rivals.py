@@ -17,12 +17,14 @@ import mujoco
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
-from jaxact import drive, loop
-from jaxact.drive import Coefficients
-from jaxact.loop import Loop
-from jaxact.plants import Mass, mjx
-from jaxact.sweep import kernel
-from jaxact.sweep.samples import Samples
+from jaxact.drive import step as drive
+from jaxact.drive.step import Coefficients
+from jaxact.loops import loop
+from jaxact.loops.loop import Loop
+from jaxact.loops.samples import Samples
+from jaxact.plants import Mass
+from jaxact.plants.mjx import plant as mjx
+from jaxact.simulation import kernel
 
 _OUTPUTS = 31
 

@@ -14,12 +14,14 @@ from jax.sharding import Mesh, PartitionSpec
 
 from benchmarks import lone
 from benchmarks.timing import Row, alternate
-from jaxact.drive import Force
-from jaxact.plants import mjx, posture
-from jaxact.plants import model as models
-from jaxact.sweep import engines, execute, plans, reading
-from jaxact.sweep.samples import Samples, expand
-from jaxact.sweep.specification import Specification
+from jaxact.drive.step import Force
+from jaxact.loops import reading
+from jaxact.loops.samples import Samples, expand
+from jaxact.loops.specification import Specification
+from jaxact.plants.mjx import plant as mjx
+from jaxact.robots import model as models
+from jaxact.robots import posture
+from jaxact.simulation import engines, execute, plans
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxact.sweep import execute, plans, reading
-from jaxact.sweep.samples import Samples, expand
-from jaxact.sweep.specification import Specification
+from jaxact.loops import reading
+from jaxact.loops.samples import Samples, expand
+from jaxact.loops.specification import Specification
+from jaxact.simulation import execute, plans
 
 LOOP = {"actuator": "hyq", "delay": 0.005}
 

@@ -10,10 +10,10 @@ import numpy as np
 def rows(quick: bool) -> Iterator:
     """Lines of the table: a joint of many, and one ensemble of 32."""
     from benchmarks.timing import Row, alternate
-    from jaxact.tune.ensemble import ensemble
-    from jaxact.tune.goal import Goal
-    from jaxact.tune.joint import Case
-    from jaxact.tune.run import tune_all
+    from jaxact.tuning.ensemble import ensemble
+    from jaxact.tuning.goal import Goal
+    from jaxact.tuning.joint import Case
+    from jaxact.tuning.run import tune_all
 
     number = 4 if quick else 64
     random = np.random.default_rng(0)
@@ -51,7 +51,7 @@ def rows(quick: bool) -> Iterator:
 def _nelder_mead(case) -> None:
     import scipy.optimize
 
-    from jaxact.tune import joint, reference
+    from jaxact.tuning import joint, reference
 
     problem = joint.problem([case])
     kp, kd, _ = reference.simc(case.members)

@@ -16,20 +16,20 @@ __version__ = "0.1.0"
 
 # Public name -> the module it lives in.
 _PUBLIC = {
-    "Actuator": "jaxact.actuator",
-    "Controller": "jaxact.controller",
-    "Drive": "jaxact.drive",
-    "JointLoop": "jaxact.frequency",
-    "Loop": "jaxact.loop",
+    "Actuator": "jaxact.drive.actuator",
+    "Controller": "jaxact.drive.controller",
+    "Drive": "jaxact.drive.step",
+    "JointLoop": "jaxact.analysis.joint.frequency",
+    "Loop": "jaxact.loops.loop",
     "Mass": "jaxact.plants.mass",
-    "Sensor": "jaxact.sensor",
-    "Setpoint": "jaxact.controller",
+    "Sensor": "jaxact.drive.sensor",
+    "Setpoint": "jaxact.drive.controller",
     "UserError": "jaxact.errors",
     "Verdict": "jaxact.status",
-    "continuous_boundary": "jaxact.boundary",
-    "load_result": "jaxact.sweep.opening",
-    "open_result": "jaxact.sweep.opening",
-    "sampled_boundary": "jaxact.boundary",
+    "continuous_boundary": "jaxact.analysis.boundary.boundary",
+    "load_result": "jaxact.sweeping.opening",
+    "open_result": "jaxact.sweeping.opening",
+    "sampled_boundary": "jaxact.analysis.boundary.boundary",
 }
 
 __all__ = sorted([*_PUBLIC, "__version__"])

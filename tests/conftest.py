@@ -23,7 +23,7 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
 import jax  # noqa: E402
 
 from jaxact.cli import _xla  # noqa: E402
-from jaxact.sweep import memory  # noqa: E402
+from jaxact.sweeping import memory  # noqa: E402
 
 _MAPPINGS = 25_000  # of memory, beyond which compiled functions are let go of
 _WORKER = 4 * 2**30  # bytes that one takes at most, with what it starts

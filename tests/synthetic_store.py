@@ -5,9 +5,10 @@ import tempfile
 import numpy as np
 from scipy.linalg import expm
 
-from jaxact.sweep import conduct, opening, place, reading, store
-from jaxact.sweep.planning import Planned
-from jaxact.sweep.samples import expand
+from jaxact.loops import reading
+from jaxact.loops.samples import expand
+from jaxact.sweeping import conduct, opening, place, store
+from jaxact.sweeping.planning import Planned
 
 GRID = """
 description = "a grid for tests"

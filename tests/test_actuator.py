@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact import actuator
-from jaxact.actuator import Actuator
+from jaxact.drive import actuator
+from jaxact.drive.actuator import Actuator
 
 
 def _exponential(wn, zeta, time):

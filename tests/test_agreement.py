@@ -5,8 +5,9 @@ import pytest
 from quickly import compiled_quickly as compiled_quickly
 from synthetic_store import DRAWN, GRID, dataset, radius
 
-from jaxact.sweep import agreement, reading
-from jaxact.sweep.samples import expand
+from jaxact.loops import reading
+from jaxact.loops.samples import expand
+from jaxact.sweeping import agreement
 
 
 @pytest.fixture(scope="module")

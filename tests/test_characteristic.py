@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact import characteristic
+from jaxact.simulation.growth import characteristic
 
 
 def _rows(matrix):

@@ -9,8 +9,8 @@ import pytest
 from quickly import compiled_quickly as compiled_quickly
 from test_cli import jaxact
 
-from jaxact.plants import inertia
-from jaxact.plants import model as models
+from jaxact.robots import inertia
+from jaxact.robots import model as models
 
 ROBOT = """<mujoco><worldbody><body name="base" pos="0 0 1"><freejoint/><geom size="0.2" mass="9"/>
   <body pos="0.2 0 0"><joint name="hip" axis="0 1 0" damping="0.3"/>

@@ -11,7 +11,7 @@ from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.cli._loops import loop_name
 from jaxact.cli.main import main
-from jaxact.sweep import reading
+from jaxact.loops import reading
 
 CASES = {
     case["name"]: case

@@ -12,7 +12,7 @@ from quickly import ENVIRONMENT
 
 from jaxact.cli.main import main
 from jaxact.errors import UserError
-from jaxact.plot import scene
+from jaxact.plotting import scene
 
 ROOT = Path(__file__).resolve().parent.parent
 ROBOT = """

@@ -6,7 +6,7 @@ import pytest
 from robots import HOPPER
 
 from jaxact.cli import _warnings
-from jaxact.sweep import reading, robots
+from jaxact.loops import reading, robots
 
 TEXT = '[plant]\nmodel = "hopper.xml"\n{posture}[parameters]\nkp = 60\n[axes]\nkd = [2.0]\n'
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact import delay
+from jaxact.drive import delay
 
 
 @settings(max_examples=15)  # each compiles lines of its own

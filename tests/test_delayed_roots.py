@@ -10,17 +10,18 @@ import pytest
 import quickly
 from exact import growth_rate as exact_growth_rate
 
-from jaxact import drive as drives
-from jaxact import growth, loop
-from jaxact.actuator import Actuator
-from jaxact.controller import Controller, Setpoint
-from jaxact.drive import Drive
-from jaxact.loop import Loop
+from jaxact.drive import step as drives
+from jaxact.drive.actuator import Actuator
+from jaxact.drive.controller import Controller, Setpoint
+from jaxact.drive.step import Drive
+from jaxact.loops import loop, reading
+from jaxact.loops.loop import Loop
+from jaxact.loops.samples import expand, explicit
 from jaxact.plants.linear import LinearPlant
-from jaxact.robot_loop import period_map
+from jaxact.simulation import execute, plans
+from jaxact.simulation.growth import rate as growth
+from jaxact.simulation.robot_loop import period_map
 from jaxact.status import Verdict
-from jaxact.sweep import execute, plans, reading
-from jaxact.sweep.samples import expand, explicit
 
 ROOT = Path(__file__).resolve().parent.parent
 

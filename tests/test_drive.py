@@ -11,14 +11,16 @@ from hypothesis import strategies as st
 from quickly import compiled_fully as compiled_fully
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact import drive as drives
-from jaxact import growth, loop, rollout
-from jaxact.actuator import Actuator
-from jaxact.controller import Controller, Setpoint
-from jaxact.drive import Drive, DriveOptions
-from jaxact.loop import Loop
+from jaxact.drive import step as drives
+from jaxact.drive.actuator import Actuator
+from jaxact.drive.controller import Controller, Setpoint
+from jaxact.drive.sensor import Sensor
+from jaxact.drive.step import Drive, DriveOptions
+from jaxact.loops import loop
+from jaxact.loops.loop import Loop
 from jaxact.plants import Mass
-from jaxact.sensor import Sensor
+from jaxact.simulation import rollout
+from jaxact.simulation.growth import rate as growth
 
 BASE = Drive(Controller(400.0, 20.0), Actuator(300.0, 0.6, 2.3e-3))
 

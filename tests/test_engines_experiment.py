@@ -11,7 +11,7 @@ import pytest
 from experiment_modules import imported
 from quickly import ENVIRONMENT
 
-from jaxact.sweep.samples import expand
+from jaxact.loops.samples import expand
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "experiments" / "engines"

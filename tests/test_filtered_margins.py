@@ -10,11 +10,11 @@ import theory
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxact.boundary import continuous_boundary
-from jaxact.frequency import JointLoop, loop_response, phase
-from jaxact.gain_limits import continuous_limits
-from jaxact.margins import margins
-from jaxact.roots import count_unstable_roots, rightmost_root
+from jaxact.analysis.boundary.boundary import continuous_boundary
+from jaxact.analysis.boundary.gain_limits import continuous_limits
+from jaxact.analysis.joint.frequency import JointLoop, loop_response, phase
+from jaxact.analysis.joint.margins import margins
+from jaxact.analysis.joint.roots import count_unstable_roots, rightmost_root
 
 NUMBER = 1024
 

@@ -9,16 +9,17 @@ import pytest
 import quickly
 from exact import growth_rate as exact_growth_rate
 
-from jaxact import drive as drives
-from jaxact import growth, loop
-from jaxact.actuator import PRESETS, Actuator
-from jaxact.controller import Controller, Setpoint
-from jaxact.drive import Drive, DriveOptions
-from jaxact.loop import Loop
+from jaxact.drive import step as drives
+from jaxact.drive.actuator import PRESETS, Actuator
+from jaxact.drive.controller import Controller, Setpoint
+from jaxact.drive.sensor import Sensor
+from jaxact.drive.step import Drive, DriveOptions
+from jaxact.loops import loop, reading
+from jaxact.loops.loop import Loop
+from jaxact.loops.samples import expand
 from jaxact.plants import Mass
-from jaxact.sensor import Sensor
-from jaxact.sweep import plans, reading, spectra
-from jaxact.sweep.samples import expand
+from jaxact.simulation import plans, spectra
+from jaxact.simulation.growth import rate as growth
 
 TILE = 256
 KP, KD = (a.ravel() for a in np.meshgrid(np.geomspace(10, 1e5, 256), np.geomspace(0.1, 2000, 256)))

@@ -10,16 +10,18 @@ from exact import growth_rate as exact_growth_rate
 from quickly import compiled_quickly as compiled_quickly
 from robots import PENDULUM
 
-from jaxact import drive as drives
-from jaxact import growth, loop, rollout
-from jaxact.actuator import PRESETS, Actuator
-from jaxact.controller import Controller, Setpoint
-from jaxact.drive import Drive
+from jaxact.drive import step as drives
+from jaxact.drive.actuator import PRESETS, Actuator
+from jaxact.drive.controller import Controller, Setpoint
+from jaxact.drive.step import Drive
 from jaxact.errors import UserError
-from jaxact.loop import Loop
-from jaxact.plants import Mass, mjx
-from jaxact.sweep import plans, reading, single, spectra
-from jaxact.sweep.samples import expand
+from jaxact.loops import loop, reading
+from jaxact.loops.loop import Loop
+from jaxact.loops.samples import expand
+from jaxact.plants import Mass
+from jaxact.plants.mjx import plant as mjx
+from jaxact.simulation import plans, rollout, single, spectra
+from jaxact.simulation.growth import rate as growth
 
 SUBSTEPS = 4
 OPTIONS = drives.options(Drive(Controller(1.0, 1.0), Actuator(delay=5e-3)), substeps=SUBSTEPS)

@@ -11,9 +11,13 @@ from jax.flatten_util import ravel_pytree
 from quickly import compiled_quickly as compiled_quickly
 from robots import HOPPER, PENDULUM
 
-from jaxact import Actuator, Controller, Drive, Loop, Sensor, Setpoint, drive, growth, linearize
-from jaxact import loop as loops
-from jaxact.plants import mjx, model, posture
+from jaxact import Actuator, Controller, Drive, Loop, Sensor, Setpoint
+from jaxact.drive import step as drive
+from jaxact.loops import loop as loops
+from jaxact.plants import linearize
+from jaxact.plants.mjx import plant as mjx
+from jaxact.robots import model, posture
+from jaxact.simulation.growth import rate as growth
 
 STEP = 1e-3
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from jaxact.cli import _options
 from jaxact.cli.main import main
 from jaxact.errors import UserError
-from jaxact.sweep import reading, toml
+from jaxact.loops import reading, toml
 
 GOOD = {
     "description": "a test",

@@ -11,9 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact.frequency import JointLoop, complementary_sensitivity, loop_response, sensitivity
-from jaxact.margins import Margins, margins
-from jaxact.roots import count_unstable_roots, rightmost_root, spectral_abscissa
+from jaxact.analysis.joint.frequency import (
+    JointLoop,
+    complementary_sensitivity,
+    loop_response,
+    sensitivity,
+)
+from jaxact.analysis.joint.margins import Margins, margins
+from jaxact.analysis.joint.roots import count_unstable_roots, rightmost_root, spectral_abscissa
 
 FIELDS = tuple(f.name for f in dataclasses.fields(Margins))
 compiled = jax.jit(margins)

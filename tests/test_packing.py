@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.packing import pack, unpack
+from jaxact.compilation.packing import pack, unpack
 
 
 def test_a_batch_of_trees_comes_back_as_it_was():

@@ -16,7 +16,7 @@ from jaxact.cli.main import main
 from jaxact.paper import pictures, results, study
 from jaxact.paper.claims import claims
 from jaxact.paper.report import report
-from jaxact.plot import look
+from jaxact.plotting import look
 
 ORACLE = json.loads((Path(__file__).parent / "data" / "paper_loop.json").read_text())
 ROBOTS, SWEEP, SAMPLED = (

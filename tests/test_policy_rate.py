@@ -8,7 +8,8 @@ import scipy.linalg
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.errors import UserError
-from jaxact.sweep import reading, single
+from jaxact.loops import reading
+from jaxact.simulation import single
 
 MASS, KP, KD, WN, ZETA, RATE = 0.7, 400.0, 20.0, 110.0, 0.9, 500.0
 SPECIFICATION = """

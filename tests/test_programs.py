@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact import programs
-from jaxact.programs import Program
+from jaxact.compilation import programs
+from jaxact.compilation.programs import Program
 
 # A computation with a call of LAPACK and a loop on two devices, in a process of its own.
 COMPUTE = """
 import sys
 import jax, jax.numpy as jnp, numpy as np
 from jax.sharding import Mesh, PartitionSpec
-from jaxact.programs import Program
+from jaxact.compilation.programs import Program
 
 def make():
     print("traced")

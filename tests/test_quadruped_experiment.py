@@ -11,8 +11,9 @@ import pytest
 from experiment_modules import imported
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact import linearize
-from jaxact.sweep import critical, robots
+from jaxact.loops import robots
+from jaxact.plants import linearize
+from jaxact.sweeping import critical
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "experiments" / "quadruped"

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact import robot_modes
-from jaxact.sweep import reading, whole_robot
+from jaxact.analysis.robot import modes as robot_modes
+from jaxact.loops import reading
+from jaxact.robot_margins import whole_robot
 
 # Two joints apart from each other: one upright in gravity, one that turns about the vertical.
 UPRIGHT = """<mujoco><option timestep="0.001"/><worldbody>

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact.sweep import reading, whole_robot
+from jaxact.loops import reading
+from jaxact.robot_margins import whole_robot
 
 ARM = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody>
 <body><joint name="shoulder" axis="0 1 0" armature=".02"/>

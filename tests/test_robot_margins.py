@@ -13,19 +13,23 @@ from quickly import compiled_quickly as compiled_quickly
 from scipy.linalg import expm
 from scipy.optimize import minimize, minimize_scalar
 
-from jaxact import growth, linearize, multiloop_disk, robot_loop
-from jaxact import loop as _loop
-from jaxact.actuator import Actuator
-from jaxact.controller import Controller, Setpoint
-from jaxact.drive import Drive, options
-from jaxact.drive_history import essential
-from jaxact.loop import Loop
-from jaxact.plants import model, posture
-from jaxact.sampled import SampledLoop
-from jaxact.sampled_margins import sampled_margins
-from jaxact.sensor import Sensor
-from jaxact.sweep import engines, plans, reading, spectra, whole_robot
-from jaxact.sweep.samples import expand
+from jaxact.analysis.robot import disk as multiloop_disk
+from jaxact.analysis.sampled.margins import sampled_margins
+from jaxact.analysis.sampled.period_map import SampledLoop
+from jaxact.drive.actuator import Actuator
+from jaxact.drive.controller import Controller, Setpoint
+from jaxact.drive.history import essential
+from jaxact.drive.sensor import Sensor
+from jaxact.drive.step import Drive, options
+from jaxact.loops import loop as _loop
+from jaxact.loops import reading
+from jaxact.loops.loop import Loop
+from jaxact.loops.samples import expand
+from jaxact.plants import linearize
+from jaxact.robot_margins import whole_robot
+from jaxact.robots import model, posture
+from jaxact.simulation import engines, plans, robot_loop, spectra
+from jaxact.simulation.growth import rate as growth
 
 ROOT = Path(__file__).resolve().parent.parent
 PERIOD = 1e-3

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from jaxact.analysis.robot.margins import robot_margins
+from jaxact.analysis.robot.modes import Robot
 from jaxact.errors import UserError
-from jaxact.robot_margins import robot_margins
-from jaxact.robot_modes import Robot
 
 
 def _robot(reach, inertias=(1.0, 1.0), coupling=0.0):

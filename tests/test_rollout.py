@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact import drive as drives
-from jaxact import loop, metrics, rollout
-from jaxact.actuator import Actuator
-from jaxact.controller import Controller, Setpoint
-from jaxact.drive import Drive, DriveOptions
-from jaxact.loop import Loop
+from jaxact.drive import step as drives
+from jaxact.drive.actuator import Actuator
+from jaxact.drive.controller import Controller, Setpoint
+from jaxact.drive.sensor import Sensor
+from jaxact.drive.step import Drive, DriveOptions
+from jaxact.loops import loop
+from jaxact.loops.loop import Loop
 from jaxact.plants import Mass
-from jaxact.rollout import RolloutOptions
-from jaxact.sensor import Sensor
+from jaxact.simulation import metrics, rollout
+from jaxact.simulation.rollout import RolloutOptions
 from jaxact.status import Verdict
 
 

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact.held import held_transition, servo_integrals
-from jaxact.sampled import SampledLoop, delay_steps, one_period_matrix
-from jaxact.sampled_roots import spectral_radius
+from jaxact.analysis.sampled.period_map import SampledLoop, delay_steps, one_period_matrix
+from jaxact.analysis.sampled.roots import spectral_radius
+from jaxact.analysis.sampled.servo import held_transition, servo_integrals
 
 PERIOD = 1e-3
 

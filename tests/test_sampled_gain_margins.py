@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact import drive as drives
-from jaxact import growth, loop
-from jaxact.actuator import PRESETS, Actuator
-from jaxact.controller import Controller, Setpoint
-from jaxact.drive import Drive
-from jaxact.loop import Loop
+from jaxact.drive import step as drives
+from jaxact.drive.actuator import PRESETS, Actuator
+from jaxact.drive.controller import Controller, Setpoint
+from jaxact.drive.step import Drive
+from jaxact.loops import loop
+from jaxact.loops.loop import Loop
 from jaxact.plants import Mass
+from jaxact.simulation.growth import rate as growth
 
 ORACLE = json.loads((Path(__file__).parent / "data" / "paper_loop.json").read_text())
 

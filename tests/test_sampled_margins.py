@@ -11,10 +11,10 @@ import scipy.optimize
 import theory
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact.sampled import SampledLoop, one_period_matrix, period_map
-from jaxact.sampled_margins import SampledMargins, sampled_margins
-from jaxact.sampled_roots import spectral_radius
-from jaxact.sampled_search import sampled_response
+from jaxact.analysis.sampled.margins import SampledMargins, sampled_margins
+from jaxact.analysis.sampled.period_map import SampledLoop, one_period_matrix, period_map
+from jaxact.analysis.sampled.roots import spectral_radius
+from jaxact.analysis.sampled.search import sampled_response
 
 PERIOD = 1e-3
 STEPS = 5
@@ -219,7 +219,7 @@ def test_response_is_accurate_far_above_a_slow_actuator():
 
 
 def test_a_slow_loop_approaches_the_continuous_one():
-    from jaxact.margins import margins
+    from jaxact.analysis.joint.margins import margins
 
     values = np.array([4.0, 2.0, 0.7, 110.0, 0.9, 0.0])
     sampled = evaluate(values[:, None])

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from jaxact.sweep.parameters import PARAMETERS, PRESETS
-from jaxact.sweep.reading import parse
-from jaxact.sweep.samples import expand
+from jaxact.loops.reading import parse
+from jaxact.loops.samples import expand
+from jaxact.parameters import PARAMETERS, PRESETS
 
 GRID = """
 [parameters]

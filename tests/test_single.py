@@ -8,8 +8,9 @@ from quickly import compiled_quickly as compiled_quickly
 from synthetic_store import radius
 
 from jaxact.errors import UserError
-from jaxact.sweep import execute, reading, single
-from jaxact.sweep.samples import expand
+from jaxact.loops import reading
+from jaxact.loops.samples import expand
+from jaxact.simulation import execute, single
 
 BASE = """
 precision = "float64"

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxact.single_kernel import single_kernel
+from jaxact.compilation.single_kernel import single_kernel
 
 
 def _function(tree, number):

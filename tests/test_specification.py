@@ -11,9 +11,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from jaxact.errors import UserError
-from jaxact.sweep import checks, toml
-from jaxact.sweep.parameters import PARAMETERS, PRESETS, canonical
-from jaxact.sweep.reading import load, parse
+from jaxact.loops import checks, toml
+from jaxact.loops.reading import load, parse
+from jaxact.parameters import PARAMETERS, PRESETS, canonical
 
 GOOD = """
 description = "a test"
@@ -325,7 +325,7 @@ def test_every_parameter_has_a_default_in_its_bounds_and_says_what_it_is():
 
 
 def test_presets_are_those_of_the_actuator():
-    from jaxact import actuator
+    from jaxact.drive import actuator
 
     assert PRESETS == actuator.PRESETS
 

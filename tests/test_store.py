@@ -10,10 +10,11 @@ import synthetic_store
 import xarray as xr
 
 from jaxact.errors import UserError
+from jaxact.loops import reading
+from jaxact.loops.samples import expand
 from jaxact.status import Verdict
-from jaxact.sweep import at_once, opening, reading, store
-from jaxact.sweep.samples import expand
-from jaxact.sweep.summary import summary
+from jaxact.sweeping import at_once, opening, store
+from jaxact.sweeping.summary import summary
 
 TEXT = """
 description = "three actuators"

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from jaxact.cli.main import main
 from jaxact.errors import UserError
-from jaxact.sweep import at_once, conduct, opening, place, seal
-from jaxact.sweep.seal import Seal
+from jaxact.sweeping import at_once, conduct, opening, place, seal
+from jaxact.sweeping.seal import Seal
 
 ROOT = Path(__file__).resolve().parent.parent
 SMALL = "[axes]\nkp = [1, 2, 3]\nkd = [1, 2]"

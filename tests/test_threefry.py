@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from jaxact import sensor, threefry
-from jaxact.sensor import SensorOptions
+from jaxact.drive import sensor, threefry
+from jaxact.drive.sensor import SensorOptions
 
 
 @pytest.mark.parametrize("seed", [0, 7, 2**31 + 5])

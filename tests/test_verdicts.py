@@ -7,14 +7,14 @@ from quickly import compiled_quickly as compiled_quickly
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from jaxact import verdicts
-from jaxact.controller import Controller
-from jaxact.drive_options import Drive
-from jaxact.sensor import Sensor
+from jaxact.drive.controller import Controller
+from jaxact.drive.options import Drive
+from jaxact.drive.sensor import Sensor
+from jaxact.loops import reading
+from jaxact.loops.samples import expand
+from jaxact.simulation import execute, verdicts
+from jaxact.simulation.verdicts import Judgement, Motion, Scale
 from jaxact.status import Verdict
-from jaxact.sweep import execute, reading
-from jaxact.sweep.samples import expand
-from jaxact.verdicts import Judgement, Motion, Scale
 
 # A motor with an encoder of 4,096 counts a revolution, whose differences are its velocity.
 COUNT, PERIOD, MASS, WN, ZETA, CUTOFF = 0.001534, 2e-3, 0.02, 300.0, 0.7, 300.0

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
-from jaxact.frequency import JointLoop
+from jaxact.analysis.joint.frequency import JointLoop
 
 ORACLE = json.loads((Path(__file__).parent / "data" / "paper_loop.json").read_text())
 NAMES = ("kp", "kd", "mass", "natural_frequency", "damping_ratio", "delay")

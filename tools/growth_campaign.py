@@ -27,8 +27,9 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.linalg
 
-from jaxact.sweep import execute, reading
-from jaxact.sweep.samples import explicit
+from jaxact.loops import reading
+from jaxact.loops.samples import explicit
+from jaxact.simulation import execute
 
 LONGEST = 1000  # control periods
 FASTEST = 10_000.0  # [Hz]

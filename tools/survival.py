@@ -66,7 +66,7 @@ ENDS: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
 
 def small_chunks() -> None:
     """Have the command line cut sweeps of this process into small chunks."""
-    from jaxact.sweep import planning
+    from jaxact.sweeping import planning
 
     usual = planning.plan
 
@@ -102,8 +102,8 @@ def serve() -> None:
     import zarr  # noqa: F401
 
     from jaxact.cli import main, sweep  # noqa: F401
-    from jaxact.plot import look  # noqa: F401
-    from jaxact.sweep import computer, conduct, execute, fill, kernel, spectra  # noqa: F401
+    from jaxact.plotting import look  # noqa: F401
+    from jaxact.simulation import execute, kernel, spectra  # noqa: F401
 
     small_chunks()
     for line in sys.stdin:

@@ -8,10 +8,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from jaxact.plants import mjx
-from jaxact.sweep import reading
-from jaxact.sweep.samples import Samples, explicit
-from jaxact.sweep.specification import Specification
+from jaxact.loops import reading
+from jaxact.loops.samples import Samples, explicit
+from jaxact.loops.specification import Specification
+from jaxact.plants.mjx import plant as mjx
 
 HERE = Path(__file__).resolve().parent
 _QUADRUPED = HERE.parent / "quadruped"

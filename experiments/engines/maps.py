@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import cases
 import numpy as np
 
+from jaxact.loops.samples import Samples, expand
+from jaxact.loops.specification import Specification
+from jaxact.simulation import execute
 from jaxact.status import Verdict
-from jaxact.sweep import execute
-from jaxact.sweep.samples import Samples, expand
-from jaxact.sweep.specification import Specification
 
 NEAR = 1.05  # factor on a gain that is near the boundary
 STEPS = 5  # of each gain, from one end of what is near to the other

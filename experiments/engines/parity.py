@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import cases
 import numpy as np
 
-from jaxact.sweep import single
-from jaxact.sweep.single import Single
+from jaxact.simulation import single
+from jaxact.simulation.single import Single
 
 ALLOWED = 1e-4  # [rad or m]
 

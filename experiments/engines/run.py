@@ -23,7 +23,7 @@ from maps import Comparison
 from parity import Parity
 
 from jaxact.errors import UserError
-from jaxact.plot.wording import display_name, quantity
+from jaxact.plotting.wording import display_name, quantity
 
 OUT = cases.HERE.parent.parent / "results" / "engines"
 PRECISIONS = ("float64", "float32")

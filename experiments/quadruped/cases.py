@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxact.sweep import reading
-from jaxact.sweep.specification import Specification
+from jaxact.loops import reading
+from jaxact.loops.specification import Specification
 
 HERE = Path(__file__).resolve().parent
 SITUATIONS = ("stand", "three", "hang")

@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.sweep import robots
-from jaxact.tune import simulated
-from jaxact.tune.simulated_gradient import value_and_gradient
+from jaxact.loops import robots
+from jaxact.tuning import simulated
+from jaxact.tuning.simulated_gradient import value_and_gradient
 
 KINDS = ("HAA", "HFE", "KFE")
 SIZE = 1e-4  # of the differences in the logarithm of a gain

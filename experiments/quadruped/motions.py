@@ -8,10 +8,10 @@ import cases
 import numpy as np
 from cases import Drives
 
-from jaxact.sweep import single
-from jaxact.sweep.samples import explicit
-from jaxact.sweep.single import Single
-from jaxact.sweep.specification import Specification
+from jaxact.loops.samples import explicit
+from jaxact.loops.specification import Specification
+from jaxact.simulation import single
+from jaxact.simulation.single import Single
 
 
 @dataclass(frozen=True)

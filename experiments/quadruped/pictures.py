@@ -14,8 +14,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from motions import Runs
 from study import Situation
 
-from jaxact.plot import look, wording
-from jaxact.plot.sheet import sheet
+from jaxact.plotting import look, wording
+from jaxact.plotting.sheet import sheet
 
 TITLES = {"stand": "on four feet", "three": "on three feet", "hang": "hanging"}
 # Growth rates [1/s]: linear within the first, all colours used up at the second.

@@ -13,8 +13,8 @@ from gains import DAMPING, RESERVE, Nominal
 from pictures import TITLES
 from study import HIGHEST, LOWEST, Case, Critical, Situation
 
-from jaxact.plot.wording import display_name, quantity
-from jaxact.sweep.parameters import PRESETS
+from jaxact.parameters import PRESETS
+from jaxact.plotting.wording import display_name, quantity
 
 CLOSE = 0.05  # difference of critical gain scales that counts as agreement
 

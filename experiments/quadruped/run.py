@@ -21,7 +21,7 @@ import study
 from motions import Runs, motions
 
 from jaxact.errors import UserError
-from jaxact.plot import film, look, scene, video, wording
+from jaxact.plotting import film, look, scene, video, wording
 
 OUT = cases.HERE.parent.parent / "results" / "quadruped"
 COMMAND = "make quadruped"
@@ -87,7 +87,7 @@ def _run(out: Path, *, quick: bool, filmed: bool) -> None:
 
 def _film(runs: Runs, path: Path) -> None:
     """The tripled gains, bare and with the drive."""
-    from jaxact.plants import model
+    from jaxact.robots import model
 
     robot = model.read(runs.specification.plant.model).model
     drive = f"{wording.display_name(runs.actuator)}, {wording.quantity(runs.delay, 's')}"

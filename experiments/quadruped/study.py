@@ -8,9 +8,9 @@ import cases
 import numpy as np
 from cases import Drives
 
+from jaxact.loops.specification import Specification
 from jaxact.status import Verdict
-from jaxact.sweep import critical
-from jaxact.sweep.specification import Specification
+from jaxact.sweeping import critical
 
 LOWEST, HIGHEST = 0.3, 6.0  # gain scales
 # Rollouts are searched from here to there, as multiples of the linear answer.

@@ -12,9 +12,9 @@ from typing import Any
 import mujoco
 
 from jaxact.errors import UserError
-from jaxact.plants import assets
-from jaxact.sweep import reading, toml
-from jaxact.sweep.specification import Specification
+from jaxact.loops import reading, toml
+from jaxact.loops.specification import Specification
+from jaxact.robots import assets
 
 HERE = Path(__file__).resolve().parent
 # Wheels by the package in them.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxact.plot import look
+from jaxact.plotting import look
 
 # Delay that is in the loop by where it closes [ms]: orders of magnitude, not measurements.
 PLACES = ((0.1, 1.0, "in the motor's drive"), (2.0, 10.0, "on a host, over a bus"))

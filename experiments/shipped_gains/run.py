@@ -26,8 +26,8 @@ import report
 from models import Robot
 
 from jaxact.errors import UserError
-from jaxact.sweep import whole_robot
-from jaxact.sweep.whole_robot import WholeRobot
+from jaxact.robot_margins import whole_robot
+from jaxact.robot_margins.whole_robot import WholeRobot
 
 OUT = models.HERE.parent.parent / "results" / "shipped_gains"
 RATE = 1000.0  # of control [Hz]

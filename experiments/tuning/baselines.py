@@ -16,12 +16,12 @@ import numpy as np
 import optax
 import scipy.optimize
 
-from jaxact.tune import joint, reference
-from jaxact.tune.ensemble import Ensemble, ensemble
-from jaxact.tune.goal import Goal
-from jaxact.tune.joint import Case
-from jaxact.tune.response import timed
-from jaxact.tune.run import tune_all
+from jaxact.tuning import joint, reference
+from jaxact.tuning.ensemble import Ensemble, ensemble
+from jaxact.tuning.goal import Goal
+from jaxact.tuning.joint import Case
+from jaxact.tuning.response import timed
+from jaxact.tuning.run import tune_all
 
 RESULTS = Path("results/tuning")
 MAX_PEAK = 1.6

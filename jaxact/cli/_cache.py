@@ -8,10 +8,10 @@ import sys
 import warnings
 from importlib.metadata import entry_points
 
-from jaxact.sweep import cache
+from jaxact.sweeping import cache
 
 _KERNELS = "JAX_COMPILATION_CACHE_DIR"
-_PROGRAMS = "JAXACT_PROGRAMS"  # of `jaxact.programs`, which imports JAX
+_PROGRAMS = "JAXACT_PROGRAMS"  # of `jaxact.compilation.programs`, which imports JAX
 _FOLDERS = {_KERNELS: "kernels", _PROGRAMS: "programs"}
 _SHORTEST = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"
 _LOUDNESS = "TF_CPP_MIN_LOG_LEVEL"

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from jaxact.errors import UserError
 
 if TYPE_CHECKING:
-    from jaxact.plants.robot import Robot
-    from jaxact.sweep.on_stand import Loop, OnStand
-    from jaxact.sweep.specification import Plant
+    from jaxact.loops.specification import Plant
+    from jaxact.robot_margins.on_stand import Loop, OnStand
+    from jaxact.robots.robot import Robot
 
 
 def found(plant: Plant, robot: Robot) -> OnStand | str:
@@ -19,7 +19,7 @@ def found(plant: Plant, robot: Robot) -> OnStand | str:
     import mujoco
     import numpy as np
 
-    from jaxact.sweep import on_stand
+    from jaxact.robot_margins import on_stand
 
     if not on_stand.brings_gains(robot) or any("mujoco" in item.engines for item in robot.findings):
         return ""
@@ -68,7 +68,7 @@ def as_text(known: OnStand | str) -> list[str]:
 
 
 def _bears(loop: Loop) -> str:
-    from jaxact.plot.wording import quantity
+    from jaxact.plotting.wording import quantity
 
     borne = loop.borne
     where = f" at {quantity(borne.frequency, 'rad/s')}"

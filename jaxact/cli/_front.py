@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxact.tune.robot_tuned import RobotTuned
-    from jaxact.tune.run import Tuned
+    from jaxact.tuning.robot_tuned import RobotTuned
+    from jaxact.tuning.run import Tuned
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def of_joint(points: Sequence[Tuned], unit: str) -> Front:
 
 def of_robot(points: Sequence[RobotTuned]) -> Front:
     """The front of a robot."""
-    from jaxact.tune import robot_result
+    from jaxact.tuning import robot_result
 
     first = points[0]
     joints = first.groups.first
@@ -120,7 +120,7 @@ def write(folder: Path, front: Front, marked: float) -> None:
 
     marked: the peak that was asked for
     """
-    from jaxact.plot import look, tuning
+    from jaxact.plotting import look, tuning
 
     names = [name.replace(" ", "_") for name, _ in front.columns]
     rows = [",".join(["max_peak", *names, "objective", "certified"])]

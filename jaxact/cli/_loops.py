@@ -15,12 +15,12 @@ from tyro.conf import arg
 
 from jaxact.cli import _warnings
 from jaxact.errors import UserError, nearest, shown
-from jaxact.sweep import reading, toml
-from jaxact.sweep.axes import MOST_SAMPLES
-from jaxact.sweep.checks import check_history
-from jaxact.sweep.parameters import PARAMETERS, PRESETS, canonical, check, check_actuator, of
-from jaxact.sweep.samples import Samples, expand
-from jaxact.sweep.specification import Specification
+from jaxact.loops import reading, toml
+from jaxact.loops.axes import MOST_SAMPLES
+from jaxact.loops.checks import check_history
+from jaxact.loops.samples import Samples, expand
+from jaxact.loops.specification import Specification
+from jaxact.parameters import PARAMETERS, PRESETS, canonical, check, check_actuator, of
 
 # What the stability of a linear loop depends on.
 LINEAR = (
@@ -283,7 +283,7 @@ def say_what_is_left_out(loops: Loops) -> None:
 
 
 def _word(name: str, value: Any) -> str:
-    from jaxact.plot.wording import quantity
+    from jaxact.plotting.wording import quantity
 
     if name == "actuator":
         return quantity(str(value))
@@ -300,7 +300,7 @@ def common_words(values: Mapping[str, float]) -> list[str]:
 
     values: that they have in common, by short name
     """
-    from jaxact.plot.wording import quantity
+    from jaxact.plotting.wording import quantity
 
     words = []
     if "wn" in values and ("zeta" in values or np.isinf(values["wn"])):
@@ -311,7 +311,7 @@ def common_words(values: Mapping[str, float]) -> list[str]:
 
 
 def _actuator_name(wn: float, zeta: float) -> str:
-    from jaxact.plot.wording import quantity
+    from jaxact.plotting.wording import quantity
 
     if np.isinf(wn):
         return "ideal actuator"
@@ -328,7 +328,7 @@ def loop_name(specification: Specification, values: Mapping[str, float] | None =
 
     What a robot's model says of each joint has no value here.
     """
-    from jaxact.plot.wording import quantity
+    from jaxact.plotting.wording import quantity
 
     own = specification.nominal if values is None else values
     actuator = _actuator_name(own["wn"], own["zeta"])

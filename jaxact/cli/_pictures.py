@@ -12,7 +12,7 @@ from tyro.conf import arg
 
 from jaxact.cli import _loops
 from jaxact.errors import UserError, nearest, shown
-from jaxact.sweep.checks import OF_VELOCITY, check_velocity
+from jaxact.loops.checks import OF_VELOCITY, check_velocity
 
 # Which loops: every option takes several values, and all combinations are drawn.
 Linear = _loops.options((*_loops.LINEAR, "control_rate"), several=True)
@@ -106,7 +106,7 @@ def draw(
     out: Path,
 ) -> None:
     """Compute the responses of the loops, draw the picture, write it and say so."""
-    from jaxact.plot import look
+    from jaxact.plotting import look
 
     look.check_output(out)
     chosen = chosen_loops(parameters, file, velocity)

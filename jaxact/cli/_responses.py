@@ -14,8 +14,8 @@ from jaxact.cli._loops import Loops
 from jaxact.errors import UserError
 
 if TYPE_CHECKING:
-    from jaxact.plot.response import LoopResponse
-    from jaxact.programs import Program
+    from jaxact.compilation.programs import Program
+    from jaxact.plotting.response import LoopResponse
 
 MOST_CURVES = 12
 _POINTS = 4000
@@ -50,7 +50,7 @@ def sampled_margins(loops: Loops, velocity: str) -> dict[str, np.ndarray]:
     """
     import jax
 
-    from jaxact.sampled import delay_steps
+    from jaxact.analysis.sampled.period_map import delay_steps
 
     values = loops.values
     steps = delay_steps(_total_delay(values), 1.0 / values["control_rate"])
@@ -82,17 +82,17 @@ def _arrays(found: Any, number: int) -> dict[str, np.ndarray]:
 
 @functools.cache
 def _compiled() -> Program:
-    from jaxact.margins import margins as margins_of
-    from jaxact.programs import Program
-    from jaxact.roots import rightmost_root
+    from jaxact.analysis.joint.margins import margins as margins_of
+    from jaxact.analysis.joint.roots import rightmost_root
+    from jaxact.compilation.programs import Program
 
     return Program(lambda: lambda loop: (margins_of(loop), rightmost_root(loop)), "margins, root")
 
 
 @functools.cache
 def _compiled_sampled(steps: int) -> Program:
-    from jaxact.programs import Program
-    from jaxact.sampled_margins import sampled_margins as margins_of
+    from jaxact.analysis.sampled.margins import sampled_margins as margins_of
+    from jaxact.compilation.programs import Program
 
     function = functools.partial(margins_of, max_delay_steps=steps)
     return Program(lambda: function, ("sampled margins", steps))
@@ -100,16 +100,16 @@ def _compiled_sampled(steps: int) -> Program:
 
 @functools.cache
 def _compiled_response() -> Program:
-    from jaxact.frequency import loop_response, phase
-    from jaxact.programs import Program
+    from jaxact.analysis.joint.frequency import loop_response, phase
+    from jaxact.compilation.programs import Program
 
     return Program(lambda: lambda loop, w: (loop_response(loop, w), phase(loop, w)), "response")
 
 
 @functools.cache
 def _compiled_sampled_response() -> Program:
-    from jaxact.programs import Program
-    from jaxact.sampled_search import sampled_response
+    from jaxact.analysis.sampled.search import sampled_response
+    from jaxact.compilation.programs import Program
 
     return Program(lambda: sampled_response, "sampled response")
 
@@ -169,7 +169,7 @@ def _joint_loop(values: Mapping[str, Any]) -> Any:
     """The linear loops in continuous time; to be called where float64 is on."""
     import jax.numpy as jnp
 
-    from jaxact.frequency import JointLoop
+    from jaxact.analysis.joint.frequency import JointLoop
 
     names = ("kp", "kd", "mass", "wn", "zeta")
     cutoff = values["velocity_filter"]
@@ -184,7 +184,7 @@ def _sampled_loop(values: Mapping[str, Any], velocity: str) -> Any:
     """The linear sampled loops; to be called where float64 is on."""
     import jax.numpy as jnp
 
-    from jaxact.sampled import SampledLoop
+    from jaxact.analysis.sampled.period_map import SampledLoop
 
     names = ("kp", "kd", "mass", "wn", "zeta")
     return SampledLoop(
@@ -217,7 +217,7 @@ def _continuous(
     """
     import jax
 
-    from jaxact.plot.response import LoopResponse
+    from jaxact.plotting.response import LoopResponse
 
     values = loops.one(index)
     w = _frequencies(values)
@@ -236,8 +236,8 @@ def _continuous(
 def _sampled(loops: Loops, found: dict[str, np.ndarray], index: int, velocity: str) -> LoopResponse:
     import jax
 
-    from jaxact.plot.response import LoopResponse
-    from jaxact.plot.wording import quantity
+    from jaxact.plotting.response import LoopResponse
+    from jaxact.plotting.wording import quantity
 
     values = loops.one(index)
     nyquist = math.pi * values["control_rate"]

@@ -12,7 +12,7 @@ from jaxact.cli import _loops, _mounting, _progress, _robot_tables, _warnings
 from jaxact.errors import UserError, nearest, shown
 
 if TYPE_CHECKING:
-    from jaxact.sweep.specification import Specification
+    from jaxact.loops.specification import Specification
 
 ENGINES = ("mujoco", "mjx")
 POSTURES = ("settled", "keyframe")
@@ -111,7 +111,7 @@ def show(options: Options, given: dict[str, Any], velocity: str, *, json: bool) 
     Raises UserError for anything that does not fit.
     """
     if options.out is not None:
-        from jaxact.plot.look import check_output
+        from jaxact.plotting.look import check_output
 
         check_output(options.out)
     specification = specified(options, given, velocity)
@@ -120,8 +120,8 @@ def show(options: Options, given: dict[str, Any], velocity: str, *, json: bool) 
     if options.out is not None and len(labels) > 1:
         raise UserError("--out: draws one loop; give one value for each option")
 
-    from jaxact.sweep import stiction, whole_robot
-    from jaxact.sweep.samples import expand
+    from jaxact.loops.samples import expand
+    from jaxact.robot_margins import stiction, whole_robot
 
     samples = expand(specification)
     with _progress.phases(quiet=json) as phase:
@@ -134,8 +134,8 @@ def show(options: Options, given: dict[str, Any], velocity: str, *, json: bool) 
     rows = zip(labels, found, held, strict=True)
     print("\n".join(printed(specification, *row) for row in rows))
     if options.out is not None:
-        from jaxact.plot.look import write
-        from jaxact.plot.robot import whole_robot as picture
+        from jaxact.plotting.look import write
+        from jaxact.plotting.robot import whole_robot as picture
 
         title = f"{_robot_tables.title(specification)}: all joints at once"
         figure = picture(found[0].curves, found[0].margins, title=title)

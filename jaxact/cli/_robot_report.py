@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxact.tune.robot_result import Held
-    from jaxact.tune.robot_tuned import RobotTuned
-    from jaxact.tune.validation import Validation
+    from jaxact.tuning.robot_result import Held
+    from jaxact.tuning.robot_tuned import RobotTuned
+    from jaxact.tuning.validation import Validation
 
 _WIDTH = 110
 
@@ -23,7 +23,7 @@ def report(tuned: RobotTuned, held: Held | None) -> dict[str, Any]:
 
     held: against rollouts, None if it was not
     """
-    from jaxact.tune import robot_result
+    from jaxact.tuning import robot_result
 
     certificate, groups = tuned.certificate, tuned.groups
     before = tuned.exact_before is not None
@@ -230,7 +230,7 @@ def _rendered(table: Any) -> str:
 
 def validated(tuned: RobotTuned, duration: float) -> Held | None:
     """The gains held against nonlinear rollouts; None for a duration of 0 s."""
-    from jaxact.tune import robot_result
+    from jaxact.tuning import robot_result
 
     return robot_result.hold(tuned, duration) if duration > 0.0 else None
 
@@ -241,11 +241,11 @@ def write_folder(folder: Path, tuned: RobotTuned, held: Held | None, command: st
     command: that made it
     """
     from jaxact.cli import _tuning_pictures
-    from jaxact.plot import look
-    from jaxact.plot import robot_tuning as pictures
-    from jaxact.plot.convergence import convergence
-    from jaxact.plot.robot_gains import gains
-    from jaxact.tune import robot_result
+    from jaxact.plotting import look
+    from jaxact.plotting import robot_tuning as pictures
+    from jaxact.plotting.convergence import convergence
+    from jaxact.plotting.robot_gains import gains
+    from jaxact.tuning import robot_result
 
     text = robot_result.toml_text(tuned, held, command)
     (folder / "gains.toml").write_text(text, encoding="utf-8")
@@ -279,8 +279,8 @@ def write_folder(folder: Path, tuned: RobotTuned, held: Held | None, command: st
 
 def _bands(tuned: RobotTuned, gains: tuple[np.ndarray, np.ndarray]) -> list[Any]:
     """Singular values of every situation's loops with gains of the joints."""
-    from jaxact.plot.robot_tuning import Band
-    from jaxact.tune.robot_figures import sensitivity
+    from jaxact.plotting.robot_tuning import Band
+    from jaxact.tuning.robot_figures import sensitivity
 
     bands = []
     for place, one in enumerate(tuned.situations):

@@ -12,11 +12,11 @@ import numpy as np
 from jaxact.cli._warnings import RESIDUAL
 
 if TYPE_CHECKING:
-    from jaxact.robot_changes import Change
-    from jaxact.robot_modes import Mode
-    from jaxact.sweep.specification import Specification
-    from jaxact.sweep.stiction import Stiction
-    from jaxact.sweep.whole_robot import WholeRobot
+    from jaxact.analysis.robot.changes import Change
+    from jaxact.analysis.robot.modes import Mode
+    from jaxact.loops.specification import Specification
+    from jaxact.robot_margins.stiction import Stiction
+    from jaxact.robot_margins.whole_robot import WholeRobot
 
 # Joints of a mode that are named.
 _MOST_NAMED = 6
@@ -87,7 +87,7 @@ def as_object(stiction: Stiction) -> dict[str, Any]:
 
 def _of_joint(found: WholeRobot, place: int) -> dict[str, Any]:
     """The margins of one joint by name, the phase margin in degrees; null for an unstable robot."""
-    from jaxact.robot_margins import JointMargins
+    from jaxact.analysis.robot.margins import JointMargins
 
     names = [field.name for field in fields(JointMargins) if field.name != "name"]
     if not found.margins.stable:
@@ -213,7 +213,7 @@ def _change(change: Change, form: str, names: tuple[str, ...]) -> str:
 
 
 def _whole_rows(found: WholeRobot) -> list[tuple[str, str]]:
-    from jaxact.plot.wording import quantity
+    from jaxact.plotting.wording import quantity
 
     whole = found.margins.whole
     assert whole is not None

@@ -25,9 +25,9 @@ from jaxact.cli import (
 from jaxact.errors import UserError
 
 if TYPE_CHECKING:
-    from jaxact.sweep.specification import Specification
-    from jaxact.tune.goal import Goal
-    from jaxact.tune.robot_loops import Situation
+    from jaxact.loops.specification import Specification
+    from jaxact.tuning.goal import Goal
+    from jaxact.tuning.robot_loops import Situation
 
 # Samples of the uncertainty where no number is given.
 SAMPLES = 8
@@ -170,12 +170,12 @@ def run(
     if pareto and options.tracking_weight:
         raise UserError("--pareto: knows of no --tracking-weight")
 
-    from jaxact.tune import pareto as _pareto
-    from jaxact.tune import robot, robot_front
-    from jaxact.tune.groups import group
-    from jaxact.tune.robot_loops import situation
-    from jaxact.tune.robot_tracking import Wish
-    from jaxact.tune.robot_uncertainty import read_spans
+    from jaxact.tuning import pareto as _pareto
+    from jaxact.tuning import robot, robot_front
+    from jaxact.tuning.groups import group
+    from jaxact.tuning.robot_loops import situation
+    from jaxact.tuning.robot_tracking import Wish
+    from jaxact.tuning.robot_uncertainty import read_spans
 
     if pareto:
         _pareto.peaks(pareto)

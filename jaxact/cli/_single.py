@@ -8,7 +8,7 @@ from typing import Any
 
 from jaxact.cli import _loops
 from jaxact.errors import UserError
-from jaxact.sweep.specification import Specification
+from jaxact.loops.specification import Specification
 
 
 def specification(
@@ -31,7 +31,7 @@ def specification(
     push: keys of the push, None where none was given
     duration: where nothing gives one [s]
 
-    Raises UserError for overrides with neither, and as `jaxact.sweep.reading`.
+    Raises UserError for overrides with neither, and as `jaxact.loops.reading`.
     """
     if path is None and overrides and not plant:
         raise UserError("--set changes a specification; give one with --spec, or use the options")

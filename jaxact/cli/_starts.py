@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxact.sweep.single import Single, Start
+    from jaxact.simulation.single import Single, Start
 
 _NAMES = {
     "": "its own start",
@@ -59,7 +59,7 @@ def document(run: Single) -> list[dict[str, Any]]:
 
 
 def _end(start: Start, rotary: bool) -> str:
-    from jaxact.plot.wording import quantity
+    from jaxact.plotting.wording import quantity
     from jaxact.status import Verdict
 
     if start.verdict in (Verdict.UNSTABLE, Verdict.INVALID):

@@ -14,7 +14,7 @@ from jaxact.cli import _loops
 from jaxact.cli.margins import ALWAYS, MARGINS, plain
 
 if TYPE_CHECKING:
-    from jaxact.tune.run import Tuned
+    from jaxact.tuning.run import Tuned
 
 _SHOWN = ("gain_margin", "phase_margin", "delay_margin", "sensitivity_peak", "complementary_peak",
           "disk_margin")  # fmt: skip
@@ -65,7 +65,7 @@ def report(tuned: Tuned, loops: _loops.Loops, sampled: bool, velocity: str) -> d
 
 def _worst(tuned: Tuned) -> dict[str, Any] | None:
     """Figures at their worst over an ensemble, before and after; None for a single loop."""
-    from jaxact.tune.result import worst
+    from jaxact.tuning.result import worst
 
     if len(tuned.members) == 1:
         return None
@@ -98,7 +98,7 @@ def table(document: dict[str, Any], unit: str) -> str:
     from rich.table import Table
 
     from jaxact.cli.margins import UNITS
-    from jaxact.plot.wording import quantity
+    from jaxact.plotting.wording import quantity
 
     shown = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     shown.add_column("")
@@ -164,9 +164,9 @@ def write_folder(
     nominal: figures of the nominal loop with the gains, as `report` has them
     """
     from jaxact.cli import _responses, _tuning_pictures
-    from jaxact.plot import look
-    from jaxact.plot.sensitivity import sensitivity
-    from jaxact.tune.result import mjcf_text, toml_text
+    from jaxact.plotting import look
+    from jaxact.plotting.sensitivity import sensitivity
+    from jaxact.tuning.result import mjcf_text, toml_text
 
     (folder / "gains.toml").write_text(toml_text(tuned, command, nominal), encoding="utf-8")
     (folder / "gains.xml").write_text(mjcf_text(tuned, joint), encoding="utf-8")

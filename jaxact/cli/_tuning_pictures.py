@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxact.cli import _loops
-from jaxact.plot.wording import quantity
+from jaxact.plotting.wording import quantity
 
 if TYPE_CHECKING:
-    from jaxact.plot.convergence import Missed
-    from jaxact.plot.tuning_map import Boundary
-    from jaxact.tune.ensemble import Ensemble
-    from jaxact.tune.robot_tuned import RobotTuned
-    from jaxact.tune.run import Tuned
+    from jaxact.plotting.convergence import Missed
+    from jaxact.plotting.tuning_map import Boundary
+    from jaxact.tuning.ensemble import Ensemble
+    from jaxact.tuning.robot_tuned import RobotTuned
+    from jaxact.tuning.run import Tuned
 
 _GRID = 110
 _FIELDS = ("mass", "natural_frequency", "damping_ratio", "delay")
@@ -29,7 +29,7 @@ def of_joint(tuned: Tuned, loops: _loops.Loops) -> dict[str, Any]:
 
     loops: the nominal loop, with the gains before (where there is a start) and after
     """
-    from jaxact.plot.tuning_map import tuning_map
+    from jaxact.plotting.tuning_map import tuning_map
 
     after = tuned.kp, tuned.kd
     return {
@@ -43,7 +43,7 @@ def of_joint(tuned: Tuned, loops: _loops.Loops) -> dict[str, Any]:
 
 def missed(tuned: Tuned | RobotTuned) -> Missed | None:
     """What a tuning did not reach, None where it reached everything."""
-    from jaxact.plot.convergence import Missed
+    from jaxact.plotting.convergence import Missed
 
     if tuned.feasible:
         return None
@@ -61,7 +61,7 @@ def missed(tuned: Tuned | RobotTuned) -> Missed | None:
 
 def _binding(tuned: Tuned) -> Ensemble:
     """A few members that say where the bounds are: those that bind, else the first."""
-    from jaxact.tune.ensemble import chosen
+    from jaxact.tuning.ensemble import chosen
 
     named = {tuned.members.name(i): i for i in range(len(tuned.members))}
     index = [named[name] for name in tuned.certificate.binding if name in named][:4]
@@ -69,8 +69,8 @@ def _binding(tuned: Tuned) -> Ensemble:
 
 
 def _plane(tuned: Tuned) -> Any:
-    from jaxact.plot.tuning_map import Plane
-    from jaxact.tune import figures
+    from jaxact.plotting.tuning_map import Plane
+    from jaxact.tuning import figures
 
     members = _binding(tuned)
     pairs = np.array([pair for pair in (tuned.before, (tuned.kp, tuned.kd)) if pair is not None])
@@ -91,8 +91,8 @@ def _plane(tuned: Tuned) -> Any:
 
 def _boundary(members: Ensemble, index: int, ranges: dict[str, Any]) -> Boundary:
     """Where a member changes stability: sampled as it is controlled, or in continuous time."""
-    from jaxact.boundary import continuous_boundary, sampled_boundary
-    from jaxact.plot.tuning_map import Boundary
+    from jaxact.analysis.boundary.boundary import continuous_boundary, sampled_boundary
+    from jaxact.plotting.tuning_map import Boundary
 
     plant = [float(getattr(members, name)[index]) for name in _FIELDS]
     name = members.name(index) if len(members) > 1 else ""
@@ -107,8 +107,8 @@ def _boundary(members: Ensemble, index: int, ranges: dict[str, Any]) -> Boundary
 
 
 def _convergence(tuned: Tuned) -> Any:
-    from jaxact.plot.convergence import convergence
-    from jaxact.tune.goal import OBJECTIVES
+    from jaxact.plotting.convergence import convergence
+    from jaxact.tuning.goal import OBJECTIVES
 
     goal, paths = tuned.goal, tuned.paths
     unit = OBJECTIVES[goal.objective][2]
@@ -123,9 +123,9 @@ def _convergence(tuned: Tuned) -> Any:
 
 
 def _steps(tuned: Tuned, loops: _loops.Loops) -> Any:
-    from jaxact.plot.step_band import Responses, step_band
-    from jaxact.tune.ensemble import joined
-    from jaxact.tune.response import step_responses
+    from jaxact.plotting.step_band import Responses, step_band
+    from jaxact.tuning.ensemble import joined
+    from jaxact.tuning.response import step_responses
 
     members = tuned.members
     several = len(members) > 1
@@ -149,7 +149,7 @@ def _steps(tuned: Tuned, loops: _loops.Loops) -> Any:
 
 def _nominal(loops: _loops.Loops, tuned: Tuned) -> Ensemble:
     """The plant that was named, as an ensemble of one."""
-    from jaxact.tune.ensemble import ensemble
+    from jaxact.tuning.ensemble import ensemble
 
     own = loops.one(0)
     delay = sum(own[name] for name in _loops.DELAYS)

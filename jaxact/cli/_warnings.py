@@ -6,7 +6,7 @@ import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from jaxact.sweep.specification import Specification
+    from jaxact.loops.specification import Specification
 
 
 def warn(text: str) -> None:
@@ -23,7 +23,7 @@ def posture(specification: Specification) -> None:
     if specification.plant is None:
         return
     overload(specification)
-    from jaxact.sweep import robots
+    from jaxact.loops import robots
 
     found = robots.scene(specification.plant).posture
     if found.settled and found.residual > RESIDUAL:
@@ -36,7 +36,7 @@ def posture(specification: Specification) -> None:
 
 def older(result: str) -> None:
     """Warn of a store in which not all damage would be found."""
-    from jaxact.sweep import integrity, opening
+    from jaxact.sweeping import integrity, opening
 
     store = opening.find(result)
     with opening.readable(result):
@@ -52,7 +52,7 @@ def overload(specification: Specification) -> None:
     """Warn of a robot's posture that its joints are too weak to hold; nothing without a robot."""
     if specification.plant is None:
         return
-    from jaxact.sweep import robots
+    from jaxact.loops import robots
 
     weak = robots.overloaded(robots.scene(specification.plant))
     if weak:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from jaxact.sweep.specification import Specification
+    from jaxact.loops.specification import Specification
 
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
 EXTRA = "--xla_backend_extra_options"

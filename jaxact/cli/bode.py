@@ -32,6 +32,6 @@ def main(
       jaxact bode --actuator starleth --delay 0.005 --control-rate 1000 --out bode.svg
       jaxact bode --wn 400 --zeta 0.1 --kp 2000 --kd 40
     """
-    from jaxact.plot.bode import bode
+    from jaxact.plotting.bode import bode
 
     _pictures.draw(bode, parameters, loops, velocity, title, out)

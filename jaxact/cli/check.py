@@ -16,10 +16,10 @@ from tyro.conf import Positional, arg
 from jaxact.cli import _check_loop, _mounting
 
 if TYPE_CHECKING:
-    from jaxact.plants.findings import Finding
-    from jaxact.plants.model import Robot
-    from jaxact.sweep.on_stand import OnStand
-    from jaxact.sweep.specification import Plant
+    from jaxact.loops.specification import Plant
+    from jaxact.robot_margins.on_stand import OnStand
+    from jaxact.robots.findings import Finding
+    from jaxact.robots.model import Robot
 
 REFUSED = 1
 _WIDTH = 100
@@ -77,7 +77,7 @@ def main(
       jaxact check robot.xml --joints '.*_hip' '.*_knee'
       jaxact check robot.urdf --json
     """
-    from jaxact.plants import model as _model
+    from jaxact.robots import model as _model
 
     mounted = _mounting.chosen(base, damping)
     robot = _model.read(model, keyframe=keyframe, joints=joints, **mounted)
@@ -89,13 +89,13 @@ def main(
 
 
 def _plant(model: Path, keyframe: str | None, joints: tuple[str, ...], mounted: Any) -> Plant:
-    from jaxact.sweep.specification import Plant
+    from jaxact.loops.specification import Plant
 
     return Plant(model=model, keyframe=keyframe, joints=joints, **mounted)
 
 
 def _of_mjx(robot: Robot) -> list[Finding]:
-    from jaxact.plants import mjx_refusals
+    from jaxact.plants.mjx import refusals as mjx_refusals
 
     return mjx_refusals.find(robot.model)
 
@@ -103,7 +103,7 @@ def _of_mjx(robot: Robot) -> list[Finding]:
 def _of_warp(robot: Robot) -> list[Finding]:
     """What MJX-Warp refuses by itself, where it is there to be asked."""
     from jaxact.plants import warp
-    from jaxact.plants.findings import WARP, refused
+    from jaxact.robots.findings import WARP, refused
 
     known = any(WARP in item.engines for item in robot.findings)
     reason = "" if known or warp.lacking() else warp.refusal(robot.model)
@@ -116,7 +116,7 @@ def _of_warp(robot: Robot) -> list[Finding]:
 def engines(robot: Robot) -> list[str]:
     """The engines that can simulate the robot; `warp` only where MJX-Warp is installed."""
     from jaxact.plants import warp
-    from jaxact.plants.findings import ENGINES, WARP
+    from jaxact.robots.findings import ENGINES, WARP
 
     stopped = {engine for item in robot.findings for engine in item.engines}
     if warp.lacking():
@@ -126,7 +126,7 @@ def engines(robot: Robot) -> list[str]:
 
 def _rows(robot: Robot) -> list[dict[str, Any]]:
     """One joint a row, as JSON has it."""
-    from jaxact.plants import inertia as _inertia
+    from jaxact.robots import inertia as _inertia
 
     free, held = _inertia.inertias(robot)
     model = robot.model
@@ -217,9 +217,9 @@ def _foot(robot: Robot) -> str:
 
 def _way_out(robot: Robot) -> list[str]:
     """Patterns that leave out the actuators that no drive can replace; [] if there are none."""
-    from jaxact.plants import selection
-    from jaxact.plants.actuators import label
-    from jaxact.plants.findings import MUJOCO
+    from jaxact.robots import selection
+    from jaxact.robots.actuators import label
+    from jaxact.robots.findings import MUJOCO
 
     model = robot.model
     stopped = {item.where for item in robot.findings if MUJOCO in item.engines}

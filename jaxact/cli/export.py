@@ -26,7 +26,7 @@ def main(
     examples:
       jaxact export results/paper_gain_map map.nc
     """
-    from jaxact.sweep import opening
+    from jaxact.sweeping import opening
 
     opening.check_netcdf(file, overwrite=overwrite)
     _warnings.older(result)

@@ -12,7 +12,7 @@ from tyro.conf import arg
 
 from jaxact import __version__
 from jaxact.cli import _xla
-from jaxact.sweep import cache
+from jaxact.sweeping import cache
 
 PACKAGES = (
     "jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "optax", "numpy", "scipy", "xarray",

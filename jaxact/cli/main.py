@@ -104,7 +104,7 @@ def _run(given: list[str]) -> int:
         print(f"jaxact {__version__}")
         return 0
     from jaxact.cli import _gl, _options, _xla
-    from jaxact.sweep import reads
+    from jaxact.loops import reads
 
     verb = _options.choose("command", given[0], VERBS)
     _gl.prepare()

@@ -101,7 +101,7 @@ def main(
         _robot_margins.show(robot, _loops.given(parameters), velocity, json=json)
         return
 
-    from jaxact.sweep import at_once
+    from jaxact.sweeping import at_once
 
     _files.check_output(csv, ".csv", overwrite=overwrite)
     asked = chosen_loops(parameters, loops, velocity)
@@ -176,7 +176,7 @@ def _dataset(chosen: _loops.Loops, found: Mapping[str, Figures]) -> Any:
     import xarray as xr
 
     from jaxact import __version__
-    from jaxact.sweep.parameters import PARAMETERS
+    from jaxact.parameters import PARAMETERS
 
     arrays = {
         f"{prefix}{name}": ("loop", _masked(name, figures), {"units": UNITS[name]})
@@ -194,7 +194,7 @@ def _dataset(chosen: _loops.Loops, found: Mapping[str, Figures]) -> Any:
 
 def _grid(chosen: _loops.Loops, found: Mapping[str, Figures]) -> Any:
     """The same over the axes of a specification, for `jaxact plot`."""
-    from jaxact.sweep import margins_store
+    from jaxact.sweeping import margins_store
 
     assert chosen.source is not None
     sampled = "sampled_" in found
@@ -249,7 +249,7 @@ def _tall(chosen: _loops.Loops, found: Mapping[str, Figures]) -> Any:
 
 def _column(figures: Figures, index: int, rate: float, *, periods: bool) -> dict[str, str]:
     """One loop's figures in words, by what they are called; "" where one means nothing."""
-    from jaxact.plot.wording import quantity
+    from jaxact.plotting.wording import quantity
 
     def value(name: str) -> float:
         meaningless = name in MARGINS and not figures["stable"][index]

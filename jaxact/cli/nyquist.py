@@ -32,6 +32,6 @@ def main(
       jaxact nyquist --actuator starleth --delay 0.005 --control-rate 1000 --out nyquist.svg
       jaxact nyquist --wn 400 --zeta 0.1 --kp 2000 --kd 40
     """
-    from jaxact.plot.nyquist import nyquist
+    from jaxact.plotting.nyquist import nyquist
 
     _pictures.draw(nyquist, parameters, loops, velocity, title, out)

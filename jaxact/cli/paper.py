@@ -43,7 +43,7 @@ def main(
       jaxact paper --out figures --format pdf
       jaxact paper --overwrite
     """
-    from jaxact.plot import look
+    from jaxact.plotting import look
 
     if format not in look.FORMATS:
         raise UserError(f"--format {shown(format)}; {nearest(format, look.FORMATS)}")
@@ -63,7 +63,7 @@ def main(
 def _write(results: Results, folder: Path, kind: str) -> None:
     from jaxact.paper.pictures import PICTURES
     from jaxact.paper.report import report
-    from jaxact.plot import look
+    from jaxact.plotting import look
 
     for name, picture in PICTURES.items():
         look.write(picture(results), folder / f"{name}.{kind}", title=name.replace("_", " "))

@@ -12,7 +12,7 @@ def main() -> None:
     examples:
       jaxact parameters
     """
-    from jaxact.sweep.parameters import PARAMETERS, PRESETS
+    from jaxact.parameters import PARAMETERS, PRESETS
 
     rows = [("name", "unit", "default", "allowed", "meaning")]
     rows += [

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-    from jaxact.plot.panels import Arrangement
+    from jaxact.plotting.panels import Arrangement
 
 
 def main(
@@ -119,8 +119,8 @@ def main(
       jaxact margins --loops sweep.toml --store m.zarr && jaxact plot m.zarr --variable gain_margin
       jaxact plot results/paper_gain_map --kind lines --x kd --y delay --select kp=400
     """
-    from jaxact.plot import field, look, panels, regular
-    from jaxact.sweep import opening
+    from jaxact.plotting import field, look, panels, regular
+    from jaxact.sweeping import opening
 
     if out is not None:
         look.check_output(out)
@@ -162,8 +162,8 @@ def _draw(
     quick: bool,
 ) -> tuple[Figure, str]:
     """The figure, and its small print, about the loops computed where others are shown."""
-    from jaxact.plot import caption, field, lines, scatter, stability_map
-    from jaxact.sweep import agreement, margins_store
+    from jaxact.plotting import caption, field, lines, scatter, stability_map
+    from jaxact.sweeping import agreement, margins_store
 
     field.field(results, variable)  # a misspelt name is told before anything is computed
     boundaries = _boundaries(arrangement)
@@ -193,9 +193,9 @@ def _draw(
 
 def _boundaries(arrangement: Arrangement) -> list[Any]:
     """The exact boundary of every panel, over whichever two numbers it shows."""
-    from jaxact.plot.stability_map import cell_edges
-    from jaxact.sweep import exact_lines
-    from jaxact.sweep.parameters import known, of
+    from jaxact.parameters import known, of
+    from jaxact.plotting.stability_map import cell_edges
+    from jaxact.sweeping import exact_lines
 
     axes = [axis for axis in (arrangement.x, arrangement.y) if axis is not None]
     drawable = len(axes) == 2 and all(a.scale != "category" and known(a.name) for a in axes)
@@ -213,8 +213,8 @@ def _nominal(
     results: xr.Dataset, arrangement: Arrangement, given: tuple[float, ...]
 ) -> tuple[float, float] | None:
     """The point to mark: what was given, or the specification's own values; None out of view."""
-    from jaxact.plot.stability_map import place
-    from jaxact.sweep import store
+    from jaxact.plotting.stability_map import place
+    from jaxact.sweeping import store
 
     axes = [axis for axis in (arrangement.x, arrangement.y) if axis is not None]
     if arrangement.kind == "lines":
@@ -246,8 +246,8 @@ def _pairs(given: tuple[str, ...]) -> dict[str, str]:
 
 def _default_output(result: str, kind: str, variable: str, *, usual: bool) -> Path:
     """`stability_map.png` beside the store, or of another than the usual variable its name."""
-    from jaxact.sweep.place import is_url
-    from jaxact.sweep.store import STORE
+    from jaxact.sweeping.place import is_url
+    from jaxact.sweeping.store import STORE
 
     path = Path() / STORE if is_url(result) else Path(result)
     folder = path if (path / STORE).is_dir() else path.parent

@@ -11,12 +11,12 @@ from tyro.conf import OmitArgPrefixes, UseAppendAction
 
 from jaxact.cli import _loops, _mounting, _single, _warnings
 from jaxact.errors import UserError
-from jaxact.sweep.parameters import PARAMETERS
+from jaxact.parameters import PARAMETERS
 
 if TYPE_CHECKING:
-    from jaxact.plants.robot import Robot
-    from jaxact.plot.film import Motion
-    from jaxact.sweep.specification import Specification
+    from jaxact.loops.specification import Specification
+    from jaxact.plotting.film import Motion
+    from jaxact.robots.robot import Robot
 
 Parameters = _loops.options(PARAMETERS, several=False)
 MOST_FRAMES = 3000
@@ -158,7 +158,7 @@ def main(
     """
     _check(speed, fps, size, distance, duration)
 
-    from jaxact.plot import scene, video
+    from jaxact.plotting import scene, video
 
     video.check_output(out, fps)
     files = _files_of(bare, drive, model)
@@ -179,9 +179,9 @@ def main(
     _check_length(shown * fps / speed)
     module = scene.backend()
 
-    from jaxact.plants.model import read
-    from jaxact.plot.film import film
-    from jaxact.sweep import robots
+    from jaxact.loops import robots
+    from jaxact.plotting.film import film
+    from jaxact.robots.model import read
 
     if files is None:
         robot = robots.scene(chosen.plant).robot
@@ -202,8 +202,8 @@ def main(
 
 def _shapeless(robot: Robot) -> str:
     """A caption, and a line on standard error, where links are drawn as boxes; "" for none."""
-    from jaxact.plants.assets import MISSING
-    from jaxact.plot.stand_ins import stand_ins
+    from jaxact.plotting.stand_ins import stand_ins
+    from jaxact.robots.assets import MISSING
 
     found = stand_ins(robot.model)
     if not len(found.bodies):
@@ -273,10 +273,10 @@ def _specification(
 
 def _simulated(specification: Specification, labels: tuple[str, str], start: float) -> list[Motion]:
     """Both motions from their start, and a line on each of what came out."""
-    from jaxact.plot.film import Motion
+    from jaxact.plotting.film import Motion
+    from jaxact.simulation import engines, single
     from jaxact.status import Verdict
-    from jaxact.sweep import engines, single
-    from jaxact.sweep.bare import pair
+    from jaxact.sweeping.bare import pair
 
     specification = engines.resolved(specification)
     motions = []
@@ -320,7 +320,7 @@ def _motion(path: Path, label: str) -> Motion:
 
     Raises UserError if there is no such file, or what it holds is no motion.
     """
-    from jaxact.plot.film import Motion
+    from jaxact.plotting.film import Motion
 
     if not path.is_file():
         raise UserError(f"{path}: no such file")
@@ -348,7 +348,7 @@ def _motion(path: Path, label: str) -> Motion:
 
 
 def _cut(motion: Motion, path: str, start: float, duration: float | None) -> Motion:
-    from jaxact.plot.film import Motion
+    from jaxact.plotting.film import Motion
 
     end = motion.time[-1] if duration is None else start + duration
     kept = (motion.time >= start - 1e-9) & (motion.time <= end + 1e-9)

@@ -31,6 +31,6 @@ def main(
       jaxact sensitivity --actuator starleth --delay 0.005 --control-rate 1000 --out sensitivity.svg
       jaxact sensitivity --wn 400 --zeta 0.1 --kp 2000 --kd 40
     """
-    from jaxact.plot.sensitivity import sensitivity
+    from jaxact.plotting.sensitivity import sensitivity
 
     _pictures.draw(sensitivity, parameters, loops, velocity, title, out)

@@ -13,13 +13,13 @@ from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
 from jaxact.cli import _files, _loops, _mounting, _single, _starts, _warnings, _xla
 from jaxact.errors import UserError
-from jaxact.sweep.parameters import PARAMETERS
+from jaxact.parameters import PARAMETERS
 
 if TYPE_CHECKING:
-    from jaxact.plot.trajectory import Joint
-    from jaxact.sweep.single import Single
-    from jaxact.sweep.specification import Specification
-    from jaxact.sweep.stiction import Stiction
+    from jaxact.loops.specification import Specification
+    from jaxact.plotting.trajectory import Joint
+    from jaxact.robot_margins.stiction import Stiction
+    from jaxact.simulation.single import Single
 
 Parameters = _loops.options(PARAMETERS, several=False)
 _SIGNALS = {
@@ -143,7 +143,7 @@ def main(
       jaxact simulate --spec experiments/paper_gain_map.toml --set engine=mjx --duration 2
       jaxact simulate --model robot.xml --keyframe home --actuator hyq --delay 0.001 --npz run.npz
     """
-    from jaxact.plot import look
+    from jaxact.plotting import look
 
     look.check_output(out)
     for path, ending in ((csv, ".csv"), (npz, ".npz")):
@@ -160,7 +160,7 @@ def main(
     specification = _single.specification(spec, set, asked, plant, _loops.given(parameters))
 
     _xla.call_at_once(specification)
-    from jaxact.sweep import engines, single
+    from jaxact.simulation import engines, single
 
     specification = engines.resolved(specification)
     place = _place(single.names(specification), joint)
@@ -183,7 +183,7 @@ def _stiction(run: Single, specification: Specification) -> Stiction | None:
     """What dry friction holds of a robot that shakes once it moves; None of anything else."""
     if specification.plant is None or not run.results["growth_rate"] > 0.0:
         return None
-    from jaxact.sweep import stiction
+    from jaxact.robot_margins import stiction
 
     return stiction.nominal(specification)
 
@@ -205,8 +205,8 @@ def _write(
     csv: Path | None,
     npz: Path | None,
 ) -> None:
-    from jaxact.plot import caption, look
-    from jaxact.plot.trajectory import trajectory
+    from jaxact.plotting import caption, look
+    from jaxact.plotting.trajectory import trajectory
 
     columns = _columns(run)
     header = ",".join(columns)
@@ -233,7 +233,7 @@ def _write(
 
 
 def _joint(run: Single, joint: int) -> Joint:
-    from jaxact.plot.trajectory import Joint
+    from jaxact.plotting.trajectory import Joint
 
     rows = {name: getattr(run.trajectory, name)[:, joint] for name in _SIGNALS}
     return Joint(time=run.trajectory.time, **rows)
@@ -270,7 +270,7 @@ def _as_object(held: Stiction | None) -> dict[str, Any] | None:
 
 def _json_text(run: Single, said: dict[str, Any]) -> str:
     from jaxact.status import Verdict
-    from jaxact.sweep.store import VARIABLES, joint_units
+    from jaxact.sweeping.store import VARIABLES, joint_units
 
     figures: dict[str, Any] = dict(_plain(run.results))
     figures["verdict"] = Verdict(int(run.results["verdict"])).label
@@ -288,9 +288,9 @@ def _table(run: Single) -> str:
     from rich.console import Console
     from rich.table import Table
 
-    from jaxact.plot.wording import quantity
+    from jaxact.plotting.wording import quantity
     from jaxact.status import Verdict
-    from jaxact.sweep.store import VARIABLES, joint_units
+    from jaxact.sweeping.store import VARIABLES, joint_units
 
     verdict = Verdict(int(run.results["verdict"]))
     table = Table(box=None, show_header=False, pad_edge=False)

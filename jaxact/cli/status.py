@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 from jaxact.cli import _warnings
 
 if TYPE_CHECKING:
-    from jaxact.sweep.place import Entry
+    from jaxact.sweeping.place import Entry
 
 
 def main(
@@ -30,16 +30,16 @@ def main(
       jaxact status results/paper_gain_map
       jaxact status results/paper_gain_map --quick
     """
-    from jaxact.sweep import opening
+    from jaxact.sweeping import opening
 
     with opening.readable(result):
         _show(result, quick=quick)
 
 
 def _show(result: str, *, quick: bool) -> None:
-    from jaxact.sweep import adaptive, integrity, lock, opening, progress, store
-    from jaxact.sweep import place as _place
-    from jaxact.sweep.progress import State
+    from jaxact.sweeping import adaptive, integrity, lock, opening, progress, store
+    from jaxact.sweeping import place as _place
+    from jaxact.sweeping.progress import State
 
     folder = _place.at(result.rstrip("/").removesuffix(f"/{store.STORE}"))
     owner = lock.holder(folder)

@@ -11,11 +11,11 @@ from tyro.conf import OmitArgPrefixes, arg
 from jaxact.cli import _loops
 from jaxact.cli._pictures import LoopsFile, Out, Title, check_velocities, footer, named
 from jaxact.errors import UserError
-from jaxact.sweep.parameters import PARAMETERS
+from jaxact.parameters import PARAMETERS
 
 if TYPE_CHECKING:
-    from jaxact.plot.step import StepResponse
-    from jaxact.sweep.single import Single
+    from jaxact.plotting.step import StepResponse
+    from jaxact.simulation.single import Single
 
 MOST_LOOPS = 12
 Parameters = _loops.options(PARAMETERS, several=True)
@@ -49,7 +49,7 @@ def main(
       jaxact step --actuator ideal hyq starleth --delay 0.005
       jaxact step --actuator starleth --kp 200 400 800 --duration 1 --out step.svg
     """
-    from jaxact.plot import look
+    from jaxact.plotting import look
 
     look.check_output(out)
     static: dict[str, Any] = {
@@ -71,8 +71,8 @@ def main(
             "give fewer values"
         )
 
-    from jaxact.plot.step import step
-    from jaxact.sweep import single
+    from jaxact.plotting.step import step
+    from jaxact.simulation import single
 
     runs = single.simulate_all(specification, chosen.samples)
     drawn = [_response(run, label) for run, label in zip(runs, chosen.labels, strict=True)]
@@ -87,9 +87,9 @@ def main(
 
 
 def _response(run: Single, label: str) -> StepResponse:
-    from jaxact.plot.step import StepResponse
-    from jaxact.plot.trajectory import Joint
-    from jaxact.plot.wording import quantity
+    from jaxact.plotting.step import StepResponse
+    from jaxact.plotting.trajectory import Joint
+    from jaxact.plotting.wording import quantity
     from jaxact.status import Verdict
 
     verdict, results = Verdict(int(run.results["verdict"])), run.results

@@ -19,11 +19,11 @@ from jaxact.cli._signals import Terminated
 from jaxact.errors import UserError
 
 if TYPE_CHECKING:
-    from jaxact.sweep.conduct import How
-    from jaxact.sweep.place import Place
-    from jaxact.sweep.planning import Planned
-    from jaxact.sweep.samples import Samples
-    from jaxact.sweep.specification import Specification
+    from jaxact.loops.samples import Samples
+    from jaxact.loops.specification import Specification
+    from jaxact.sweeping.conduct import How
+    from jaxact.sweeping.place import Place
+    from jaxact.sweeping.planning import Planned
 
 
 # Loops that take so many times as long as the start at least make a time that can be told.
@@ -111,9 +111,9 @@ def main(
       jaxact sweep experiments/paper_gain_map.toml --resume
       jaxact sweep experiments/paper_gain_map.toml --adaptive --out results/boundary
     """
-    from jaxact.sweep import memory as _memory
-    from jaxact.sweep import place as _place
-    from jaxact.sweep import reading
+    from jaxact.loops import reading
+    from jaxact.sweeping import memory as _memory
+    from jaxact.sweeping import place as _place
 
     asked = reading.load(specification, set)
     if resume and overwrite:
@@ -128,13 +128,13 @@ def main(
     folder = _place.at(out if out is not None else Path("results") / specification.stem)
     _cache.prepare(wanted=not no_cache)
     _xla.call_at_once(asked)
-    from jaxact.sweep.conduct import How
+    from jaxact.sweeping.conduct import How
 
     how = How(resume=resume, overwrite=overwrite)
     if adaptive:
         how = dataclasses.replace(how, width=0.001 if width is None else width)
     if workers == "local" and not no_cache:
-        from jaxact.sweep import fill, throughput
+        from jaxact.sweeping import fill, throughput
 
         how = dataclasses.replace(how, workers=functools.partial(fill.here, keep=throughput.keep))
     _warnings.posture(asked)
@@ -149,7 +149,7 @@ def main(
 
 
 def _run(asked: Specification, folder: Place, how: How, *, quiet: bool) -> None:
-    from jaxact.sweep import conduct, opening
+    from jaxact.sweeping import conduct, opening
 
     _signals.keep(f"interrupted; what is done is kept, {_continued()}")
     started, done = time.perf_counter(), [0, 0]
@@ -183,7 +183,7 @@ def _computed_by(
     quiet: bool,
 ) -> Iterator[How]:
     """Planner and workers: this process, or a Ray cluster that stays attached meanwhile."""
-    from jaxact.sweep import planning
+    from jaxact.sweeping import planning
 
     if workers == "local":
 
@@ -194,7 +194,7 @@ def _computed_by(
         plan = functools.partial(planning.plan, budget=budget, say=say if measure else None)
         yield dataclasses.replace(how, planner=plan)
         return
-    from jaxact.sweep import cluster
+    from jaxact.sweeping import cluster
 
     with cluster.attached(address) as attached:
         plan = functools.partial(attached.plan, budget=budget)
@@ -205,8 +205,8 @@ def _settled(
     asked: Specification, folder: Place, how: How, *, measure: bool, quiet: bool
 ) -> Specification:
     """The specification with an engine in place of "auto": a sweep that goes on keeps its own."""
-    from jaxact.sweep import store, throughput
-    from jaxact.sweep.samples import expand
+    from jaxact.loops.samples import expand
+    from jaxact.sweeping import store, throughput
 
     def say(text: str) -> None:
         if not quiet:
@@ -225,8 +225,8 @@ def _settled(
 
 def _forecast(asked: Specification, how: How) -> str:
     """What a sweep would take, in a few lines."""
-    from jaxact.sweep import adaptive, memory
-    from jaxact.sweep.samples import expand
+    from jaxact.loops.samples import expand
+    from jaxact.sweeping import adaptive, memory
 
     samples = expand(asked)
     planned: Planned = how.planner(asked, samples)
@@ -264,7 +264,7 @@ def _time(planned: Planned, basis: str) -> str:
 
 
 def _variables(specification: Specification) -> tuple[str, ...]:
-    from jaxact.sweep.store import variables
+    from jaxact.sweeping.store import variables
 
     return variables(robot=specification.plant is not None)
 
@@ -288,9 +288,9 @@ def _how_to_resume(folder: Place, *, begun: bool) -> str:
     folder: of the results
     begun: what is there is of this sweep, none that it would have replaced
     """
-    from jaxact.sweep import progress
-    from jaxact.sweep.adaptive import ROUNDS
-    from jaxact.sweep.store import STORE
+    from jaxact.sweeping import progress
+    from jaxact.sweeping.adaptive import ROUNDS
+    from jaxact.sweeping.store import STORE
 
     rounds = folder.inside(ROUNDS).entries()
     target = folder.inside(STORE)

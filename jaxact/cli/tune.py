@@ -15,8 +15,8 @@ from jaxact.cli._pictures import VELOCITIES, Velocity, check_continuous
 from jaxact.errors import UserError, nearest, shown
 
 if TYPE_CHECKING:
-    from jaxact.tune.ensemble import Ensemble
-    from jaxact.tune.goal import Goal
+    from jaxact.tuning.ensemble import Ensemble
+    from jaxact.tuning.goal import Goal
 
 # Exit code of a result that does not meet what was asked.
 NOT_MET = 1
@@ -190,11 +190,11 @@ def main(
     _cache.prepare(wanted=not no_cache)
 
     from jaxact.cli import _front, _tuning
-    from jaxact.tune import pareto as _pareto
-    from jaxact.tune.goal import OBJECTIVES
-    from jaxact.tune.robust import tune_box
-    from jaxact.tune.run import tune
-    from jaxact.tune.uncertainty import read_box
+    from jaxact.tuning import pareto as _pareto
+    from jaxact.tuning.goal import OBJECTIVES
+    from jaxact.tuning.robust import tune_box
+    from jaxact.tuning.run import tune
+    from jaxact.tuning.uncertainty import read_box
 
     if pareto:
         _pareto.peaks(pareto)
@@ -248,7 +248,7 @@ def _start(given: dict[str, Any]) -> tuple[float, float] | None:
 
 
 def _goal(objective: str, risk: str, *, max_peak: float, **bounds: float) -> Goal:
-    from jaxact.tune.goal import Goal, check
+    from jaxact.tuning.goal import Goal, check
 
     name, colon, file = objective.partition(":")
     extra: dict[str, Any] = {}
@@ -292,7 +292,7 @@ def _reference(path: Path) -> tuple[tuple[float, ...], float]:
 
 def _nominal(chosen: _loops.Loops, velocity: str, *, sampled: bool) -> Ensemble:
     """The plant that was named, as an ensemble of one."""
-    from jaxact.tune.ensemble import Sampling, ensemble
+    from jaxact.tuning.ensemble import Sampling, ensemble
 
     if not sampled:
         check_continuous(chosen, velocity)
@@ -305,6 +305,6 @@ def _nominal(chosen: _loops.Loops, velocity: str, *, sampled: bool) -> Ensemble:
 
 
 def _descent(steps: int) -> Any:
-    from jaxact.tune.optimize import Descent
+    from jaxact.tuning.optimize import Descent
 
     return Descent(steps=steps)

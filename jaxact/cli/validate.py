@@ -33,11 +33,11 @@ def main(
     """
     if samples < 0:
         raise UserError(f"--samples {samples}: allowed: 0 or more")
-    from jaxact.sweep import opening
+    from jaxact.sweeping import opening
 
     target = opening.find(result)
     _cache.prepare(wanted=not no_cache)
-    from jaxact.sweep import integrity, validation
+    from jaxact.sweeping import integrity, validation
 
     with opening.readable(result):
         checked = validation.checksums(target)

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxact.paper import study
 from jaxact.paper.results import Results
-from jaxact.plot.wording import display_name, quantity
+from jaxact.plotting.wording import display_name, quantity
 
 KINDS = ("continuous", "sampled")
 # "A factor of 3 to 5" is read as rounded to whole numbers, "near 40 rad/s" as within this share.

@@ -11,20 +11,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.frequency import JointLoop, sensitivity
-from jaxact.margins import margins
+from jaxact.analysis.joint.frequency import JointLoop, sensitivity
+from jaxact.analysis.joint.margins import margins
+from jaxact.analysis.sampled.margins import sampled_margins
+from jaxact.analysis.sampled.period_map import SampledLoop, delay_steps
+from jaxact.analysis.sampled.search import sampled_response
+from jaxact.compilation.programs import Program
 from jaxact.paper.study import CONTROL_RATE, KD, KP, MASS, Cases
-from jaxact.programs import Program
-from jaxact.sampled import SampledLoop, delay_steps
-from jaxact.sampled_margins import sampled_margins
-from jaxact.sampled_search import sampled_response
 
 # The margins work through their batch in tiles of so many; a rest would be compiled on its own.
 _TILE = 64
 
 
 def continuous_margins(cases: Cases) -> dict[str, np.ndarray]:
-    """The fields of `jaxact.margins.Margins` by name, each of the cases' shape.
+    """The fields of `jaxact.analysis.joint.margins.Margins` by name, each of the cases' shape.
 
     cases: at the nominal gains
     """
@@ -32,7 +32,8 @@ def continuous_margins(cases: Cases) -> dict[str, np.ndarray]:
 
 
 def sampled_at_1_khz(cases: Cases) -> dict[str, np.ndarray]:
-    """The fields of `jaxact.sampled_margins.SampledMargins` by name, each of the cases' shape.
+    """The fields of `jaxact.analysis.sampled.margins.SampledMargins` by name, each of the cases'
+    shape.
 
     cases: at the nominal gains, control at CONTROL_RATE, sampled velocity
     """

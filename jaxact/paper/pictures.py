@@ -18,8 +18,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLo
 
 from jaxact.paper import study
 from jaxact.paper.results import Results
-from jaxact.plot import look, wording
-from jaxact.plot.sheet import Sheet, sheet
+from jaxact.plotting import look, wording
+from jaxact.plotting.sheet import Sheet, sheet
 
 _COLOURS = (look.BLUE, look.GREEN, look.VERMILION)
 _DASHES: tuple[Any, ...] = ((0, (5, 1.8)), "-")

@@ -10,7 +10,7 @@ import numpy as np
 from jaxact.paper import study
 from jaxact.paper.claims import KINDS, claims
 from jaxact.paper.results import Results
-from jaxact.plot.wording import display_name, quantity
+from jaxact.plotting.wording import display_name, quantity
 
 _MARGINS = ("gain_margin", "phase_margin", "delay_margin")
 

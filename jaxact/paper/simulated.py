@@ -15,17 +15,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact import drive as _drive
-from jaxact import loop as _loop
-from jaxact import rollout
-from jaxact.actuator import Actuator
-from jaxact.controller import Controller, Setpoint
-from jaxact.drive import Drive
-from jaxact.growth import growth_rate
-from jaxact.loop import Loop
+from jaxact.compilation.programs import Program
+from jaxact.drive import step as _drive
+from jaxact.drive.actuator import Actuator
+from jaxact.drive.controller import Controller, Setpoint
+from jaxact.drive.step import Drive
+from jaxact.loops import loop as _loop
+from jaxact.loops.loop import Loop
 from jaxact.paper.study import CONTROL_RATE, DELAYS, KD, KP, MASS, Cases
 from jaxact.plants import Mass
-from jaxact.programs import Program
+from jaxact.simulation import rollout
+from jaxact.simulation.growth.rate import growth_rate
 
 LARGEST_GAIN = 200.0  # no margin of the sampled loops is larger [-]
 LONGEST_DELAY = 0.040  # nor any delay margin [s]

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import jax
 
-from jaxact.drive import Force
+from jaxact.drive.step import Force
 
 State = Any
 

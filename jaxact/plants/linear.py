@@ -2,8 +2,8 @@
 
     x' = A x + B (f - f0),     q - q0 = C_q x,     v = C_v x
 
-with the mean joint force f over the step. `jaxact.linearize` makes it from a MuJoCo model, in the
-tangent space of its configuration.
+with the mean joint force f over the step. `jaxact.plants.linearize` makes it from a MuJoCo model,
+in the tangent space of its configuration.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import jax
 
-from jaxact.drive import Force
+from jaxact.drive.step import Force
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from jaxact.drive import Force
+from jaxact.drive.step import Force
 
 
 @dataclass(frozen=True)

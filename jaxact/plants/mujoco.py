@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
-from jaxact.plants.model import Robot, demand
-from jaxact.plants.posture import Posture
+from jaxact.robots.model import Robot, demand
+from jaxact.robots.posture import Posture
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Simulations:
     """Simulations of one robot side by side, all starting in the same posture.
 
     Args:
-        robot: from `jaxact.plants.model.read`.
+        robot: from `jaxact.robots.model.read`.
         posture: to start from.
         step: physics step [s].
         number: of simulations.
@@ -62,7 +62,7 @@ class Simulations:
         impulse: on a body, or None.
         push: on the joints beside their drives, or None; those of one label share it.
         corrected: whether the joints' positions are taken half a physics step earlier, see
-            `jaxact.plants.mjx.MjxPlant`.
+            `jaxact.plants.mjx.plant.MjxPlant`.
         threads: used for stepping; 0 for one on each core that this process may use.
 
     Raises:
@@ -139,7 +139,7 @@ class Simulations:
         """One physics step under these mean joint forces [N or N m], shape (number, joints).
 
         A simulation that MuJoCo gives up keeps its state, which is not a number from then on.
-        MuJoCo warns of it; see `jaxact.plants.silence`.
+        MuJoCo warns of it; see `jaxact.robots.silence`.
         """
         limited = np.minimum(np.maximum(force[self._first], self._low), self._high)
         self._ctrl[:, self._actuators] = limited

@@ -25,8 +25,8 @@ import mujoco
 from jax.custom_batching import custom_vmap
 
 from jaxact.errors import UserError
-from jaxact.plants import mjx_step
-from jaxact.plants.mjx import mjx
+from jaxact.plants.mjx import step as mjx_step
+from jaxact.plants.mjx.plant import mjx
 from jaxact.plants.warp_room import Room
 
 PACKAGE = "warp-lang"

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from jaxact.plants import elements
-from jaxact.plants import model as models
+from jaxact.robots import elements
+from jaxact.robots import model as models
 
 ARM = """
 <mujoco>

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from jaxact import linearize
-from jaxact.plants import friction, model, posture
+from jaxact.plants import linearize
+from jaxact.robots import friction, model, posture
 
 STEP = 1e-3
 

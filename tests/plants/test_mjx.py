@@ -9,14 +9,17 @@ import pytest
 from exact import growth_rate as exact_growth_rate
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact import drive as drives
-from jaxact import growth, loop, rollout
-from jaxact.actuator import PRESETS, Actuator
-from jaxact.controller import Controller, Setpoint
-from jaxact.drive import Drive
+from jaxact.drive import step as drives
+from jaxact.drive.actuator import PRESETS, Actuator
+from jaxact.drive.controller import Controller, Setpoint
+from jaxact.drive.step import Drive
 from jaxact.errors import UserError
-from jaxact.loop import Loop
-from jaxact.plants import Mass, mjx
+from jaxact.loops import loop
+from jaxact.loops.loop import Loop
+from jaxact.plants import Mass
+from jaxact.plants.mjx import plant as mjx
+from jaxact.simulation import rollout
+from jaxact.simulation.growth import rate as growth
 
 SUBSTEPS = 4
 KP, KD = (a.ravel() for a in np.meshgrid(np.geomspace(10, 1e5, 32), np.geomspace(0.1, 2000, 32)))

@@ -7,8 +7,9 @@ import pytest
 from quickly import compiled_quickly as compiled_quickly
 from robots import PENDULUM
 
-from jaxact.plants import mjx, mjx_step
-from jaxact.plants.mjx_small import written_out
+from jaxact.plants.mjx import plant as mjx
+from jaxact.plants.mjx import step as mjx_step
+from jaxact.plants.mjx.scalars.step import written_out
 
 _RANDOM = np.random.default_rng(5)
 

@@ -11,10 +11,11 @@ import pytest
 from quickly import compiled_quickly as compiled_quickly
 from robots import HOPPER, MONOPED
 
-from jaxact.drive import Force
+from jaxact.drive.step import Force
 from jaxact.errors import UserError
-from jaxact.plants import mjx, model, posture
-from jaxact.plants.mjx_smooth import smooth
+from jaxact.plants.mjx import plant as mjx
+from jaxact.plants.mjx.smooth import smooth
+from jaxact.robots import model, posture
 
 STEPS = 20
 STEP = 2e-3

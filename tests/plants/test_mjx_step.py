@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact.plants import mjx_step
-from jaxact.plants.mjx_step import mjx
+from jaxact.plants.mjx import step as mjx_step
+from jaxact.plants.mjx.step import mjx
 
 # In float32 the cost of the heavy box hides what the light arm would gain.
 BOX = """

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from jaxact.errors import UserError
-from jaxact.plants import model as models
-from jaxact.plants.findings import ENGINES
+from jaxact.robots import model as models
+from jaxact.robots.findings import ENGINES
 
 STEP = 0.001
 ARM = """

@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from jaxact import linearize
 from jaxact.errors import UserError
-from jaxact.plants import model as models
-from jaxact.plants import mounting, posture
+from jaxact.plants import linearize
+from jaxact.robots import model as models
+from jaxact.robots import mounting, posture
 
 LEG = """<body name="{side} thigh" pos="0 {y} 0">
   <joint name="{side} hip" axis="0 1 0" damping=".4" armature=".01"/>

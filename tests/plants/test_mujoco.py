@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from robots import HOPPER
 
-from jaxact.plants import model, posture
 from jaxact.plants.mujoco import Impulse, Simulations
+from jaxact.robots import model, posture
 
 STEP = 1e-3
 STEPS = 50

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact.plants import mjx_refusals, parity
-from jaxact.plants import model as models
-from jaxact.plants.findings import EMULATED, HARMLESS, MJX, REFUSED, WARP
-from jaxact.plants.mjx import mjx
+from jaxact.plants.mjx import refusals as mjx_refusals
+from jaxact.plants.mjx.plant import mjx
+from jaxact.robots import model as models
+from jaxact.robots import parity
+from jaxact.robots.findings import EMULATED, HARMLESS, MJX, REFUSED, WARP
 
 # One pendulum for each field of joints, tendons and actuators; `plain` has none.
 PENDULA = {

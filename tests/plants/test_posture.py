@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from jaxact.plants import model, posture
+from jaxact.robots import model, posture
 
 LEG = """<body name="{name}" pos="{x} {y} 0"><joint name="{name} hip" axis="0 1 0"/>
   <geom type="capsule" fromto="0 0 0 0 0 -.2" size=".01" mass=".05"/>

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxact.errors import UserError
-from jaxact.plants import model as models
+from jaxact.robots import model as models
 
 URDF = """<robot name="arm"><link name="base"/><link name="rod">{rod}</link>
 <joint name="turn" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from jaxact.plants.silence import silenced
+from jaxact.robots.silence import silenced
 
 
 def _fail():

@@ -10,11 +10,13 @@ import pytest
 from quickly import compiled_quickly  # noqa: F401 - a fixture
 from robots import HOPPER, PENDULUM, QUADRUPED
 
-from jaxact.drive import Force
+from jaxact.drive.step import Force
 from jaxact.errors import UserError
-from jaxact.plants import mjx, parity, posture, warp, warp_room
-from jaxact.plants import model as models
-from jaxact.plants.findings import MJX, REFUSED
+from jaxact.plants import warp, warp_room
+from jaxact.plants.mjx import plant as mjx
+from jaxact.robots import model as models
+from jaxact.robots import parity, posture
+from jaxact.robots.findings import MJX, REFUSED
 
 LACKING = warp.lacking()
 needs_warp = pytest.mark.skipif(bool(LACKING), reason=LACKING or "MJX-Warp is there")
@@ -260,7 +262,7 @@ def test_every_field_that_stops_mjx_alone_is_simulated_below():
 @needs_warp
 @pytest.mark.parametrize("name", SIMULATED)
 def test_fields_that_stop_mjx_and_not_mjx_warp(name, tmp_path):
-    """What `jaxact.plants.parity` lets MJX-Warp simulate it simulates as C MuJoCo does."""
+    """What `jaxact.robots.parity` lets MJX-Warp simulate it simulates as C MuJoCo does."""
     text, fields = SIMULATED[name]
     robot = _robot(tmp_path, text)
     stopped = [item for item in robot.findings if item.engines]

@@ -1,0 +1,1 @@
+"""Gains at which a joint's loop is marginal."""

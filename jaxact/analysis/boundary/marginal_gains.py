@@ -1,0 +1,221 @@
+"""The gains at which a root is marginal (D-partition), and the count of unstable roots beside them.
+
+Continuous, on s = jw, with x = w/wn:
+
+    kp = m w^2 ((1 - x^2) cos(w td) - 2 zeta x sin(w td))
+    kd = m w   ((1 - x^2) sin(w td) + 2 zeta x cos(w td)),    and the line kp = 0.
+
+With kp = m w^2 R and kd = m w I without one, a filter 1 / (1 + s tau) of the velocity makes them
+m w^2 (R - w tau I) and m w (1 + (w tau)^2) I.
+
+Sampled, on z = exp(j w T): the two real unknowns of 1 + kp Gp(z) + kd Gv(z) = 0, and the lines of
+z = 1 (kp = 0) and z = -1. NumPy at the edge, float64.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.analysis.boundary.curves import Count, Gains, Range, frequency_grid
+from jaxact.analysis.joint.frequency import JointLoop
+from jaxact.analysis.joint.roots import count_unstable_roots
+from jaxact.analysis.sampled.period_map import SampledLoop, one_period_matrix
+from jaxact.analysis.sampled.pulse import plant_response, pulse_transfer
+from jaxact.compilation.programs import KEPT, Program
+
+_CHUNK = 128
+
+
+@dataclass(frozen=True)
+class Marginal:
+    """The marginal gains of one plant.
+
+    gains: (kp, kd) of a marginal root at w [rad/s]
+    modulus: between what |kp + j w kd| of it is [N/m], whatever the delay, as a function of w; None
+        if all frequencies are of interest
+    nyquist: pi/T [rad/s], inf for the continuous loop
+    at_nyquist: Gp(-1), Gv(-1), 0 for the continuous loop
+    lag: longest delay in the phase [s], for the density of the grid
+    count: number of unstable roots at (kp, kd)
+    """
+
+    gains: Gains
+    modulus: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None
+    nyquist: float
+    at_nyquist: tuple[float, float]
+    lag: float
+    count: Count
+
+
+def continuous_marginal(
+    mass: float, wn: float, damping_ratio: float, delay: float, velocity_filter: float = math.inf
+) -> Marginal:
+    """Of the continuous loop; mass [kg], wn [rad/s], zeta [-], total delay [s].
+
+    velocity_filter: cutoff of the filter of the velocity [rad/s], inf = none
+
+    Raises ValueError for values out of their domain.
+    """
+    zeta = 1.0 if math.isinf(wn) else damping_ratio
+    _check_plant(mass, wn, zeta, delay)
+    _check_filter(velocity_filter)
+
+    def servo(w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x = w / wn
+        return (1.0 - x) * (1.0 + x), 2.0 * zeta * x
+
+    def gains(w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        real, imaginary = servo(w)
+        cosine, sine = np.cos(w * delay), np.sin(w * delay)
+        real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
+        turn = w / velocity_filter
+        kp = mass * w * w * (real - turn * imaginary)
+        return kp, mass * w * (1.0 + turn * turn) * imaginary
+
+    def modulus(w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        size = mass * w * w * np.hypot(*servo(w))
+        # The singular values of (R, I) -> (R - w tau I, (1 + (w tau)^2) I).
+        turn2 = (w / velocity_filter) ** 2
+        determinant, norm2 = 1.0 + turn2, 1.0 + turn2 + (1.0 + turn2) ** 2
+        largest = np.sqrt(0.5 * (norm2 + np.sqrt(np.maximum(norm2**2 - 4.0 * determinant**2, 0.0))))
+        return size * determinant / largest, size * largest
+
+    def count(kp: np.ndarray, kd: np.ndarray) -> np.ndarray:
+        return _count_continuous(kp, kd, (mass, wn, zeta, delay, velocity_filter))
+
+    return Marginal(gains, modulus, math.inf, (0.0, 0.0), delay, count)
+
+
+def sampled_marginal(
+    mass: float,
+    wn: float,
+    damping_ratio: float,
+    delay: float,
+    control_period: float,
+    velocity_filter: float,
+    kinds: dict,
+) -> Marginal:
+    """Of the sampled loop, besides with its control period [s] and velocity filter [rad/s].
+
+    kinds: velocity, integrator, substeps of a SampledLoop
+
+    Raises ValueError for values out of their domain.
+    """
+    zeta = 1.0 if math.isinf(wn) else damping_ratio
+    _check_plant(mass, wn, zeta, delay)
+    if not 0 < control_period < math.inf:
+        raise ValueError("control_period must be positive")
+    _check_filter(velocity_filter)
+    numbers = (mass, wn, zeta, delay, control_period, velocity_filter)
+    with jax.enable_x64(True):
+        zero = jnp.asarray(0.0)
+        arrays: list = [zero, zero, *(jnp.asarray(float(a)) for a in numbers)]
+        plant = SampledLoop(*arrays, **kinds)
+        transfer = jax.tree.map(np.asarray, _transfer(plant))
+        steps = int(transfer.steps)
+        # The matrix is affine in the gains.
+        base, along_kp, along_kd = (
+            np.asarray(_period_matrix(steps)(replace(plant, kp=zero + kp, kd=zero + kd)))
+            for kp, kd in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+        )
+
+    def plant_at(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        u = np.exp(-1j * theta)
+        s = 2j * np.sin(0.5 * theta) * np.exp(-0.5j * theta)
+        return plant_response(transfer, u, s, np.exp(-1j * theta * (steps + 1)))
+
+    def gains(w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        position, rate = plant_at(w * control_period)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            determinant = position.real * rate.imag - position.imag * rate.real
+            return -rate.imag / determinant, position.imag / determinant
+
+    def count(kp: np.ndarray, kd: np.ndarray) -> np.ndarray:
+        kp, kd = kp[:, None, None], kd[:, None, None]
+        closed = base + kp * (along_kp - base) + kd * (along_kd - base)
+        return np.sum(np.abs(np.linalg.eigvals(closed)) > 1.0, axis=1)
+
+    position, rate = plant_at(np.array([math.pi]))
+    at_nyquist = (float(position.real[0]), float(rate.real[0]))
+    nyquist = math.pi / control_period
+    return Marginal(gains, None, nyquist, at_nyquist, delay + 4.0 * control_period, count)
+
+
+_transfer = Program(lambda: pulse_transfer, "pulse transfer")
+_counter = Program(lambda: count_unstable_roots, "unstable roots")
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _period_matrix(steps: int) -> Program:
+    return Program(lambda: lambda loop: one_period_matrix(loop, steps), ("period matrix", steps))
+
+
+def _check_plant(mass: float, wn: float, zeta: float, delay: float) -> None:
+    if not (mass > 0 and wn > 0 and zeta > 0):
+        raise ValueError("mass, natural_frequency and damping_ratio must be positive")
+    if not 0 <= delay < math.inf:
+        raise ValueError("the delay must be finite and not negative")
+
+
+def _check_filter(velocity_filter: float) -> None:
+    if not velocity_filter > 0:
+        raise ValueError("velocity_filter must be positive")
+
+
+def window_grid(marginal: Marginal, mass: float, kp_range: Range, kd_range: Range) -> np.ndarray:
+    """Frequencies that can lie in the window, dense in their logarithm and in the phase."""
+    largest = [max(abs(a), abs(b)) for a, b in (kp_range, kd_range)]
+    smallest = [min(abs(a), abs(b)) if a * b > 0 else 0.0 for a, b in (kp_range, kd_range)]
+    unit = math.sqrt(largest[0] / mass)
+    if marginal.modulus is None:
+        low = 1e-3 * math.sqrt(max(smallest[0], 1e-9 * largest[0]) / mass)
+        low = min(low, 1e-3 * marginal.nyquist)
+        return frequency_grid(low, marginal.nyquist * (1.0 - 1e-9), marginal.lag)
+    w = np.geomspace(1e-9 * unit, 1e9 * unit, 20_001)
+    least, most = marginal.modulus(w)
+    possible = least <= 1.1 * np.hypot(largest[0], w * largest[1])
+    possible &= most >= 0.9 * np.hypot(smallest[0], w * smallest[1])
+    if not possible.any():
+        return np.zeros(0)
+    return frequency_grid(w[possible][0], w[possible][-1], marginal.lag)
+
+
+def kp_on_line(marginal: Marginal, kd: float) -> float:
+    """kp [N/m] of 1 + kp Gp(-1) + kd Gv(-1) = 0; NaN where kp does not matter, or continuous."""
+    position, rate = marginal.at_nyquist
+    negligible = abs(position) * marginal.nyquist <= 1e-12 * abs(rate)
+    return math.nan if negligible or _is_continuous(marginal) else -(1.0 + kd * rate) / position
+
+
+def kd_on_line(marginal: Marginal, kp: float) -> float:
+    """kd [N s/m] of 1 + kp Gp(-1) + kd Gv(-1) = 0; NaN where kd does not matter, or continuous."""
+    position, rate = marginal.at_nyquist
+    negligible = abs(rate) <= 1e-12 * abs(position) * marginal.nyquist
+    return math.nan if negligible or _is_continuous(marginal) else -(1.0 + kp * position) / rate
+
+
+def _is_continuous(marginal: Marginal) -> bool:
+    return math.isinf(marginal.nyquist)
+
+
+def _count_continuous(kp: np.ndarray, kd: np.ndarray, plant: tuple[float, ...]) -> np.ndarray:
+    """Unstable roots of the continuous loop, in chunks of one compiled shape.
+
+    plant: mass, wn, zeta, delay, cutoff of the filter of the velocity
+    """
+    counts = []
+    if math.isinf(plant[-1]):
+        plant = plant[:-1]
+    with jax.enable_x64(True):
+        for start in range(0, len(kp), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            number = len(kp[part])
+            padded = [np.resize(a[part], _CHUNK) for a in (kp, kd)]
+            fields = [*(jnp.asarray(a) for a in padded), *(jnp.full(_CHUNK, a) for a in plant)]
+            counts.append(np.asarray(_counter(JointLoop(*fields)))[:number])
+    return np.concatenate(counts)

@@ -1,0 +1,1 @@
+"""A joint's loop in continuous time, with the exact delay."""

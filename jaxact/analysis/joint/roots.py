@@ -1,0 +1,188 @@
+"""Closed-loop roots: how many are unstable (argument principle), and the rightmost one.
+
+Delta(s) = m s^2 (s^2 + 2 zeta wn s + wn^2) / wn^2 + (kp + kd s) exp(-s delay)
+
+With a filter of the velocity the first term takes the factor 1 + s tau, and kd becomes kd + kp tau.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.analysis.joint.crossovers import TURN, gain_crossovers
+from jaxact.analysis.joint.frequency import JointLoop, broadcast_loop, filter_lag, lead_gain, phase
+from jaxact.analysis.joint.stationary import gain_extremes
+
+_NODES = 24
+_STARTS = 10
+_NEWTON_STEPS = 24
+
+
+def encirclements(phases: jax.Array, present: jax.Array, loop: JointLoop) -> jax.Array:
+    """Number of closed-loop roots with positive real part, from the phase at gain crossovers.
+
+    phases: phase(w) at the gain crossovers in ascending order [rad], shape (k, ...)
+    present: which of them exist, shape (k, ...)
+    loop: fields of shape (1, ...)
+
+    Between crossovers with |L| > 1 the curve passes the critical ray once for every multiple of
+    2 pi that the phase passes, and each passage downwards moves a pair of roots to the right:
+
+        2 sum over those stretches [a, b] of (floor(phase_a / 2 pi) - floor(phase_b / 2 pi)).
+
+    Where |L| < 1 it cannot encircle the point. The double pole at the origin starts the curve at
+    phase 0+ for kp > 0; for kp <= 0 one root is never on the left.
+    """
+    start = jnp.where(loop.kp > 0, 0.0, jnp.where(loop.kd < 0, -1.0, 0.0))
+    passed = jnp.floor(phases / TURN)
+    # |L| > 1 before the first crossover, so present ones alternate: down, up, down.
+    rank = jnp.cumsum(present.astype(phases.dtype), axis=0)
+    sign = jnp.where(present, jnp.where(rank % 2 == 1, -1.0, 1.0), 0.0)
+    pairs = jnp.sum(sign * passed, axis=0, keepdims=True) + start
+    return 2.0 * pairs + jnp.where(loop.kp > 0, 0.0, 1.0)
+
+
+def count_unstable_roots(loop: JointLoop) -> jax.Array:
+    """Number of closed-loop roots that are not in the open left half plane, int32, shape (...).
+
+    loop: fields of any broadcastable shape
+
+    Exact for every delay: argument principle on the refined gain crossovers.
+    """
+    loop = broadcast_loop(loop)
+    rows = jax.tree.map(lambda a: a[None], loop)
+    w, present = gain_crossovers(rows, gain_extremes(rows))
+    return encirclements(phase(rows, w), present, rows)[0].astype(jnp.int32)
+
+
+def rightmost_root(loop: JointLoop) -> jax.Array:
+    """The closed-loop root with the largest real part [1/s], complex with Im >= 0, shape (...).
+
+    loop: fields of any broadcastable shape, kp or kd not zero
+
+    Collocation of the delayed command on Chebyshev nodes gives approximate roots (Breda, Maset
+    and Vermiglio, Stability of Linear Delay Differential Equations); Newton on the exact
+    characteristic function refines them together with the open-loop corners, and the derivative
+    is that of the implicit function. NaN where no start converges.
+    """
+    loop = broadcast_loop(loop)
+    shape = loop.kp.shape
+    rows = jax.tree.map(lambda a: a.reshape((1, -1)), loop)
+    root = _rightmost(jax.lax.stop_gradient(rows))
+    value, slope = characteristic(rows, root)
+    # The value stays that of the search, the derivative is -(d Delta / d parameter) / Delta'(s).
+    step = value / jax.lax.stop_gradient(slope)
+    refined = root - (step - jax.lax.stop_gradient(step))
+    return refined.reshape(shape)
+
+
+def spectral_abscissa(loop: JointLoop) -> jax.Array:
+    """Real part of the rightmost closed-loop root [1/s], shape (...); negative = stable.
+
+    loop: fields of any broadcastable shape
+    """
+    return rightmost_root(loop).real
+
+
+def characteristic(loop: JointLoop, s: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Delta(s) = m s^2 D(s) + (kp + kd s) exp(-s td) [N/m] and dDelta/ds, complex.
+
+    s: [1/s], complex
+    """
+    v = 1.0 / loop.natural_frequency
+    lag = 2.0 * loop.damping_ratio * v
+    servo, servo_slope = 1.0 + s * (lag + s * v * v), lag + 2.0 * s * v * v
+    shift = jnp.exp(-s * loop.delay)
+    if loop.velocity_filter is not None:
+        tau = filter_lag(loop)
+        servo, servo_slope = servo * (1.0 + s * tau), servo_slope * (1.0 + s * tau) + servo * tau
+    rate = lead_gain(loop)
+    control = loop.kp + rate * s
+    value = loop.mass * s * s * servo + control * shift
+    slope = loop.mass * s * (2.0 * servo + s * servo_slope)
+    return value, slope + (rate - loop.delay * control) * shift
+
+
+def _rightmost(loop: JointLoop) -> jax.Array:
+    """Newton from every start; the converged root furthest to the right, shape (1, n)."""
+    starts = jnp.concatenate([_collocation_roots(loop), _corner_starts(loop)])
+
+    def newton(_: int, s: jax.Array) -> jax.Array:
+        value, slope = characteristic(loop, s)
+        return s - value / slope
+
+    s = jax.lax.fori_loop(0, _NEWTON_STEPS, newton, starts)
+    value, slope = characteristic(loop, s)
+    scale = jnp.abs(s) + 1e-3 * jnp.sqrt(jnp.abs(loop.kp) / loop.mass)
+    tolerance = jnp.sqrt(jnp.finfo(scale.dtype).eps)
+    converged = jnp.isfinite(jnp.abs(s)) & (jnp.abs(value / slope) <= tolerance * scale)
+    real = jnp.where(converged, s.real, -jnp.inf)
+    best = real == jnp.max(real, axis=0, keepdims=True)
+    chosen = best & converged
+    imaginary = jnp.max(jnp.where(chosen, jnp.abs(s.imag), 0.0), axis=0, keepdims=True)
+    real = jnp.max(real, axis=0, keepdims=True)
+    return jax.lax.complex(jnp.where(jnp.isinf(real), jnp.nan, real), imaginary)
+
+
+def _corner_starts(loop: JointLoop) -> jax.Array:
+    """Rigid-body roots, servo poles, gain crossovers and points in the right half plane."""
+    kp, kd, mass = loop.kp + 0j, loop.kd, loop.mass
+    root = jnp.sqrt(kd**2 - 4.0 * mass * kp)
+    wn = jnp.where(jnp.isinf(loop.natural_frequency), 1.0, loop.natural_frequency)
+    servo = wn * (-loop.damping_ratio + jnp.sqrt(loop.damping_ratio**2 - 1.0 + 0j))
+    w, _ = gain_crossovers(loop, gain_extremes(loop))
+    return jnp.concatenate(
+        [(root - kd) / (2.0 * mass), -2.0 * kp / (kd + root), servo, 1j * w, (0.5 + 1.0j) * w]
+    )
+
+
+def _collocation_roots(loop: JointLoop) -> jax.Array:
+    """The rightmost eigenvalues of the collocated loops with Im >= 0, shape (starts, n)."""
+    flat = jax.tree.map(lambda a: a[0], loop)
+    roots = jnp.linalg.eigvals(jax.vmap(_collocation_matrix)(flat))
+    key = jnp.where(roots.imag >= 0, roots.real, -jnp.inf)
+    _, index = jax.lax.top_k(key, _STARTS)
+    return jnp.take_along_axis(roots, index, axis=1).T
+
+
+def _collocation_matrix(loop: JointLoop) -> jax.Array:
+    """x' = A x of one loop, x = (q, v, f, f'/wn, u(t - theta_1 td), ..., u(t - td)).
+
+    The command u = -(kp q + kd v) travels along the nodes as du/dt = -du/dtheta / td. Where the
+    velocity is filtered, it is a fifth state before them.
+    """
+    ideal, late = jnp.isinf(loop.natural_frequency), loop.delay > 0
+    wn = jnp.where(ideal, 1.0, loop.natural_frequency)
+    filtered = loop.velocity_filter is not None
+    own = 5 if filtered else 4
+    travel = jnp.asarray(_differentiation_matrix(_NODES), dtype=loop.kp.dtype)
+    speed = jnp.where(late, 2.0 / jnp.where(late, loop.delay, 1.0), 0.0)
+    unit = jnp.eye(own + _NODES, dtype=loop.kp.dtype)
+    position, velocity, force, rate = unit[0], unit[1], unit[2], unit[3]
+    cutoff = jnp.inf if loop.velocity_filter is None else loop.velocity_filter
+    sensed = jnp.where(jnp.isinf(cutoff), velocity, unit[4]) if filtered else velocity
+    command = -(loop.kp * position + loop.kd * sensed)
+    delayed = jnp.where(late, unit[-1], command)
+
+    # The ideal servo has no state of its own: those two decay by themselves.
+    push = jnp.where(ideal, delayed, force) / loop.mass
+    force_row = jnp.where(ideal, -force, wn * rate)
+    rate_row = wn * (delayed - force) - 2.0 * loop.damping_ratio * wn * rate
+    rate_row = jnp.where(ideal, -rate, rate_row)
+    history = speed * (jnp.outer(travel[1:, 0], command) + travel[1:, 1:] @ unit[own:])
+    # Without delay the history is idle.
+    history = history - jnp.where(late, 0.0, 1.0) * unit[own:]
+    rows = [velocity, push, force_row, rate_row]
+    if filtered:
+        finite = jnp.where(jnp.isinf(cutoff), 1.0, cutoff)
+        rows.append(finite * (velocity * jnp.isfinite(cutoff) - unit[4]))
+    return jnp.concatenate([jnp.stack(rows), history])
+
+
+def _differentiation_matrix(order: int) -> np.ndarray:
+    """Derivative at the Chebyshev points cos(pi k / order) (Trefethen, Spectral Methods)."""
+    k = np.arange(order + 1)
+    x = np.cos(np.pi * k / order)
+    c = np.where((k == 0) | (k == order), 2.0, 1.0) * (-1.0) ** k
+    matrix = np.outer(c, 1.0 / c) / (x[:, None] - x[None, :] + np.eye(order + 1))
+    return matrix - np.diag(matrix.sum(axis=1))

@@ -1,0 +1,1 @@
+"""A robot's sampled loop, of all joints at once."""

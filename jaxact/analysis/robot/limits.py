@@ -1,0 +1,280 @@
+"""How far the gains and the delays of all joints may change together.
+
+A factor g on all commands makes the loop marginal where an eigenvalue s of S(e^(jt)) obeys
+g = s / (s - 1); a common delay turns the eigenvalues 1/s - 1 of the loop and makes it marginal
+where they have modulus 1, Re s = 1/2. Eigenvalues followed over frequency give all candidates;
+which of them bound the stable set is decided by the spectral radius of the loop's matrix.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import scipy.linalg
+from scipy.optimize import linear_sum_assignment, root
+
+from jaxact.analysis.robot.multiloop import Matrices, Multiloop, reduced, sensitivity
+
+# A root this little outside the unit circle is on it: a robot's matrices come from differences.
+MARGINAL = 1e-9
+# Factors further from 1 than this are none.
+_FURTHEST = 1e9
+# Halvings of the grid's intervals, and of intervals of factors and delays.
+_HALVINGS, _BISECTIONS = 40, 44
+# How far beside a crossing stability is looked at, of its distance.
+_BESIDE = 1e-4
+# A root that turns by less than this in a period does not turn [rad].
+_STILL = 1e-9
+# Imaginary parts below this share are rounding.
+_ROUNDING = 1e-9
+# Periods within which all delays are tried, and how finely: a delay that is no whole period changes
+# the loop near the Nyquist frequency by more than its phase.
+_TRIED, _PARTS = 4, 4
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """Where one eigenvalue of S is marginal, between two points of a grid or at one.
+
+    low, high: w T [rad]
+    below, above: the eigenvalue there
+    angle, value: in between, by linear interpolation
+    """
+
+    low: float
+    high: float
+    below: complex
+    above: complex
+    angle: float
+    value: complex
+
+
+def unstable(M: np.ndarray) -> bool:
+    """Whether the spectral radius of a matrix is above 1, beyond doubt."""
+    return bool(np.max(np.abs(scipy.linalg.eigvals(M)), initial=0.0) > 1.0 + MARGINAL)
+
+
+def followed(S: np.ndarray) -> np.ndarray:
+    """Eigenvalues of S over frequency, each in a column of its own; shape (k, m).
+
+    S: from 0 to the Nyquist frequency, shape (k, m, m)
+    """
+    values = np.linalg.eigvals(S)
+    for row in range(1, len(values)):
+        distance = np.abs(values[row - 1][:, None] - values[row][None])
+        values[row] = values[row][linear_sum_assignment(distance)[1]]
+    for end in (0, -1):
+        # S is a real matrix there.
+        real = np.abs(values[end].imag) < _ROUNDING * np.abs(values[end])
+        values[end] = np.where(real, values[end].real, values[end])
+    return values
+
+
+def crossings(
+    angle: np.ndarray, values: np.ndarray, curve: Callable[[np.ndarray], np.ndarray]
+) -> list[Crossing]:
+    """Where a real function of the eigenvalues of S passes zero between grid points.
+
+    angle: grid of w T [rad], shape (k,)
+    values: from `followed`, shape (k, m)
+    curve: linear in real and imaginary part
+    """
+    real = curve(values)
+    rows, columns = np.nonzero(real[:-1] * real[1:] < 0.0)
+    found = []
+    for row, column in zip(rows, columns, strict=True):
+        (low, high), (below, above) = angle[row : row + 2], values[row : row + 2, column]
+        share = real[row, column] / (real[row, column] - real[row + 1, column])
+        middle, value = low + share * (high - low), below + share * (above - below)
+        ends = float(low), float(high), complex(below), complex(above)
+        found.append(Crossing(*ends, float(middle), complex(value)))
+    return found
+
+
+def gain_factors(angle: np.ndarray, values: np.ndarray) -> list[Crossing]:
+    """Crossings with a real factor on all gains, the ends of the frequency axis included."""
+    found = crossings(angle, values, lambda s: s.imag)
+    for end in (0, -1):
+        real = values[end][values[end].imag == 0.0]
+        at = float(angle[end])
+        found += [Crossing(at, at, complex(s), complex(s), at, complex(s)) for s in real]
+    return [item for item in found if 1.0 / _FURTHEST < factor(item) < _FURTHEST]
+
+
+def refined(loop: Multiloop, crossing: Crossing) -> Crossing:
+    """The same with a real eigenvalue of S, to rounding."""
+    low, high = crossing.low, crossing.high
+    below, above = crossing.below, crossing.above
+    for _ in range(_HALVINGS if low < high else 0):
+        middle = 0.5 * (low + high)
+        values = np.linalg.eigvals(sensitivity(loop, np.array([middle]))[0])
+        value = values[np.argmin(np.abs(values - 0.5 * (below + above)))]
+        if value.imag * below.imag > 0.0:
+            low, below = middle, value
+        else:
+            high, above = middle, value
+    return Crossing(low, high, below, above, 0.5 * (low + high), 0.5 * (below + above))
+
+
+def factor(crossing: Crossing) -> float:
+    """The factor on all gains of a crossing; negative or infinite where there is none."""
+    s = crossing.value.real
+    return s / (s - 1.0) if s != 1.0 else math.inf
+
+
+def gain_limit(
+    loop: Multiloop,
+    matrices: Matrices,
+    candidates: list[Crossing],
+    *,
+    up: bool,
+    bad: Callable[[np.ndarray], bool] = unstable,
+) -> tuple[float, float]:
+    """The nearest factor on all gains at which stability changes, above or below 1.
+
+    matrices: M, N, C of the loop
+    candidates: from `gain_factors`
+    bad: what a loop with this matrix is, or is not; of its growing roots only those count
+
+    Returns the factor (inf above, 0 below if there is none) and its frequency w T [rad] (inf).
+    """
+    M, N, C = reduced(matrices)
+    feedback = N @ C
+    sign = 1.0 if up else -1.0
+
+    def fails(distance: float) -> bool:
+        return bad(M + math.expm1(sign * distance) * feedback)
+
+    ahead = sorted(
+        (item for item in candidates if (factor(item) > 1.0) == up),
+        key=lambda item: abs(math.log(factor(item))),
+    )
+    distances = [abs(math.log(factor(item))) for item in ahead]
+    between = [0.5 * (near + far) for near, far in pairwise(distances)]
+    # Stability may change at a crossing only: it is looked at between them.
+    stops = [*between, *(1.5 * last + 0.1 for last in distances[-1:])]
+    start, now = 0.0, fails(0.0)
+    for item, beyond in zip(ahead, stops, strict=True):
+        if fails(beyond) != now:
+            exact = refined(loop, item)
+            at = abs(math.log(factor(exact)))
+            if fails(at - _BESIDE * at) != now or fails(at + _BESIDE * at) == now:
+                # Another crossing, between two points of the grid.
+                at = _switch(fails, start, beyond)
+            return math.exp(sign * at), exact.angle
+        start = beyond
+    return (math.inf if up else 0.0), math.inf
+
+
+def _switch(fails: Callable[[float], bool], low: float, high: float) -> float:
+    """Where a loop changes from stable to unstable, or back, by bisection to rounding."""
+    first = fails(low)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if fails(middle) == first else (low, middle)
+    return 0.5 * (low + high)
+
+
+def later(matrices: Matrices, periods: int) -> np.ndarray:
+    """The loop's matrix with all commands delayed by some more whole control periods."""
+    M, N, C = reduced(matrices)
+    if not periods:
+        return M
+    size, joints = N.shape
+    line = periods * joints
+    whole = np.zeros((size + line, size + line))
+    whole[:size, :size] = M - N @ C
+    whole[:size, -joints:] = N
+    whole[size : size + joints, :size] = C
+    whole[size + joints :, size:-joints] = np.eye(line - joints)
+    return whole
+
+
+def delay_limit(
+    later_by: Callable[[float], Matrices],
+    period: float,
+    candidates: list[Crossing],
+    bad: Callable[[np.ndarray], bool] = unstable,
+) -> tuple[float, float]:
+    """The smallest delay of all commands, on top of what they have, that destabilises [s].
+
+    later_by: extra delay of a part of a period [s], in [0, T] -> M, N, C
+    period: T [s]
+    candidates: crossings with Re s = 1/2 of the loop as it is
+    bad: what the loop as it is is not, see `gain_limit`
+
+    Returns the delay (inf if there is none) and its frequency w T [rad] (inf).
+    """
+    guesses = sorted((_turn(item) / item.angle, item) for item in candidates if item.angle > 0.0)
+    best, where = math.inf, math.inf
+    for guess, item in guesses:
+        if guess > 1.5 * best + 1.0:
+            break
+        found = _marginal(later_by, period, item, guess)
+        if found is not None and found[0] < best:
+            best, where = found
+    early = _early(later_by, period, min(best, float(_TRIED)) * (1.0 - 1e-9), bad)
+    if early is not None:
+        best, where = early
+    return best * period, where
+
+
+def _turn(crossing: Crossing) -> float:
+    """Phase that a delay has to take away [rad], in [0, 2 pi)."""
+    s = crossing.value
+    return float(np.angle((s - 1.0) / s)) % (2.0 * math.pi)
+
+
+def _marginal(
+    later_by: Callable[[float], Matrices], period: float, start: Crossing, guess: float
+) -> tuple[float, float] | None:
+    """The delay in periods and the angle w T near a guess at which the loop is marginal."""
+
+    def residual(point: np.ndarray) -> list[float]:
+        angle, delay = point
+        whole = math.floor(delay)
+        M, N, C = reduced(later_by((delay - whole) * period))
+        z = np.exp(1j * angle)
+        S = np.eye(N.shape[1]) + C @ np.linalg.solve(z * np.eye(len(M)) - M, N.astype(complex))
+        s = np.linalg.eigvals(S)
+        turned = z**-whole * (1.0 - s) / s
+        near = turned[np.argmin(np.abs(turned + 1.0))] + 1.0
+        return [near.real, near.imag]
+
+    found = root(residual, [start.angle, guess], tol=1e-12)
+    angle, delay = (float(value) for value in found.x)
+    accurate = math.hypot(*residual(found.x)) < 1e-8
+    if accurate and delay >= 0.0 and 0.0 < angle <= math.pi * (1.0 + 1e-12):
+        return delay, angle
+    return None
+
+
+def _early(
+    later_by: Callable[[float], Matrices],
+    period: float,
+    last: float,
+    bad: Callable[[np.ndarray], bool],
+) -> tuple[float, float] | None:
+    """An unstable delay before the last one, by trying [periods]; None if there is none."""
+
+    def matrix(delay: float) -> np.ndarray:
+        whole = math.floor(delay)
+        return later(later_by((delay - whole) * period), whole)
+
+    def fails(delay: float) -> bool:
+        return bad(matrix(delay))
+
+    before = 0.0
+    for delay in np.linspace(0.0, last, max(2, math.ceil(_PARTS * last)) + 1)[1:]:
+        if fails(float(delay)):
+            found = _switch(fails, before, float(delay))
+            values = scipy.linalg.eigvals(matrix(found))
+            # Delay changes nothing that does not turn.
+            turning = np.where(np.abs(np.angle(values)) > _STILL, np.abs(values), 0.0)
+            return found, float(abs(np.angle(values[np.argmax(turning)])))
+        before = float(delay)
+    return None

@@ -1,0 +1,142 @@
+"""A robot's closed loop over one control period, and its motions: what shakes, and what topples.
+
+A root z of the loop is the motion e^(s t) with s = ln(z)/T. A growing one topples the robot if it
+grows faster than it turns, Re s >= |Im s|: the robot has fallen before it has swung once, as an
+upright one does whose joints are stiff but that nobody balances. Else it shakes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from jaxact.analysis.robot import multiloop as _multiloop
+from jaxact.analysis.robot.limits import MARGINAL
+from jaxact.analysis.robot.multiloop import Matrices, Multiloop
+
+# A root that turns by less than this in a period does not turn [rad].
+_STILL = 1e-9
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A closed loop; n states, m joints.
+
+    matrices: M, N, C over one control period, see `jaxact.analysis.robot.multiloop`
+    velocities: of the joints at the ticks, rows of shape (m, n)
+    inertias: that forces on the joints feel [kg or kg m^2], shape (m,)
+    names: of the joints
+    period: control period T [s]
+    later_by: extra delay of all commands [s], from -delay to T -> M, N, C
+    delay: smallest command delay of a joint [s]
+    """
+
+    matrices: Matrices
+    velocities: np.ndarray
+    inertias: np.ndarray
+    names: tuple[str, ...]
+    period: float
+    later_by: Callable[[float], Matrices]
+    delay: float = 0.0
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A motion of the closed loop, or its response to the force that it amplifies most.
+
+    growth_rate: [1/s], negative if it decays; 0 of a response
+    frequency: [rad/s]
+    damping_ratio: [-], 1 where it does not oscillate; 0 of a response
+    participation: share of each joint in the kinetic energy of the joints, shape (m,); sums to 1
+    """
+
+    growth_rate: float
+    frequency: float
+    damping_ratio: float
+    participation: np.ndarray
+
+
+def growing(roots: np.ndarray) -> np.ndarray:
+    """Which roots are outside the unit circle, beyond rounding; what is not a number is."""
+    return ~(np.abs(roots) <= 1.0 + MARGINAL)
+
+
+def swinging(roots: np.ndarray) -> np.ndarray:
+    """Which roots turn faster than they grow or decay."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rates = np.log(np.asarray(roots, complex))
+    return np.abs(rates.imag) > np.abs(rates.real)
+
+
+def shakes(M: np.ndarray) -> bool:
+    """Whether a loop with this matrix has a growing motion that swings."""
+    roots = scipy.linalg.eigvals(M)
+    return bool(np.any(growing(roots) & swinging(roots)))
+
+
+def topples(M: np.ndarray) -> bool:
+    """Whether a loop with this matrix has a growing motion that does not swing."""
+    roots = scipy.linalg.eigvals(M)
+    return bool(np.any(growing(roots) & ~swinging(roots)))
+
+
+def fastest(roots: np.ndarray, period: float, *, swing: bool) -> float:
+    """Growth rate of the roots that swing, or of those that do not [1/s]; -inf if there is none."""
+    sizes = np.abs(roots[swinging(roots) == swing])
+    largest = float(sizes.max(initial=0.0))
+    return float(np.log(largest)) / period if largest > 0.0 else -np.inf
+
+
+def largest(loop: Multiloop, which: np.ndarray) -> int | None:
+    """Number of the largest root among these, None if there is none."""
+    places = np.flatnonzero(which)
+    return int(places[np.argmax(np.abs(loop.roots[places]))]) if places.size else None
+
+
+def least_damped(loop: Multiloop) -> int:
+    """Number of the root with the smallest damping ratio."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rates = np.log(loop.roots)
+        damping = -rates.real / np.abs(rates)
+    return int(np.argmin(np.where(np.isfinite(damping), damping, np.inf)))
+
+
+def mode(robot: Robot, loop: Multiloop, number: int) -> Mode:
+    """The motion that belongs to one root."""
+    rate = np.log(loop.roots[number]) / robot.period
+    U = loop.triangular
+    # The eigenvector of a triangular matrix: the rows below its root are zero.
+    vector = np.zeros(len(U), complex)
+    vector[number] = 1.0
+    shifted = U[:number, :number] - U[number, number] * np.eye(number)
+    vector[:number] = np.linalg.lstsq(shifted, -U[:number, number])[0]
+    return Mode(
+        growth_rate=float(rate.real),
+        frequency=float(abs(rate.imag)) if abs(rate.imag) > _STILL / robot.period else 0.0,
+        damping_ratio=float(-rate.real / (abs(rate) or 1.0)),
+        participation=participation(robot, loop.kept, loop.vectors @ vector),
+    )
+
+
+def response(robot: Robot, loop: Multiloop, frequency: float) -> Mode:
+    """What the joints do under the forces that S amplifies most, at one frequency [rad/s]."""
+    angle = frequency * robot.period
+    _, _, rows = np.linalg.svd(_multiloop.sensitivity(loop, np.array([angle]))[0])
+    moved = _multiloop.states(loop, angle, rows[0].conj())
+    return Mode(0.0, frequency, 0.0, participation(robot, loop.kept, moved))
+
+
+def participation(robot: Robot, kept: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """Share of each joint in I |v|^2; equal shares of a motion in which no joint moves.
+
+    kept: places of the states among those of M, shape (k,)
+    states: of the motion, complex, shape (k,)
+    """
+    # A joint that no force moves feels an infinite inertia.
+    inertias = np.where(np.isfinite(robot.inertias), robot.inertias, 0.0)
+    energy = inertias * np.abs(robot.velocities[:, kept] @ states) ** 2
+    total = float(energy.sum())
+    return energy / total if total > 0.0 else np.full(len(energy), 1.0 / len(energy))

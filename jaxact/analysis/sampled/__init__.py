@@ -1,0 +1,1 @@
+"""A joint's loop as its controller samples it."""

@@ -1,0 +1,242 @@
+"""Margins of the sampled loop, from its exact frequency response up to the Nyquist frequency.
+
+Stability is decided by the eigenvalues of the one-period matrix; the margins are read off
+L(exp(j w T)). Crossovers and peaks are found with the parameters constant; one Newton step with
+the parameters live carries the derivatives of the implicit functions.
+"""
+
+import math
+from dataclasses import dataclass, fields
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from jaxact.analysis.sampled.period_map import SampledLoop
+from jaxact.analysis.sampled.pulse import PulseTransfer, pulse_transfer
+from jaxact.analysis.sampled.roots import dominant_modulus, sampled_roots
+from jaxact.analysis.sampled.search import (
+    GAIN_SLOTS,
+    PHASE_SLOTS,
+    Found,
+    Response,
+    crossing_residual,
+    peak_heights,
+    peak_slopes,
+    response_at,
+    search,
+    with_slopes,
+)
+
+_TURN = 2.0 * math.pi
+_TILE = 64
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=[
+        "stable",
+        "unstable_roots",
+        "spectral_radius",
+        "log_gain_to_boundary",
+        "gain_margin",
+        "gain_reduction_margin",
+        "phase_crossover",
+        "phase_margin",
+        "gain_crossover",
+        "delay_margin",
+        "sensitivity_peak",
+        "sensitivity_peak_frequency",
+        "complementary_peak",
+        "complementary_peak_frequency",
+        "modulus_margin",
+        "disk_margin",
+        "more_crossovers",
+    ],
+    meta_fields=[],
+)
+@dataclass(frozen=True)
+class SampledMargins:
+    """Margins of a batch of sampled loops, each of the batch's shape; NaN where unstable.
+
+    stable: bool, spectral radius below 1
+    unstable_roots: eigenvalues of the one-period matrix not inside the unit circle, int32
+    spectral_radius: largest |eigenvalue| over one control period [-]
+    log_gain_to_boundary: ln of the common factor on the gains to the nearest edge of the stable
+        set [-], > 0 if stable (inf if there is none), < 0 if unstable (-inf if no factor helps)
+    gain_margin: smallest factor above 1 on all gains that destabilises [-], inf if none
+    gain_reduction_margin: largest factor below 1 that destabilises [-], 0 if none
+    phase_crossover: frequency of `gain_margin` [rad/s], inf if there is none
+    phase_margin: the one smallest in magnitude over all gain crossovers [rad], inf if none
+    gain_crossover: its frequency [rad/s], inf if |L| > 1 up to the Nyquist frequency
+    delay_margin: smallest added delay that destabilises [s], min (phase mod 2 pi) / w
+    sensitivity_peak, complementary_peak: max |S|, max |T| [-], and their frequencies [rad/s]
+    modulus_margin: 1 / Ms [-]
+    disk_margin: balanced, 1 / max |S - 1/2| [-]
+    more_crossovers: bool, there were more crossovers than slots, margins may be too large
+    """
+
+    stable: jax.Array
+    unstable_roots: jax.Array
+    spectral_radius: jax.Array
+    log_gain_to_boundary: jax.Array
+    gain_margin: jax.Array
+    gain_reduction_margin: jax.Array
+    phase_crossover: jax.Array
+    phase_margin: jax.Array
+    gain_crossover: jax.Array
+    delay_margin: jax.Array
+    sensitivity_peak: jax.Array
+    sensitivity_peak_frequency: jax.Array
+    complementary_peak: jax.Array
+    complementary_peak_frequency: jax.Array
+    modulus_margin: jax.Array
+    disk_margin: jax.Array
+    more_crossovers: jax.Array
+
+
+_ARRAYS = tuple(f.name for f in fields(SampledLoop))[:8]
+
+
+def sampled_margins(loop: SampledLoop, *, max_delay_steps: int) -> SampledMargins:
+    """All margins of every sampled loop of a batch, safe under jit, vmap and grad.
+
+    loop: fields of any broadcastable shape; the result has their common shape
+    max_delay_steps: at least the largest floor(delay / T) in the batch; fixes all sizes. A loop
+        whose delay does not fit comes out unstable with NaN throughout.
+    """
+    values = [jnp.asarray(getattr(loop, name)) for name in _ARRAYS]
+    dtype = jnp.result_type(*values, float)
+    values = list(jnp.broadcast_arrays(*(v.astype(dtype) for v in values)))
+    shape = values[0].shape
+    kind = (loop.velocity, loop.integrator, loop.substeps)
+
+    def one(row: list[jax.Array]) -> SampledMargins:
+        return _margins_of_one(SampledLoop(*row, *kind), max_delay_steps)
+
+    flat = [v.reshape(-1) for v in values]
+    count = flat[0].shape[0]
+    # A last tile that is not full would be compiled by itself, which takes as long once more.
+    missing = -count % _TILE if count > _TILE else 0
+    full = [jnp.pad(v, (0, missing), mode="edge") for v in flat]
+    result = jax.lax.map(one, full, batch_size=_TILE)
+    return jax.tree.map(lambda a: a[:count].reshape(shape), result)
+
+
+def _margins_of_one(loop: SampledLoop, max_delay_steps: int) -> SampledMargins:
+    transfer = pulse_transfer(loop)
+    constant = jax.lax.stop_gradient((loop, transfer))
+    found = search(*constant, max_delay_steps)
+    roots = sampled_roots(constant[0], max_delay_steps)
+    # What is not inside the unit circle counts, and so does what is not a number.
+    count = jnp.sum(~(jnp.abs(roots) < 1.0)).astype(jnp.int32)
+    return _assemble(loop, transfer, found, dominant_modulus(loop, transfer, roots), count)
+
+
+def _newton(theta: jax.Array, residual: jax.Array, slope: jax.Array) -> jax.Array:
+    """Newton's step, whose derivative is that of the implicit function; theta constant."""
+    slope = jax.lax.stop_gradient(slope)
+    step = residual / jnp.where(slope == 0, 1.0, slope)
+    small = jnp.abs(jax.lax.stop_gradient(step)) < 0.1 * theta
+    # At the Nyquist frequency nothing moves.
+    free = (slope != 0) & small & (theta < math.pi)
+    return theta - jnp.where(free, step, 0.0)
+
+
+def _live_frequencies(
+    response: Response, found: Found
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Gain crossovers, crossings with the Nyquist frequency last, peaks, and directions.
+
+    The direction is the sign with which arg(-L) passes zero at a crossing.
+    """
+    end = jnp.full_like(found.phase[:1], math.pi)
+    theta = jnp.concatenate([found.gain, found.phase, end, found.peaks])
+    value, first, second = with_slopes(response, theta)
+    crossings = GAIN_SLOTS + PHASE_SLOTS + 1
+    of_gain = jnp.arange(crossings) < GAIN_SLOTS
+    residual, slope = crossing_residual(value[:crossings], first[:crossings], of_gain)
+    crossing = _newton(theta[:crossings], residual, slope)
+    columns = (a[crossings:, None] for a in (value, first, second))
+    slope_there, curvature = (a[:, 0] for a in peak_slopes(*columns))
+    peaks = _newton(found.peaks, slope_there, curvature)
+    direction = jnp.sign(jax.lax.stop_gradient(slope[GAIN_SLOTS:]))
+    return crossing[:GAIN_SLOTS], crossing[GAIN_SLOTS:], peaks, direction
+
+
+def _assemble(
+    loop: SampledLoop,
+    transfer: PulseTransfer,
+    found: Found,
+    radius: jax.Array,
+    count: jax.Array,
+) -> SampledMargins:
+    """Margins from the frequencies found; the only part that is differentiated."""
+    period = loop.control_period
+    response = partial(response_at, loop, transfer)
+    theta_gain, theta_phase, theta_peak, direction = _live_frequencies(response, found)
+    value = response(jnp.concatenate([theta_gain, theta_phase, theta_peak]))
+    at_gain, at_phase, at_peak = jnp.split(value, [GAIN_SLOTS, GAIN_SLOTS + PHASE_SLOTS + 1])
+
+    # At z = -1 the response is real: a single root crosses there, whatever the slope.
+    present = jnp.concatenate([found.phase_present, at_phase[-1:].real < 0])
+    log_factor = -jnp.log(jnp.abs(at_phase))
+    stable = radius < 1.0
+    up = jnp.where(present & (log_factor > 0), log_factor, jnp.inf)
+    down = jnp.where(present & (log_factor < 0), log_factor, -jnp.inf)
+    distance = _signed_distance(stable, log_factor, direction, present, found.lead)
+    bounded = jnp.isfinite(jnp.min(up))
+
+    angle = jnp.arctan2(-at_gain.imag, -at_gain.real)
+    nearest = jnp.argmin(jnp.where(found.gain_present, jnp.abs(angle), jnp.inf))
+    some = jnp.any(found.gain_present)
+    delays = jnp.where(angle < 0, angle + _TURN, angle) * period / theta_gain
+    heights = peak_heights(at_peak[:, None])[:, 0]
+
+    def only_stable(value: jax.Array) -> jax.Array:
+        return jnp.where(stable, value, jnp.nan)
+
+    def where_some(value: jax.Array, exists: jax.Array) -> jax.Array:
+        return only_stable(jnp.where(exists, value, jnp.inf))
+
+    return SampledMargins(
+        stable=stable,
+        unstable_roots=count,
+        spectral_radius=radius,
+        log_gain_to_boundary=distance,
+        gain_margin=only_stable(jnp.exp(jnp.min(up))),
+        gain_reduction_margin=only_stable(jnp.exp(jnp.max(down))),
+        phase_crossover=where_some(theta_phase[jnp.argmin(up)] / period, bounded),
+        phase_margin=where_some(angle[nearest], some),
+        gain_crossover=where_some(theta_gain[nearest] / period, some),
+        delay_margin=only_stable(jnp.min(jnp.where(found.gain_present, delays, jnp.inf))),
+        sensitivity_peak=only_stable(heights[0]),
+        sensitivity_peak_frequency=only_stable(theta_peak[0] / period),
+        complementary_peak=only_stable(heights[1]),
+        complementary_peak_frequency=only_stable(theta_peak[1] / period),
+        modulus_margin=only_stable(1.0 / heights[0]),
+        disk_margin=only_stable(1.0 / heights[2]),
+        more_crossovers=found.overflow,
+    )
+
+
+def _signed_distance(
+    stable: jax.Array,
+    log_factor: jax.Array,
+    direction: jax.Array,
+    present: jax.Array,
+    lead: jax.Array,
+) -> jax.Array:
+    """ln of the common factor on the gains to the nearest edge of the stable set, signed.
+
+    Raising the gains through a crossing moves roots out of the unit circle where the phase
+    falls and into it where it rises; counting from zero gain tells the edges. `lead`: whether
+    small gains are stable.
+    """
+    constant = jax.lax.stop_gradient(log_factor)
+    earlier = present[None] & (constant[None] < constant[:, None])
+    outside = jnp.where(lead, 0.0, 1.0)
+    passed = jnp.sum(jnp.where(earlier, -direction[None], 0.0), axis=1) + outside
+    edge = present & ((passed == 0) | (passed - direction == 0))
+    nearest = jnp.min(jnp.where(edge, jnp.abs(log_factor), jnp.inf))
+    return jnp.where(stable, nearest, -nearest)

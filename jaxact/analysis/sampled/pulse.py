@@ -1,0 +1,122 @@
+"""Frequency response of the sampled loop in closed form, from its pulse-transfer function.
+
+With u = z^{-1} = exp(-j theta), S = 1 - u and theta = w T, the sampled position and velocity are
+
+    Gp(z) = u^{d+1} P(u) / (S^2 Q(S)),    Gv(z) = u^{d+1} V(u) / (S Q(S)),
+
+P and V polynomials of degree 4 and 3 whose coefficients come from the first pulse responses, and
+Q = q0 + q1 S + r2 S^2 the servo's denominator written in S, where it does not cancel at low
+frequency. The differenced velocity is Gp S / T (1 - b) / (1 - b u).
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxact.analysis.sampled.period_map import (
+    POSITION,
+    VELOCITY,
+    SampledLoop,
+    filter_pole,
+    period_map,
+)
+from jaxact.analysis.sampled.servo import damped_oscillation
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["position", "velocity", "servo", "steps", "pole", "period"],
+    meta_fields=["differenced"],
+)
+@dataclass(frozen=True)
+class PulseTransfer:
+    """Coefficients of the sampled plant, from command to what the controller reads.
+
+    position: P [m/N], shape (..., 5)
+    velocity: V [m/s/N], shape (..., 4)
+    servo: (q0, q1, r2) [-], shape (..., 3)
+    steps: d [-], shape (...)
+    pole: b of the velocity filter [-], shape (...)
+    period: T [s], shape (...)
+    differenced: whether the velocity is the difference of positions
+    """
+
+    position: jax.Array
+    velocity: jax.Array
+    servo: jax.Array
+    steps: jax.Array
+    pole: jax.Array
+    period: jax.Array
+    differenced: bool
+
+
+def pulse_transfer(loop: SampledLoop) -> PulseTransfer:
+    """Pulse-transfer function of one loop's plant, servo and delay (the gains do not enter).
+
+    loop: fields scalar
+    """
+    phi, older, newer, steps = period_map(loop)
+    samples = [newer, phi @ newer + older]
+    for _ in range(3):
+        samples.append(phi @ samples[-1])
+    pulse = jnp.stack(samples)
+    servo = _servo_denominator(loop)
+    q0, q1, r2 = servo[0], servo[1], servo[2]
+    in_delays = jnp.stack([jnp.ones_like(q0), -(q1 + 2.0 * r2), r2])
+    integrator = jnp.array([1.0, -1.0], dtype=in_delays.dtype)
+    single = jnp.convolve(in_delays, integrator)
+    double = jnp.convolve(single, integrator)
+    return PulseTransfer(
+        position=jnp.convolve(double, pulse[:, POSITION])[:5],
+        velocity=jnp.convolve(single, pulse[:4, VELOCITY])[:4],
+        servo=servo,
+        steps=steps,
+        pole=filter_pole(loop) + jnp.zeros_like(q0),
+        period=loop.control_period + jnp.zeros_like(q0),
+        differenced=loop.velocity == "differenced",
+    )
+
+
+def _servo_denominator(loop: SampledLoop) -> jax.Array:
+    """(q0, q1, r2) of 1 - 2 r c u + r^2 u^2 = q0 + q1 S + r2 S^2; (1, 0, 0) if ideal.
+
+    q0 = (1 - r)^2 + 2 r (1 - c) with r = exp(-zeta x), c = cos(sqrt(1 - zeta^2) x), x = wn T.
+    """
+    ideal = jnp.isinf(loop.natural_frequency)
+    zeta = jnp.where(ideal, 1.0, loop.damping_ratio)
+    x = jnp.where(ideal, 1.0, loop.natural_frequency) * loop.control_period
+    _, half_sine = damped_oscillation(0.5 * x, zeta)
+    q0 = jnp.expm1(-zeta * x) ** 2 + 4.0 * (1.0 - zeta) * (1.0 + zeta) * half_sine**2
+    r2 = jnp.exp(-2.0 * zeta * x)
+    q1 = -jnp.expm1(-2.0 * zeta * x) - q0
+    return jnp.where(ideal, jnp.array([1.0, 0.0, 0.0], dtype=q0.dtype), jnp.stack([q0, q1, r2]))
+
+
+def plant_response(transfer: PulseTransfer, u: Any, s: Any, hold: Any) -> tuple[Any, Any]:
+    """Gp [m/N] and the response of the velocity the controller reads [m/s/N], complex.
+
+    transfer: of one plant
+    u: exp(-j theta), any shape
+    s: 1 - u, computed without cancellation: 2 j sin(theta / 2) exp(-j theta / 2)
+    hold: u^{d+1}
+
+    Plain arithmetic, so NumPy arrays stay NumPy.
+    """
+    q0, q1, r2 = transfer.servo[0], transfer.servo[1], transfer.servo[2]
+    servo = q0 + s * (q1 + s * r2)
+    position = hold * polynomial(transfer.position, u) / (s * s * servo)
+    if not transfer.differenced:
+        return position, hold * polynomial(transfer.velocity, u) / (s * servo)
+    pole = transfer.pole
+    return position, position * s / transfer.period * (1.0 - pole) / (1.0 - pole + pole * s)
+
+
+def polynomial(coefficients: Any, u: Any) -> Any:
+    """sum_i coefficients[i] u^i, by Horner's rule."""
+    total = coefficients[-1] + 0.0 * u
+    for i in reversed(range(len(coefficients) - 1)):
+        total = total * u + coefficients[i]
+    return total

@@ -1,0 +1,268 @@
+"""Crossovers and peaks of the sampled loop, up to the Nyquist frequency.
+
+The bracketing grid is dense in the logarithm of frequency and in the phase of the delay, and is
+completed by the extremes of |L|, so that a narrow resonance between two grid points cannot hide a
+pair of crossovers. What brackets find is refined by Newton. Frequencies are theta = w T.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from jaxact.analysis.sampled.period_map import SampledLoop
+from jaxact.analysis.sampled.pulse import PulseTransfer, plant_response, pulse_transfer
+
+GAIN_SLOTS = 8
+PHASE_SLOTS = 12
+
+_LOG_POINTS = 120
+_POINTS_PER_STEP = 10
+_EXTREMES = 8
+_BISECTIONS = 14
+_NEWTON_STEPS = 5
+_PEAK_STEPS = 10
+
+Response = Callable[[jax.Array], jax.Array]
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["gain", "gain_present", "phase", "phase_present", "peaks", "overflow", "lead"],
+    meta_fields=[],
+)
+@dataclass(frozen=True)
+class Found:
+    """What the search found in one loop, all theta [rad] and constant.
+
+    gain, gain_present: gain crossovers and which slots are filled, shape (GAIN_SLOTS,)
+    phase, phase_present: crossings of the negative real axis, nearest to |L| = 1 first,
+        shape (PHASE_SLOTS,)
+    peaks: of |S|, |T|, |S - 1/2|, shape (3,)
+    overflow: bool, there were more than the slots hold
+    lead: bool, the phase is above -180 degrees at low frequency: small gains are stable
+    """
+
+    gain: jax.Array
+    gain_present: jax.Array
+    phase: jax.Array
+    phase_present: jax.Array
+    peaks: jax.Array
+    overflow: jax.Array
+    lead: jax.Array
+
+
+def sampled_response(loop: SampledLoop, w: jax.Array) -> jax.Array:
+    """L(exp(j w T)) [-] of one loop, complex.
+
+    loop: fields scalar
+    w: frequency [rad/s], any shape, 0 < w <= pi/T
+    """
+    return response_at(loop, pulse_transfer(loop), w * loop.control_period)
+
+
+def response_at(loop: SampledLoop, transfer: PulseTransfer, theta: jax.Array) -> jax.Array:
+    """L(exp(j theta)) [-] of one loop with its pulse-transfer function; theta: [rad]."""
+    half = 0.5 * theta
+    u = jax.lax.complex(jnp.cos(theta), -jnp.sin(theta))
+    s = 2.0 * jnp.sin(half) * jax.lax.complex(jnp.sin(half), jnp.cos(half))
+    lag = theta * (transfer.steps + 1.0)
+    hold = jax.lax.complex(jnp.cos(lag), -jnp.sin(lag))
+    position, rate = plant_response(transfer, u, s, hold)
+    return loop.kp * position + loop.kd * rate
+
+
+def with_slope(function: Response, theta: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Value and derivative by theta of an elementwise function."""
+    return jax.jvp(function, (theta,), (jnp.ones_like(theta),))
+
+
+def with_slopes(function: Response, theta: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Value, first and second derivative by theta of an elementwise function."""
+    (value, first), (_, second) = jax.jvp(
+        lambda x: with_slope(function, x), (theta,), (jnp.ones_like(theta),)
+    )
+    return value, first, second
+
+
+def crossing_residual(
+    value: jax.Array, slope: jax.Array, of_gain: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """ln |L| where `of_gain`, else arg(-L), and its derivative by theta."""
+    relative = slope / value
+    residual = jnp.where(of_gain, jnp.log(jnp.abs(value)), jnp.arctan2(-value.imag, -value.real))
+    return residual, jnp.where(of_gain, relative.real, relative.imag)
+
+
+def peak_slopes(
+    value: jax.Array, first: jax.Array, second: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """First and second derivative by theta of ln |S|, ln |T|, ln |S - 1/2|, shape (3, k).
+
+    value, first, second: L and its derivatives, shape (3, k)
+    """
+
+    def log_slopes(f: jax.Array, sign: float) -> tuple[jax.Array, jax.Array]:
+        relative = sign * first / f
+        return relative.real, (sign * second / f - relative**2).real
+
+    below = log_slopes(1.0 + value, 1.0)
+    of_value, of_minus = log_slopes(value, 1.0), log_slopes(1.0 - value, -1.0)
+    rows = jnp.arange(3)[:, None]
+    slope, curvature = (
+        jnp.where(rows == 0, 0.0, jnp.where(rows == 1, a, b)) - c
+        for a, b, c in zip(of_value, of_minus, below, strict=True)
+    )
+    return slope, curvature
+
+
+def peak_heights(value: jax.Array) -> jax.Array:
+    """|S|, |T|, |S - 1/2| [-] of the rows of L, shape (3, k)."""
+    top = jnp.stack(
+        [jnp.ones_like(value[0].real), jnp.abs(value[1]), 0.5 * jnp.abs(1.0 - value[2])]
+    )
+    return top / jnp.abs(1.0 + value)
+
+
+def search(loop: SampledLoop, transfer: PulseTransfer, max_delay_steps: int) -> Found:
+    """Refined crossovers and peaks of one loop; fields scalar and constant.
+
+    transfer: the loop's `pulse_transfer`
+    """
+    response = partial(response_at, loop, transfer)
+    grid = _with_gain_extremes(response, _grid(loop, max_delay_steps))
+    value = response(grid)
+    gain = jnp.log(jnp.abs(value))
+    changes = (gain[:-1] > 0) != (gain[1:] > 0)
+    gain_cells, gain_present = _first_cells(changes, GAIN_SLOTS)
+
+    # The negative real axis is crossed where Im changes sign with Re < 0 in between.
+    crosses = (value.imag[:-1] > 0) != (value.imag[1:] > 0)
+    weight = jnp.abs(value.imag)
+    crosses &= value.real[:-1] * weight[1:] + value.real[1:] * weight[:-1] < 0
+    nearness = -jnp.minimum(jnp.abs(gain[:-1]), jnp.abs(gain[1:]))
+    top, phase_cells = jax.lax.top_k(jnp.where(crosses, nearness, -jnp.inf), PHASE_SLOTS)
+
+    cells = jnp.concatenate([gain_cells, phase_cells])
+    of_gain = jnp.arange(GAIN_SLOTS + PHASE_SLOTS) < GAIN_SLOTS
+    theta = _solve_crossings(response, of_gain, grid[cells], grid[cells + 1])
+    return Found(
+        gain=theta[:GAIN_SLOTS],
+        gain_present=gain_present,
+        phase=theta[GAIN_SLOTS:],
+        phase_present=jnp.isfinite(top),
+        peaks=_locate_peaks(response, grid, value, theta),
+        overflow=(jnp.sum(changes) > GAIN_SLOTS) | (jnp.sum(crosses) > PHASE_SLOTS),
+        lead=jnp.angle(-value[0]) > 0,
+    )
+
+
+def _grid(loop: SampledLoop, max_delay_steps: int) -> jax.Array:
+    """theta in (0, pi], ascending: logarithmic from below every corner, and linear."""
+    rigid = jnp.sqrt(jnp.abs(loop.kp) / loop.mass)
+    corner = jnp.where(loop.kd != 0, jnp.abs(loop.kp / jnp.where(loop.kd != 0, loop.kd, 1)), rigid)
+    low = 0.05 * loop.control_period * jnp.minimum(rigid, corner)
+    low = jnp.clip(low, 1e-7, 0.01)
+    logarithmic = jnp.exp(jnp.linspace(jnp.log(low), math.log(math.pi), _LOG_POINTS)[:-1])
+    number = _POINTS_PER_STEP * (max_delay_steps + 6)
+    linear = jnp.linspace(0.0, math.pi, number + 1, dtype=logarithmic.dtype)[1:]
+    return jnp.sort(jnp.concatenate([logarithmic, linear]))
+
+
+def _with_gain_extremes(response: Response, grid: jax.Array) -> jax.Array:
+    """The grid with the extremes of |L| inserted, so that |L| is monotone in every cell."""
+
+    def slope(theta: jax.Array) -> jax.Array:
+        value, first = with_slope(response, theta)
+        return (first / value).real
+
+    slopes = slope(grid)
+    cells, present = _first_cells((slopes[:-1] > 0) != (slopes[1:] > 0), _EXTREMES)
+    rising = slopes[cells] > 0
+
+    def halve(_: int, bracket: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        low, high = bracket
+        middle = 0.5 * (low + high)
+        before = (slope(middle) > 0) == rising
+        return jnp.where(before, middle, low), jnp.where(before, high, middle)
+
+    low, high = jax.lax.fori_loop(0, 2 * _BISECTIONS, halve, (grid[cells], grid[cells + 1]))
+    unused = 0.5 * (grid[:_EXTREMES] + grid[1 : _EXTREMES + 1])
+    return jnp.sort(jnp.concatenate([grid, jnp.where(present, 0.5 * (low + high), unused)]))
+
+
+def _first_cells(mask: jax.Array, slots: int) -> tuple[jax.Array, jax.Array]:
+    """Indices of the first true entries and which of the slots are filled."""
+    order = jnp.where(mask, -jnp.arange(mask.shape[0]), -mask.shape[0])
+    key, index = jax.lax.top_k(order, slots)
+    return index, key > -mask.shape[0]
+
+
+def _solve_crossings(
+    response: Response, of_gain: jax.Array, low: jax.Array, high: jax.Array
+) -> jax.Array:
+    """The crossover in each cell: bisection, then Newton inside the bracket."""
+
+    def side(theta: jax.Array) -> jax.Array:
+        value = response(theta)
+        return jnp.where(of_gain, jnp.abs(value) > 1.0, value.imag > 0)
+
+    start = side(low)
+
+    def halve(_: int, bracket: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        low, high = bracket
+        middle = 0.5 * (low + high)
+        before = side(middle) == start
+        return jnp.where(before, middle, low), jnp.where(before, high, middle)
+
+    low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (low, high))
+
+    def newton(_: int, theta: jax.Array) -> jax.Array:
+        residual, slope = crossing_residual(*with_slope(response, theta), of_gain)
+        return jnp.clip(theta - residual / jnp.where(slope == 0, jnp.inf, slope), low, high)
+
+    return jax.lax.fori_loop(0, _NEWTON_STEPS, newton, 0.5 * (low + high))
+
+
+def _locate_peaks(
+    response: Response, grid: jax.Array, value: jax.Array, crossings: jax.Array
+) -> jax.Array:
+    """theta of the largest |S|, |T|, |S - 1/2|, shape (3,).
+
+    From the best grid points and from every crossover (a sharp peak lies within its own width of
+    one), by Newton on F^-2, a parabola at a sharp peak, inside the neighbouring cells.
+    """
+    heights = peak_heights(jnp.broadcast_to(value, (3, value.shape[0])))
+    padded = jnp.pad(heights, ((0, 0), (1, 1)))
+    local = (heights >= padded[:, :-2]) & (heights >= padded[:, 2:])
+    _, best = jax.lax.top_k(jnp.where(local, heights, -1.0), 3)
+    last = grid.shape[0] - 1
+    cell = jnp.clip(jnp.searchsorted(grid, crossings), 1, last)
+
+    def at(best_index: jax.Array, cell_index: jax.Array) -> jax.Array:
+        cells = grid[jnp.clip(cell_index, 0, last)]
+        cells = jnp.broadcast_to(cells, (3, cells.shape[0]))
+        return jnp.concatenate([grid[jnp.clip(best_index, 0, last)], cells], axis=1)
+
+    low, high = at(best - 1, cell - 2), at(best + 1, cell + 1)
+    theta = at(best, cell).at[:, 3:].set(jnp.broadcast_to(crossings, (3, crossings.shape[0])))
+
+    def step(
+        _: int, state: tuple[jax.Array, jax.Array, jax.Array]
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        low, theta, high = state
+        slope, curvature = peak_slopes(*with_slopes(response, theta))
+        low, high = jnp.where(slope > 0, theta, low), jnp.where(slope > 0, high, theta)
+        bowl = 2.0 * slope * slope - curvature
+        newton = theta + slope / jnp.where(bowl > 0, bowl, jnp.inf)
+        inside = (bowl > 0) & (newton >= low) & (newton <= high)
+        return low, jnp.where(inside, newton, 0.5 * (low + high)), high
+
+    refined = jax.lax.fori_loop(0, _PEAK_STEPS, step, (low, theta, high))[1]
+    # The end of the axis is a stationary point that no bracket surrounds.
+    refined = jnp.concatenate([refined, jnp.full((3, 1), math.pi, dtype=grid.dtype)], axis=1)
+    highest = jnp.argmax(peak_heights(response(refined)), axis=1)
+    return jnp.take_along_axis(refined, highest[:, None], axis=1)[:, 0]

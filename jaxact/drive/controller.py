@@ -1,0 +1,83 @@
+"""The joint controller: proportional-derivative with feedforward, at the control rate.
+
+u = kp (r - q) + kd (r' - v) + feedforward,     quantised to the resolution of the D/A converter
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import jax
+import jax.numpy as jnp
+
+from jaxact.drive.sensor import quantise
+
+
+@dataclass(frozen=True)
+class Controller:
+    """Parameters of the controller; every field a float or an array of shape (joints,).
+
+    Attributes:
+        kp: proportional gain, the stiffness [N/m or N m/rad].
+        kd: derivative gain, the damping [N s/m or N m s/rad].
+        feedforward: constant force added to the command [N or N m].
+        command_resolution: one step of the D/A converter [N or N m]; 0 for none.
+        setpoint_delay: delay of the setpoint before the controller [s].
+    """
+
+    kp: jax.Array | float
+    kd: jax.Array | float
+    feedforward: jax.Array | float = 0.0
+    command_resolution: jax.Array | float = 0.0
+    setpoint_delay: jax.Array | float = 0.0
+
+
+@dataclass(frozen=True)
+class Setpoint:
+    """What the joint should do, each of shape (joints,).
+
+    Attributes:
+        position: [m or rad].
+        velocity: [m/s or rad/s].
+        force: feedforward that varies with time, added to the controller's constant [N or N m].
+    """
+
+    position: jax.Array
+    velocity: jax.Array | float = 0.0
+    force: jax.Array | float = 0.0
+
+
+for _class in (Controller, Setpoint):
+    jax.tree_util.register_dataclass(
+        _class, data_fields=[field.name for field in fields(_class)], meta_fields=[]
+    )
+
+
+def step(
+    controller: Controller,
+    setpoint: Setpoint,
+    position: jax.Array,
+    velocity: jax.Array,
+    *,
+    quantised: bool,
+) -> jax.Array:
+    """The command of one control tick; see the module for the equation.
+
+    Args:
+        controller: gains, fields of shape (joints,).
+        setpoint: as it reaches the controller.
+        position: measured [m or rad], shape (joints,).
+        velocity: measured [m/s or rad/s], shape (joints,).
+        quantised: static; whether the D/A converter has a resolution.
+
+    Returns:
+        The command [N or N m], shape (joints,), held until the next tick.
+    """
+    command = (
+        controller.kp * (setpoint.position - position)
+        + controller.kd * (setpoint.velocity - velocity)
+        + (controller.feedforward + setpoint.force)
+    )
+    if quantised:
+        return quantise(command, jnp.asarray(controller.command_resolution))
+    return command

@@ -1,0 +1,70 @@
+"""Where between two physics steps a delayed measurement is taken, and the force until then."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import jax
+import jax.numpy as jnp
+
+from jaxact.drive import actuator as _actuator
+from jaxact.drive.actuator import Response
+from jaxact.drive.options import Drive, DriveOptions
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Where in a control period the delayed measurement is taken.
+
+    Attributes:
+        here: 1 in the physics step that contains the instant, else 0; shape (substeps, joints).
+        offset: time of the instant from the start of that step [s], shape (joints,).
+        response: response of the force loop from the start of that step to the instant.
+    """
+
+    here: jax.Array
+    offset: jax.Array
+    response: Response
+
+
+jax.tree_util.register_dataclass(
+    Capture, data_fields=[item.name for item in fields(Capture)], meta_fields=[]
+)
+
+
+def older_for(step: jax.Array, switched: tuple[jax.Array, jax.Array], index) -> jax.Array:
+    """Time under the older command in a physics step [s]; the switch is (step number, offset).
+
+    Written by cases rather than by clipping, whose derivative is half the right one at a boundary.
+    """
+    number, offset = switched
+    partly = jnp.where(offset < step, offset, step)
+    return jnp.where(index < number, step, jnp.where(index == number, partly, 0.0))
+
+
+def capture_at(
+    drive: Drive,
+    options: DriveOptions,
+    step: jax.Array,
+    switched: tuple[jax.Array, jax.Array],
+    remainder: jax.Array,
+) -> Capture:
+    """Where the measurement falls: `remainder` before the end of a period."""
+    actuator = drive.actuator
+    instant = drive.control_period - remainder
+    # An instant at the very end of a step belongs to that step, so that no delay means no look-up
+    # in the next one.
+    index = jnp.clip(jnp.ceil(instant / step - 1e-4) - 1.0, 0.0, options.substeps - 1.0)
+    index = jax.lax.stop_gradient(index)
+    offset = instant - index * step
+    older = older_for(offset, switched, index)
+    return Capture(
+        here=jnp.stack([(index == i).astype(offset.dtype) for i in range(options.substeps)]),
+        offset=offset,
+        response=_actuator.response(
+            jnp.asarray(actuator.natural_frequency),
+            jnp.asarray(actuator.damping_ratio),
+            offset,
+            older,
+        ),
+    )

@@ -1,0 +1,369 @@
+"""The drive: everything between setpoint and joint force, as one step over pytrees.
+
+    tick (each control period T):  sense -> control -> hold
+    actuate (each physics step):   delayed command -> force loop -> limits -> force on the plant
+
+This is the only implementation. Every plant, engine and wrapper calls `tick` once per control
+period and `actuate` once per physics step, and passes the force on.
+
+The output delay is applied before the force loop instead of after it: the loop and its limits do
+not change with time, so they commute with a delay, and the delay of a *held* command is exact where
+that of a force would have to be interpolated. Only the force-speed line sees the difference: it
+takes the velocity when the force acts, not when it was commanded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import jax
+import jax.numpy as jnp
+
+from jaxact.drive import actuator as _actuator
+from jaxact.drive import controller as _controller
+from jaxact.drive import delay as _delay
+from jaxact.drive import sensor as _sensor
+from jaxact.drive import setpoint_path as _setpoint
+from jaxact.drive.actuator import Response
+from jaxact.drive.controller import Setpoint
+from jaxact.drive.measuring_instant import Capture, capture_at, older_for
+from jaxact.drive.options import Drive, DriveOptions, options
+from jaxact.drive.sensor import Draws, SensorCoefficients, SensorState
+
+__all__ = [
+    "Capture",
+    "Coefficients",
+    "Drive",
+    "DriveOptions",
+    "DriveState",
+    "Force",
+    "actuate",
+    "at_substep",
+    "capture",
+    "init",
+    "options",
+    "prepare",
+    "tick",
+]
+
+
+NO_DRAWS = Draws()
+"""The random numbers of a drive without noise and walking biases: none."""
+
+
+@dataclass(frozen=True)
+class DriveState:
+    """What a drive remembers; arrays of shape (joints,), None where the part does not exist.
+
+    Attributes:
+        commands: line of held commands [N or N m].
+        older, newer: delayed command before and after its switch in this period [N or N m].
+        force, rate: state of the force loop [N or N m] and per second.
+        applied: force given in the last step, after the limits [N or N m] (rate limit only).
+        sensor: state of the sensor.
+        measurements: lines of positions and velocities as they were captured.
+        setpoints: line of setpoints.
+        held: setpoint that the policy gave last (a policy slower than the controller only).
+    """
+
+    commands: _delay.Line
+    older: jax.Array
+    newer: jax.Array
+    force: jax.Array
+    rate: jax.Array
+    applied: jax.Array | None
+    sensor: SensorState
+    measurements: tuple[_delay.Line, _delay.Line] | None
+    setpoints: tuple[_delay.Line, _delay.Line, _delay.Line] | None
+    held: _setpoint.Held | None = None
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """All that follows from the parameters and stays the same during a rollout; see `prepare`.
+
+    Attributes:
+        drive: the parameters.
+        step: physics step h [s].
+        responses: of the force loop; coefficients of shape (substeps, joints).
+        older_share: share of each physics step under the older command [-]; (substeps, joints).
+        command_at, measurement_at, setpoint_at: selectors of the delay lines.
+        setpoint_share: share of the older setpoint [-].
+        policy_ticks: control ticks in a period of the policy [-]; None where it is as fast.
+        capture: where the measurement is taken; None without measurement delay.
+        sensor: coefficients of the sensor.
+    """
+
+    drive: Drive
+    step: jax.Array
+    responses: Response
+    older_share: jax.Array
+    command_at: tuple[jax.Array, ...] | jax.Array
+    measurement_at: tuple[jax.Array, ...] | jax.Array | None
+    setpoint_at: tuple | None
+    setpoint_share: jax.Array | None
+    policy_ticks: jax.Array | None
+    capture: Capture | None
+    sensor: SensorCoefficients
+
+
+@dataclass(frozen=True)
+class Force:
+    """The force over one physics step, [N or N m], shape (joints,).
+
+    Attributes:
+        mean: mean over the step; its product with the step is the exact impulse.
+        moment: (2/h^2) int_0^h (h - t) f dt.
+        partial: the same pair from the start of the step to the measuring instant; None without
+            measurement delay.
+    """
+
+    mean: jax.Array
+    moment: jax.Array
+    partial: tuple[jax.Array, jax.Array] | None
+
+
+for _class in (DriveState, Coefficients, Force):
+    jax.tree_util.register_dataclass(
+        _class, data_fields=[item.name for item in fields(_class)], meta_fields=[]
+    )
+
+
+def _broadcast(drive: Drive, shape: tuple[int, ...]) -> Drive:
+    """The drive with every leaf but the control period in the shape of its joints."""
+    dtype = jnp.result_type(float)
+    period = jnp.asarray(drive.control_period, dtype)
+    leaves = jax.tree.leaves(replace(drive, control_period=0.0))
+    shape = jnp.broadcast_shapes(shape, *(jnp.shape(leaf) for leaf in leaves))
+    drive = jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf, dtype), shape), drive)
+    return replace(drive, control_period=period)
+
+
+def prepare(drive: Drive, options: DriveOptions, shape: tuple[int, ...] = ()) -> Coefficients:
+    """All coefficients of a drive, computed once, before the scan over time.
+
+    Args:
+        drive: parameters, leaves broadcastable against each other; may be traced.
+        options: static.
+        shape: of the joints, (joints,) or (), where no leaf has it.
+
+    Returns:
+        The coefficients that `tick` and `actuate` take.
+    """
+    drive = _broadcast(drive, shape)
+    actuator, period = drive.actuator, drive.control_period
+    step = period / options.substeps
+    whole, switch = _delay.split(actuator.delay + drive.output_delay, period)
+    switched = _delay.split(switch, step)
+    older = jnp.stack([older_for(step, switched, i) for i in range(options.substeps)])
+    responses = jax.vmap(
+        lambda share: _actuator.response(
+            actuator.natural_frequency, actuator.damping_ratio, step, share
+        )
+    )(older)
+    measurement_at = capture = setpoint_at = share = None
+    if options.measurement_slots:
+        late, remainder = _delay.split(drive.sensor.delay, period)
+        measurement_at = _delay.weights(late, options.measurement_slots)
+        capture = capture_at(drive, options, step, switched, remainder)
+    if options.setpoint_slots:
+        late, remainder = _delay.split(drive.controller.setpoint_delay, period)
+        setpoint_at = (
+            _delay.weights(late, options.setpoint_slots),
+            _delay.weights(late + 1.0, options.setpoint_slots),
+        )
+        share = remainder / period
+    return Coefficients(
+        drive=drive,
+        step=step,
+        responses=responses,
+        older_share=older / step,
+        command_at=_delay.weights(whole, options.command_slots),
+        measurement_at=measurement_at,
+        setpoint_at=setpoint_at,
+        setpoint_share=share,
+        policy_ticks=(
+            _setpoint.ticks_of_policy(jnp.asarray(drive.policy_period), period)
+            if options.held_setpoint
+            else None
+        ),
+        capture=capture,
+        sensor=_sensor.prepare(drive.sensor, period),
+    )
+
+
+def init(
+    coefficients: Coefficients,
+    options: DriveOptions,
+    position: jax.Array,
+    velocity: jax.Array,
+    *,
+    command: jax.Array | float = 0.0,
+) -> DriveState:
+    """State of a drive that has held `command` for ever in front of a plant at rest.
+
+    Args:
+        coefficients: from `prepare`.
+        options: static.
+        position: of the plant [m or rad], shape (joints,); also the setpoint so far.
+        velocity: of the plant [m/s or rad/s], shape (joints,).
+        command: past command, and the force it gives [N or N m].
+
+    Returns:
+        The state before the first tick.
+    """
+    zero = jnp.zeros_like(position)
+    command = zero + command
+    measurements = setpoints = None
+    if options.measurement_slots:
+        measurements = tuple(
+            _delay.init(value, options.measurement_slots) for value in (position, velocity)
+        )
+    if options.setpoint_slots:
+        setpoints = tuple(
+            _delay.init(value, options.setpoint_slots) for value in (position, zero, zero)
+        )
+    return DriveState(
+        commands=_delay.init(command, options.command_slots),
+        older=command,
+        newer=command,
+        force=command,
+        rate=zero,
+        applied=command if options.rate_limited else None,
+        sensor=_sensor.init(coefficients.drive.sensor, options.sensor, position, velocity),
+        measurements=measurements,
+        setpoints=setpoints,
+        held=None
+        if coefficients.policy_ticks is None
+        else _setpoint.begin(position, coefficients.policy_ticks),
+    )
+
+
+def tick(
+    coefficients: Coefficients,
+    options: DriveOptions,
+    state: DriveState,
+    position: jax.Array,
+    velocity: jax.Array,
+    setpoint: Setpoint,
+    draws: Draws = NO_DRAWS,
+) -> tuple[DriveState, jax.Array]:
+    """Sense and control, once per control period.
+
+    Args:
+        coefficients: from `prepare`.
+        options: static.
+        state: of the drive.
+        position: of the plant now [m or rad], shape (joints,); with a measurement delay the drive
+            uses what `capture` stored instead.
+        velocity: of the plant now [m/s or rad/s], shape (joints,).
+        setpoint: given now; it reaches the controller after the setpoint delay, where a policy is
+            slower than the controller only if it ticks now.
+        draws: random numbers of this tick, from `jaxact.drive.sensor.draw`; needed only where
+            `options.random`.
+
+    Returns:
+        The next state, and the command [N or N m], shape (joints,).
+    """
+    if state.measurements is not None:
+        where = coefficients.measurement_at
+        position, velocity = (_delay.read(line, where) for line in state.measurements)
+    held, setpoints = state.held, state.setpoints
+    if held is not None:
+        held = _setpoint.hold(held, setpoint, coefficients.policy_ticks)
+        setpoint = held.setpoint
+    if setpoints is not None:
+        at, share = coefficients.setpoint_at, coefficients.setpoint_share
+        setpoints, setpoint = _setpoint.late(setpoints, setpoint, at, share, velocity)
+    sensor, (measured, rate) = _sensor.step(
+        coefficients.sensor, options.sensor, state.sensor, position, velocity, draws
+    )
+    command = _controller.step(
+        coefficients.drive.controller,
+        setpoint,
+        measured,
+        rate,
+        quantised=options.quantised_command,
+    )
+    commands = _delay.push(state.commands, command)
+    newer = _delay.read(commands, coefficients.command_at)
+    state = replace(
+        state,
+        commands=commands,
+        older=state.newer,
+        newer=newer,
+        sensor=sensor,
+        setpoints=setpoints,
+        held=held,
+    )
+    return state, command
+
+
+def at_substep(coefficients: Coefficients) -> tuple[Response, jax.Array | None]:
+    """What differs between the physics steps of a period, stacked along axis 0, for a scan.
+
+    Returns:
+        (responses, capture flags or None), each leaf of shape (substeps, joints).
+    """
+    capture = coefficients.capture
+    return coefficients.responses, None if capture is None else capture.here
+
+
+def actuate(
+    coefficients: Coefficients,
+    options: DriveOptions,
+    state: DriveState,
+    response: Response,
+    velocity: jax.Array,
+) -> tuple[DriveState, Force]:
+    """Move the force loop by one physics step; exact for the held, delayed command.
+
+    Args:
+        coefficients: from `prepare`.
+        options: static.
+        state: of the drive, after the tick of this period.
+        response: of this physics step, from `at_substep`.
+        velocity: of the plant now [m/s or rad/s], shape (joints,); for the force-speed line.
+
+    Returns:
+        The next state, and the force on the plant over this step. Limits act on the mean and the
+        moment: exact except in the steps in which a limit is reached or left, where the error of
+        the impulse is of second order in the step.
+    """
+    inputs = state.force, state.rate, state.older, state.newer
+    mean, moment = _actuator.impulse(response, *inputs)
+    partial = None
+    if coefficients.capture is not None:
+        partial = _actuator.impulse(coefficients.capture.response, *inputs)
+    force, rate = _actuator.advance(response, *inputs)
+    applied = state.applied
+    if options.limited or options.rate_limited:
+        low, high = _limits(coefficients, options, applied, velocity)
+        mean, moment = jnp.clip(mean, low, high), jnp.clip(moment, low, high)
+        if partial is not None:
+            partial = jnp.clip(partial[0], low, high), jnp.clip(partial[1], low, high)
+        if options.rate_limited:
+            applied = mean
+    return replace(state, force=force, rate=rate, applied=applied), Force(mean, moment, partial)
+
+
+def _limits(coefficients, options, applied, velocity):
+    """Bounds of the force in one step: force limit, force-speed line, rate limit."""
+    actuator = coefficients.drive.actuator
+    low, high = _actuator.limits(actuator, velocity)
+    if options.rate_limited:
+        reach = actuator.force_rate_limit * coefficients.step
+        low, high = (jnp.clip(bound, applied - reach, applied + reach) for bound in (low, high))
+    return low, high
+
+
+def capture(state: DriveState, position: jax.Array, velocity: jax.Array) -> DriveState:
+    """Store the plant's state at the measuring instant of this period, [m or rad] and per second.
+
+    Called once per control period, after its physics steps, where a measurement delay exists.
+    """
+    lines = tuple(
+        _delay.push(line, value)
+        for line, value in zip(state.measurements, (position, velocity), strict=True)
+    )
+    return replace(state, measurements=lines)

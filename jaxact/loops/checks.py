@@ -1,0 +1,236 @@
+"""What must hold between the parts of a specification, checked before anything runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from jaxact.errors import UserError
+from jaxact.loops.axes import MOST_LOOPS, Axis
+from jaxact.loops.specification import Specification
+from jaxact.parameters import ROBOT_ONLY, base, of
+
+# Longest history of a signal that a loop keeps, in control periods.
+LONGEST_HISTORY = 4096
+_DELAYS = ("delay", "output_delay", "measurement_delay", "setpoint_delay")
+# The filter of the differenced velocity, and the sensor of the sampled one.
+_FILTER = "velocity_filter"
+OF_VELOCITY = (
+    _FILTER, "velocity_resolution", "velocity_noise", "velocity_bias", "velocity_bias_walk",
+)  # fmt: skip
+# Most physics steps of one rollout.
+MOST_STEPS = 100_000_000
+FEWEST_CONTROL_PERIODS = 10
+MJX_STEP = 0.00025
+
+
+def check(specification: Specification) -> None:
+    """Raise UserError if the parts of a specification do not fit each other."""
+    axes = {axis.name: axis for axis in specification.axes}
+    _check_robot_only(specification, axes)
+    _check_axes(specification, axes)
+    _check_actuator(specification, axes)
+    _check_torque_speed_line(specification, axes)
+    _check_velocity(specification, axes)
+    rates = _rates(specification, axes)
+    _check_policy(specification, axes, rates)
+    _check_steps(specification, rates)
+    _check_duration(specification, rates)
+    _check_delays(specification, axes, rates)
+    _check_push(specification)
+
+
+def physics_step(specification: Specification, control_rate: float) -> float:
+    """Step of the plant [s] of a loop with this control rate [Hz].
+
+    Of a robot the longest one possible: its own is found when its model is read, see
+    `jaxact.simulation.plans.substeps`.
+    """
+    if specification.physics_step is not None:
+        return specification.physics_step
+    whole = specification.engine == "mass" or specification.plant is not None
+    return 1.0 / control_rate if whole else MJX_STEP
+
+
+def _check_axes(specification: Specification, axes: dict[str, Axis]) -> None:
+    if not axes:
+        raise UserError("axes: none given; name at least one parameter to vary below [axes]")
+    sampling = specification.sampling
+    drawn = any(axis.sampled for axis in axes.values())
+    if sampling is not None and not drawn:
+        raise UserError(
+            "sampling: no axis is a range { min, max } to draw from; give one, or drop it"
+        )
+    total = math.prod(len(axis) for axis in axes.values()) * (sampling.samples if sampling else 1)
+    if total > MOST_LOOPS:
+        sizes = " x ".join(f"{axis.name} {len(axis):,}" for axis in axes.values())
+        raise UserError(f"axes: {sizes} make {total:.3g} samples; allowed: up to {MOST_LOOPS:,}")
+
+
+def _check_robot_only(specification: Specification, axes: dict[str, Axis]) -> None:
+    """What only a robot has would be ignored silently without one."""
+    if specification.plant is not None:
+        return
+    for name in (*specification.parameters, *axes):
+        if "@" in name or name in ROBOT_ONLY:
+            raise UserError(f"{name}: only a robot has it; give one below [plant], or drop it")
+    for name in ("motion", "push"):
+        if getattr(specification, name) is not None:
+            raise UserError(f"{name}: only for a robot; give one below [plant], or drop it")
+
+
+def _check_actuator(specification: Specification, axes: dict[str, Axis]) -> None:
+    given = {*axes, *specification.parameters}
+    twice = [name for name in ("wn", "zeta") if name in given]
+    if "actuator" in given and twice:
+        raise UserError(f"{twice[0]}: the actuator preset sets it already; remove one of the two")
+
+
+def _check_torque_speed_line(specification: Specification, axes: dict[str, Axis]) -> None:
+    def off(name: str) -> bool:
+        values = axes[name].ends if name in axes else (specification.nominal[name],) * 2
+        return math.isinf(values[1])
+
+    if off("stall_force") != off("no_load_speed"):
+        missing = "stall_force" if off("stall_force") else "no_load_speed"
+        raise UserError(
+            f"{missing}: a torque-speed line needs stall_force and no_load_speed, both finite"
+        )
+
+
+def _check_velocity(specification: Specification, axes: dict[str, Axis]) -> None:
+    """What the sensor of the other kind of velocity has would be ignored silently."""
+    differenced = specification.velocity == "differenced"
+    for name, value in specification.parameters.items():
+        if base(name) in OF_VELOCITY and not isinstance(value, str):
+            check_velocity(name, [value], f"parameters.{name}", differenced=differenced)
+    for name, axis in axes.items():
+        if base(name) in OF_VELOCITY:
+            check_velocity(name, axis.ends, f"axes.{name}", differenced=differenced)
+
+
+def check_velocity(name: str, values: Iterable[float], key: str, *, differenced: bool) -> None:
+    """Raise UserError for a parameter that the velocity's sensor of the other kind has.
+
+    name: of the parameter, or its key for some joints
+    values: that it has
+    key: how the message names it
+    differenced: whether the velocity is differenced
+    """
+    on_differenced = base(name) == _FILTER
+    if on_differenced == differenced or all(value == of(name).default for value in values):
+        return
+    if on_differenced:
+        raise UserError(
+            f"{key}: filters differenced positions, and a sampled velocity has no such filter;"
+            ' allowed: with velocity "differenced"'
+        )
+    raise UserError(
+        f"{key}: is of the velocity's own sensor, which a differenced position does without;"
+        ' allowed: with velocity "sampled"'
+    )
+
+
+def _rates(specification: Specification, axes: dict[str, Axis]) -> np.ndarray:
+    """Control rates [Hz] that occur, the ends only where they are drawn from a range."""
+    if "control_rate" not in axes:
+        return np.array([specification.nominal["control_rate"]])
+    axis = axes["control_rate"]
+    fixed = specification.engine == "mjx" or specification.physics_step is not None
+    if axis.sampled and fixed:
+        raise UserError(
+            "axes.control_rate: drawn from a range its period is no multiple of the physics step;"
+            " give a list of rates"
+        )
+    return np.array(axis.ends) if axis.sampled else axis.values
+
+
+def _check_policy(specification: Specification, axes: dict[str, Axis], rates: np.ndarray) -> None:
+    """A policy ticks with the controller, every so many periods."""
+    policy = axes.get("policy_rate")
+    given = np.array([specification.nominal["policy_rate"]]) if policy is None else policy.values
+    if policy is not None and policy.sampled:
+        raise UserError("axes.policy_rate: drawn from a range it divides no rate; give a list")
+    slow = given[np.isfinite(given)]
+    if not len(slow):
+        return
+    if "control_rate" in axes and axes["control_rate"].sampled:
+        raise UserError("axes.control_rate: drawn from a range, no policy_rate divides it")
+    for rate in rates:
+        for policy_rate in slow:
+            ticks = rate / policy_rate
+            if round(ticks) < 1 or abs(ticks - round(ticks)) > 1e-6 * ticks:
+                allowed = rate / max(math.ceil(ticks), 1)
+                raise UserError(
+                    f"policy_rate = {policy_rate:g} Hz does not divide the control rate"
+                    f" {rate:g} Hz; allowed e.g.: {allowed:.9g}"
+                )
+
+
+def _check_steps(specification: Specification, rates: np.ndarray) -> None:
+    for rate in rates:
+        step = physics_step(specification, rate)
+        ratio = 1.0 / (rate * step)
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+            above = 1.0 / (rate * max(math.ceil(ratio), 1))
+            raise UserError(
+                f"control_rate = {rate:g} Hz: its period {1 / rate:g} s is no multiple of the"
+                f" physics step {step:g} s; allowed e.g.: physics_step = {above:.9g}"
+            )
+
+
+def _check_duration(specification: Specification, rates: np.ndarray) -> None:
+    shortest = FEWEST_CONTROL_PERIODS / float(rates.min())
+    steps = specification.duration / physics_step(specification, float(rates.max()))
+    if specification.duration < shortest * (1 - 1e-9):
+        raise UserError(
+            f"duration = {specification.duration:g}; allowed: at least {shortest:g} s,"
+            f" {FEWEST_CONTROL_PERIODS} control periods"
+        )
+    if steps > MOST_STEPS:
+        raise UserError(
+            f"duration = {specification.duration:g} is {steps:.3g} physics steps;"
+            f" allowed: up to {MOST_STEPS:,}"
+        )
+
+
+def _check_push(specification: Specification) -> None:
+    """Verdicts compare the motion of the last quarters of a rollout, which a push would disturb."""
+    push = specification.push
+    if push is None:
+        return
+    end, latest = push.time + push.duration, 0.5 * specification.duration
+    if end > latest * (1 + 1e-9):
+        raise UserError(
+            f"push: ends at {end:g} s; allowed: within the first half of the duration, up to"
+            f" {latest:g} s, so that what is left shows whether the motion dies out"
+        )
+
+
+def _check_delays(specification: Specification, axes: dict[str, Axis], rates: np.ndarray) -> None:
+    longest = {
+        name: axes[name].ends[1] if name in axes else specification.nominal[name]
+        for name in _DELAYS
+    }
+    check_history(longest, float(rates.max()))
+
+
+def check_history(values: Mapping[str, float], rate: float, where: str = "") -> None:
+    """Raise UserError for delays [s] that are longer than what a loop keeps at a control rate [Hz].
+
+    values: parameters of the loop by name, all delays among them
+    where: what a message begins with
+    """
+    longest = {name: values[name] for name in _DELAYS}
+    # the command and the output delay are one line
+    longest["output_delay"] += longest["delay"]
+    most = LONGEST_HISTORY / rate
+    for name, value in longest.items():
+        if value > most * (1 + 1e-9):
+            words = "delay + output_delay" if name == "output_delay" else name
+            raise UserError(
+                f"{where}{words} = {value:g}: a loop's history holds {LONGEST_HISTORY} control"
+                f" periods; allowed: up to {most:g} s at {rate:g} Hz"
+            )

@@ -1,0 +1,359 @@
+"""Reading a specification: TOML text and overrides in, checked, or one clear line out.
+
+Nothing here needs JAX, so that a mistake is told at once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from jaxact.errors import UserError, nearest, shown
+from jaxact.loops import checks
+from jaxact.loops.axes import read_axis
+from jaxact.loops.specification import (
+    OPTIONS,
+    SECTIONS,
+    TABLES,
+    Motion,
+    Plant,
+    Push,
+    Sampling,
+    Specification,
+)
+from jaxact.parameters import (
+    PARAMETERS,
+    SHARED,
+    as_number,
+    base,
+    canonical,
+    check,
+    check_actuator,
+    known,
+)
+
+_LARGEST_FILE = 500_000
+_WORD = re.compile(r"[^\W\d][\w.-]*")
+
+
+def load(path: Path, overrides: Sequence[str] = ()) -> Specification:
+    """Read and check a specification file.
+
+    path: TOML file; a model it names is relative to its folder
+    overrides: `key=value` each, applied over the file and checked like it
+
+    Raises UserError that names the file or the override, the key, what was given, what is allowed.
+    """
+    overridden: list[str] = []
+    try:
+        document = _canonical(_read(path))
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
+    try:
+        overridden += [_apply(document, override) for override in overrides]
+    except UserError as error:
+        raise UserError(f"--set {error}") from None
+    try:
+        return _checked(document, path.parent)
+    except UserError as error:
+        where = "--set" if _blames(str(error), overridden) else path
+        raise UserError(f"{where}: {error}") from None
+
+
+def parse(text: str, folder: Path = Path(), overrides: Sequence[str] = ()) -> Specification:
+    """Read and check a specification from TOML text.
+
+    text: as in a file
+    folder: what a model's path is relative to
+    overrides: as for `load`
+
+    Raises UserError as `load`.
+    """
+    document = _canonical(_loads(text))
+    try:
+        for override in overrides:
+            _apply(document, override)
+    except UserError as error:
+        raise UserError(f"--set {error}") from None
+    return _checked(document, folder)
+
+
+def _checked(document: Mapping[str, Any], folder: Path) -> Specification:
+    specification = _build(document, folder)
+    checks.check(specification)
+    return specification
+
+
+def _blames(message: str, overridden: Iterable[str]) -> bool:
+    """Whether a message is about a key that an override gave."""
+    key = re.split(r"[ :=\[]", message, maxsplit=1)[0]
+    return bool(key) and any(
+        full.startswith(key) or key.startswith(full) or key in full.split(".")
+        for full in overridden
+    )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        if not path.exists():
+            raise UserError("no such file; give the path of a TOML specification")
+        if not path.is_file():
+            raise UserError("is no file; give the path of a TOML specification")
+        if path.stat().st_size > _LARGEST_FILE:
+            raise UserError(f"is larger than {_LARGEST_FILE:,} bytes; is it a TOML specification?")
+        return _loads(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError:
+        raise UserError("is no UTF-8 text; give the path of a TOML specification") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise UserError(f"cannot be read ({reason})") from None
+
+
+def _loads(text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        # ValueError: TOMLDecodeError, and integers of more digits than Python converts
+        reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
+        raise UserError(f"is not valid TOML: {reason[:200]}") from None
+
+
+def _canonical(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The document with short parameter names, its sections tables that are there."""
+    result = dict(document)
+    for section in SECTIONS[:2]:
+        table = result.get(section, {})
+        if not isinstance(table, dict):
+            raise UserError(
+                f"{section} = {shown(table)} is no table; write [{section}] above its keys"
+            )
+        result[section] = _named(section, table)
+    return result
+
+
+def _named(section: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    """A section with short names; `kp = { ".*_knee" = 300 }` as `kp@.*_knee = 300`."""
+    named: dict[str, Any] = {}
+    for given, value in table.items():
+        name = canonical(given)
+        spread = {name: value}
+        if isinstance(value, dict) and name in PARAMETERS and section == "parameters":
+            spread = {f"{name}@{pattern}": inner for pattern, inner in value.items()}
+        for key, inner in spread.items():
+            if key in named:
+                raise UserError(f"{section}.{given}: the same parameter is given twice; remove one")
+            named[key] = inner
+    return named
+
+
+def _apply(document: dict[str, Any], override: str) -> str:
+    """Put one `key=value` into the document; returns the full key it went to."""
+    given, equals, text = override.partition("=")
+    keys = [part.strip() for part in given.split(".")]
+    if not equals or not all(keys):
+        raise UserError(f"{shown(override)}: write it as key=value, e.g. kp=400")
+    value = _literal(text.strip(), override)
+    if "@" in given:
+        # a pattern may hold dots
+        section, dot, rest = given.strip().partition(".")
+        keys = [section, rest] if dot and section in SECTIONS[:2] else [given.strip()]
+    if keys == ["damping"] and value in ("joint", "drive"):
+        raise UserError(f"{shown(override)}: of a robot, write it as plant.damping={value}")
+    if len(keys) == 1 and keys[0] not in (*OPTIONS, *SECTIONS):
+        name = canonical(keys[0])
+        if not known(name) and name != "actuator":
+            raise UserError(_unknown(keys[0], (*OPTIONS, *PARAMETERS, "actuator")))
+        varied = isinstance(value, list | dict)
+        if not varied:
+            document["axes"].pop(name, None)
+        keys = ["axes" if varied else "parameters", name]
+    elif len(keys) > 1 and keys[0] in SECTIONS[:2]:
+        keys[1] = canonical(keys[1])
+    table = document
+    for key in keys[:-1]:
+        table = table.setdefault(key, {})
+        if not isinstance(table, dict):
+            raise UserError(f"{shown(override)}: {key} is no table, it has no keys in it")
+    table[keys[-1]] = value
+    return ".".join(keys)
+
+
+def _literal(text: str, override: str) -> Any:
+    """A TOML value; a bare word is taken as a string, so that the shell needs no second quotes."""
+    if _WORD.fullmatch(text) and text not in ("true", "false", "inf", "nan"):
+        return text
+    try:
+        if "\n" in text or "\r" in text:
+            raise ValueError
+        return tomllib.loads(f"value = {text}")["value"]
+    except (ValueError, RecursionError):
+        raise UserError(
+            f"{shown(override)}: {shown(text)} is no value; write a number, a word,"
+            " a list [1, 2] or a range {min=1, max=10, num=5}"
+        ) from None
+
+
+def _build(document: Mapping[str, Any], folder: Path) -> Specification:
+    """The specification that a document with canonical names describes; raises UserError."""
+    for key in document:
+        if key not in (*OPTIONS, *SECTIONS):
+            raise UserError(_unknown(key, (*OPTIONS, *SECTIONS)))
+    options = {key: document[key] for key in OPTIONS if key in document}
+    for table in TABLES:
+        if table in document:
+            options[table] = _TABLE_READERS[table](document[table], folder)
+    if "plant" in options:
+        options.setdefault("engine", "auto")
+    sampling = _sampling(document["sampling"]) if "sampling" in document else None
+    parameters = _parameters(document["parameters"])
+    axes = tuple(
+        read_axis(name, given, sampled=sampling is not None)
+        for name, given in _known_parameters("axes", document["axes"])
+    )
+    try:
+        return Specification(**options, parameters=parameters, axes=axes, sampling=sampling)
+    except ValidationError as error:
+        raise UserError(_explained(error)) from None
+
+
+def _known_parameters(section: str, table: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
+    for name in table:
+        if not known(name) and name != "actuator":
+            if "@" in name and base(name) in PARAMETERS:
+                raise UserError(_wrong_pattern(f"{section}.{name}", base(name)))
+            raise UserError(_unknown(name, (*PARAMETERS, "actuator"), f"{section}."))
+    return table.items()
+
+
+def _wrong_pattern(key: str, name: str) -> str:
+    """What is wrong with a parameter for some joints."""
+    if name in SHARED:
+        return f"{key}: {name} is one number for all joints; write {name} alone"
+    return f"{key}: what follows the @ is no regular expression; write e.g. {name}@.*_knee"
+
+
+def _parameters(table: Mapping[str, Any]) -> dict[str, float | str]:
+    return {
+        name: check_actuator(value, f"parameters.{name}")
+        if name == "actuator"
+        else check(name, value, f"parameters.{name}")
+        for name, value in _known_parameters("parameters", table)
+    }
+
+
+def _sampling(table: Any) -> Sampling:
+    sampling: Sampling = _filled(Sampling, "sampling", table)
+    return sampling
+
+
+def _filled(kind: type, section: str, table: Any, **changed: Any) -> Any:
+    """A section as the dataclass that describes it."""
+    if not isinstance(table, dict):
+        raise UserError(f"{section} = {shown(table)} is no table; write [{section}] above its keys")
+    names = tuple(field.name for field in dataclasses.fields(kind))
+    for key in table:
+        if key not in names:
+            raise UserError(_unknown(key, names, f"{section}."))
+    try:
+        return kind(**{**table, **changed})
+    except ValidationError as error:
+        raise UserError(_explained(error, f"{section}.")) from None
+
+
+def _plant(table: Any, folder: Path) -> Plant:
+    changed: dict[str, Any] = {}
+    if isinstance(table, dict) and "model" in table:
+        changed["model"] = _file(table["model"], folder, "plant.model", "an MJCF or URDF file")
+    if isinstance(table, dict) and "joints" in table:
+        changed["joints"] = _patterns(table["joints"])
+    plant: Plant = _filled(Plant, "plant", table, **changed)
+    return plant
+
+
+def _patterns(given: Any) -> tuple[str, ...]:
+    """Patterns of joint names: one, or a list."""
+    patterns = (given,) if isinstance(given, str) else given
+    if not isinstance(patterns, list | tuple) or not patterns:
+        raise UserError(f"plant.joints = {shown(given)}; allowed: a list of patterns of names")
+    for pattern in patterns:
+        try:
+            re.compile(pattern)
+        except (re.error, TypeError):
+            raise UserError(
+                f"plant.joints: {shown(pattern)} is no regular expression; write e.g. '.*_knee'"
+            ) from None
+    return tuple(patterns)
+
+
+def _motion(table: Any, folder: Path) -> Motion:
+    changed: dict[str, Any] = {}
+    if isinstance(table, dict) and "file" in table:
+        changed["file"] = _file(table["file"], folder, "motion.file", "a CSV or NPZ file")
+    motion: Motion = _filled(Motion, "motion", table, **changed)
+    return motion
+
+
+def _push(table: Any, folder: Path) -> Push:
+    changed: dict[str, Any] = {}
+    if isinstance(table, dict) and "impulse" in table:
+        numbers = table["impulse"]
+        numbers = [as_number(item) for item in numbers] if isinstance(numbers, list) else []
+        if len(numbers) != 3 or not all(item is not None and abs(item) <= 1e9 for item in numbers):
+            raise UserError(
+                f"push.impulse = {shown(table['impulse'])}; allowed: three numbers [N s]"
+            )
+        changed["impulse"] = tuple(numbers)
+    push: Push = _filled(Push, "push", table, **changed)
+    return push
+
+
+_TABLE_READERS = {"plant": _plant, "motion": _motion, "push": _push}
+
+
+def _file(given: Any, folder: Path, key: str, kind: str) -> Path:
+    if not isinstance(given, str) or not given or "\0" in given:
+        raise UserError(f"{key} = {shown(given)} is no path of {kind}")
+    path = folder / given
+    try:
+        there = path.is_file()
+    except OSError:
+        there = False
+    if not there:
+        raise UserError(f"{key} = {shown(given)}: no such file (relative to the specification)")
+    return path
+
+
+def _unknown(key: str, known: Iterable[str], prefix: str = "") -> str:
+    """What to say of a key that is not known where it stands."""
+    name = canonical(key)
+    if not prefix and (base(name) in PARAMETERS or name == "actuator"):
+        return f"{key}: is a parameter; write it below [parameters], or below [axes] to vary it"
+    if not prefix and key in ("model", "keyframe", "joints", "base"):
+        return f"{key}: belongs to the robot; write it below [plant]"
+    if prefix and key in OPTIONS:
+        return f"{prefix}{key}: is an option of the whole sweep; write it above all [sections]"
+    return f"{prefix}{shown(key)[1:-1]}: unknown key; {nearest(key, known)}"
+
+
+def _explained(error: ValidationError, prefix: str = "") -> str:
+    """The first complaint of pydantic in the words of every other message."""
+    first = error.errors(include_url=False)[0]
+    key = prefix + str(first["loc"][0])
+    said = (
+        first["msg"]
+        .replace("Input should be", "allowed:")
+        .replace("a valid integer", "a whole number")
+        .replace("a valid ", "a ")
+    )
+    if first["type"] in ("missing", "missing_argument"):
+        return f"{key} is missing"
+    if first["type"] == "literal_error":
+        words = re.findall(r"'([^']*)'", first["ctx"]["expected"])
+        said = nearest(first["input"], words)
+    return f"{key} = {shown(first['input'])}; {said}"

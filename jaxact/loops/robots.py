@@ -1,0 +1,258 @@
+"""A robot as a specification describes it: posture, joints, setpoint motion, what varies.
+
+Made once for each compiled kernel, from what is static; the values of the samples come later.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from jaxact.errors import UserError, nearest
+from jaxact.loops import reads
+from jaxact.loops.specification import Plant
+from jaxact.parameters import OF_MODEL, PARAMETERS, base
+from jaxact.robots import friction as _friction
+from jaxact.robots import model as _model
+from jaxact.robots import posture as _posture
+from jaxact.robots.model import Robot
+from jaxact.robots.posture import Posture
+
+_BROUGHT = {
+    "kp": "kp",
+    "kd": "kd",
+    "wn": "natural_frequency",
+    "zeta": "damping_ratio",
+    "delay": "delay",
+    "setpoint_delay": "setpoint_delay",
+}
+
+
+# The posture settled last: it takes a simulation, and is asked for several times.
+_POSTURES: dict[tuple[str, Plant], Posture] = {}
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A robot in its start posture.
+
+    Attributes:
+        robot: as it was read.
+        posture: where it starts.
+        payload_body: number of the body that carries a payload.
+    """
+
+    robot: Robot
+    posture: Posture
+    payload_body: int
+
+    @property
+    def names(self) -> tuple[tuple[str, str], ...]:
+        """Names of each driven joint and of its actuator, which patterns match."""
+        return tuple((joint.name, joint.actuator) for joint in self.robot.joints)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Name of each driven joint."""
+        return tuple(joint.name for joint in self.robot.joints)
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Of the driven joints in the posture [m or rad], shape (joints,)."""
+        return self.posture.joints(self.robot)
+
+
+def scene(plant: Plant) -> Scene:
+    """The robot of a specification, read and placed.
+
+    Raises:
+        UserError: the file, the keyframe, a pattern or a body is wrong, or the robot does not come
+            to rest.
+    """
+    robot = reads.kept(plant, lambda: _read(plant))
+    _model.demand(robot, "mujoco")
+    key = (robot.digest, plant)
+    if key not in _POSTURES:
+        find = _posture.settled if plant.posture == "settled" else _posture.given
+        _POSTURES.clear()
+        _POSTURES[key] = find(robot)
+    return Scene(robot, _POSTURES[key], body(robot, plant.payload_body, "plant.payload_body"))
+
+
+def _read(plant: Plant) -> Robot:
+    return _model.read(
+        plant.model,
+        keyframe=plant.keyframe,
+        joints=plant.joints,
+        base=plant.base,
+        damping=plant.damping,
+        settle=plant.posture == "settled",
+    )
+
+
+def linearised(scene: Scene, plant: Plant | None) -> Scene:
+    """The robot as margins and growth rates see it: without dry friction, unless it is "stuck"."""
+    if plant is None or plant.friction == "stuck" or not _friction.rubs(scene.robot.model):
+        return scene
+    robot, posture = _friction.moving(scene.robot, scene.posture)
+    return replace(scene, robot=robot, posture=posture)
+
+
+def body(robot: Robot, name: str | None, key: str) -> int:
+    """Number of a body; of the heaviest one without a name.
+
+    Raises:
+        UserError: there is none of that name.
+    """
+    model = robot.model
+    if name is None:
+        return int(np.argmax(model.body_mass))
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    if number < 0:
+        known = [model.body(index).name for index in range(1, model.nbody)]
+        raise UserError(f"{key} = {name!r}: no such body; {nearest(name, filter(None, known))}")
+    return int(number)
+
+
+def overloaded(scene: Scene) -> tuple[str, ...]:
+    """The driven joints that hold the posture with more than they can exert, and how much."""
+    found = []
+    hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
+    for joint, force in zip(scene.robot.joints, scene.posture.force, strict=True):
+        if not joint.force_low <= force <= joint.force_high:
+            limit = joint.force_high if force > 0.0 else joint.force_low
+            unit = "N m" if scene.robot.model.jnt_type[joint.joint] == hinge else "N"
+            found.append(
+                f"{joint.name} holds the posture with {abs(force):.4g} of {abs(limit):.4g} {unit}"
+            )
+    return tuple(found)
+
+
+def matched(scene: Scene, key: str) -> np.ndarray:
+    """Which driven joints a key such as `kp@.*_knee` is meant for, shape (joints,).
+
+    Raises:
+        UserError: none matches.
+    """
+    pattern = key.partition("@")[2]
+    which = [any(re.fullmatch(pattern, name) for name in names) for names in scene.names]
+    if not any(which):
+        raise UserError(f"{key}: matches no driven joint; they are {', '.join(scene.labels)}")
+    return np.array(which)
+
+
+def brought(scene: Scene) -> dict[str, np.ndarray]:
+    """What the model brings of the drive's parameters, shape (joints,); NaN where nothing."""
+    found = {}
+    for name in OF_MODEL:
+        if name == "force_limit":
+            limits = [
+                joint.force_high if joint.force_high == -joint.force_low else np.inf
+                for joint in scene.robot.joints
+            ]
+            found[name] = np.array(limits, float)
+            continue
+        own = np.array([getattr(joint, _BROUGHT[name]) for joint in scene.robot.joints], float)
+        if name not in ("kp", "kd"):
+            own = np.where(np.isnan(own), PARAMETERS[name].default, own)
+        found[name] = own
+    return found
+
+
+def check(scene: Scene, keys: Sequence[str], given: set[str]) -> None:
+    """Every key of a specification matches a joint, and every joint gets gains.
+
+    Args:
+        scene: the robot.
+        keys: of parameters for some joints.
+        given: parameters that are given for all joints.
+
+    Raises:
+        UserError: otherwise.
+    """
+    covered = {name: np.zeros(len(scene.labels), bool) for name in ("kp", "kd")}
+    for key in keys:
+        which = matched(scene, key)
+        if base(key) in covered:
+            covered[base(key)] |= which
+    own = brought(scene)
+    for name, which in covered.items():
+        if name in given:
+            continue
+        missing = np.flatnonzero(np.isnan(own[name]) & ~which)
+        if missing.size:
+            joint = scene.robot.joints[int(missing[0])]
+            raise UserError(
+                f"{name}: joint '{joint.name}' needs one, its actuator in the model "
+                f"({joint.kind}) brings none; give {name}, or {name}@{joint.name}"
+            )
+
+
+def check_integrator(scene: Scene) -> None:
+    """The model's integrator has positions and velocities apart, so that it can be corrected for.
+
+    Raises:
+        UserError: otherwise.
+    """
+    if scene.robot.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        raise UserError(
+            "integrator_correction: the model integrates with RK4, which needs none; drop it"
+        )
+
+
+def each_joint(
+    values: Mapping[str, Any], defaults: Mapping[str, np.ndarray], masks: Mapping[str, np.ndarray]
+) -> dict[str, Any]:
+    """The parameters of one sample, those of a drive for each joint.
+
+    Args:
+        values: by key, shape () each; NaN where the model's own counts.
+        defaults: from `brought`.
+        masks: from `matched`, of every key for some joints.
+
+    Returns:
+        By name, shape () or (joints,). Later keys win over earlier ones.
+    """
+    found: dict[str, Any] = {}
+    for name in (key for key in values if "@" not in key):
+        value = values[name]
+        if name in defaults:
+            value = jnp.where(jnp.isnan(value), jnp.asarray(defaults[name], value.dtype), value)
+        found[name] = value
+    for key in (key for key in values if "@" in key):
+        value, which = values[key], masks[key]
+        found[base(key)] = jnp.where(which & ~jnp.isnan(value), value, found[base(key)])
+    return found
+
+
+def spread(
+    along: Mapping[str, np.ndarray], defaults: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Smallest and largest finite value that occurs of each parameter, and infinity if it does.
+
+    Args:
+        along: values by key, any shape; NaN where the model's own counts.
+        defaults: from `brought`.
+
+    Returns:
+        By name, shape (3,): smallest, largest, largest or infinity.
+    """
+    found: dict[str, list[np.ndarray]] = {}
+    for key, values in along.items():
+        parts = found.setdefault(base(key), [])
+        if np.isnan(values).any() and key in defaults:
+            parts.append(defaults[key])
+        parts.append(np.ravel(values))
+    return {name: _extremes(np.concatenate(parts)) for name, parts in found.items()}
+
+
+def _extremes(values: np.ndarray) -> np.ndarray:
+    finite = values[np.isfinite(values)]
+    ends = (finite.min(), finite.max()) if finite.size else (np.inf, np.inf)
+    return np.array([*ends, np.inf if np.isinf(values).any() else ends[1]])

@@ -1,0 +1,313 @@
+"""Every numeric parameter of a loop: name, unit, default, bounds and meaning, in one flat table.
+
+The short names are used in specifications, on the command line, in result stores and in pictures;
+the long names, with underscores, are accepted there as well. For a rotary joint the same numbers
+are in rad and N m.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+
+from jaxact.errors import UserError, nearest, shown
+
+INF = math.inf
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One numeric parameter of a loop.
+
+    name: short name, the one symbol used everywhere
+    long_name: in words
+    unit: SI unit, "1" for none
+    default: value where nothing is given
+    minimum, maximum: closed bounds of a finite value
+    infinite: infinity is allowed too, and means "none" or "ideal"
+    description: one sentence
+    """
+
+    name: str
+    long_name: str
+    unit: str
+    default: float
+    minimum: float
+    maximum: float
+    infinite: bool
+    description: str
+
+    @property
+    def bounds(self) -> str:
+        """The bounds without unit: `0 to 10`."""
+        return f"{self.minimum:g} to {self.maximum:g}{', or inf' if self.infinite else ''}"
+
+    @property
+    def allowed(self) -> str:
+        """The bounds with unit: `0 to 10 [s]`."""
+        return self.bounds if self.unit == "1" else f"{self.bounds} [{self.unit}]"
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """Attributes of a coordinate in a result store."""
+        return {"units": self.unit, "long_name": self.long_name, "description": self.description}
+
+
+def _any(
+    name: str, long_name: str, unit: str, default: float, limit: float, description: str
+) -> Parameter:
+    return Parameter(name, long_name, unit, default, -limit, limit, False, description)
+
+
+def _at_least_zero(
+    name: str, long_name: str, unit: str, default: float, limit: float, description: str
+) -> Parameter:
+    return Parameter(name, long_name, unit, default, 0.0, limit, False, description)
+
+
+_TABLE = (
+    _any("kp", "stiffness", "N/m", 400.0, 1e9, "Proportional gain of the PD controller."),
+    _any("kd", "damping", "N s/m", 20.0, 1e9, "Derivative gain of the PD controller."),
+    _at_least_zero(
+        "gain_scale", "gain scale", "1", 1.0, 1e9, "Factor on both gains, of all joints alike."
+    ),
+    _any("feedforward", "feedforward force", "N", 0.0, 1e9, "Constant force added to the command."),
+    Parameter(
+        "mass", "moved mass", "kg", 0.7, 1e-9, 1e9, False, "Mass that the joint moves."
+    ),
+    Parameter(
+        "wn", "natural frequency", "rad/s", INF, 1e-3, 1e9, True,
+        "Natural frequency of the actuator's closed force loop; inf: ideal, no dynamics.",
+    ),
+    Parameter(
+        "zeta", "damping ratio", "1", 1.0, 1e-6, 1e3, False,
+        "Damping ratio of the actuator's closed force loop.",
+    ),
+    _at_least_zero(
+        "delay", "command delay", "s", 0.0, 10.0,
+        "Delay from the controller's command to the actuator's dynamics.",
+    ),
+    _at_least_zero(
+        "setpoint_delay", "setpoint delay", "s", 0.0, 10.0,
+        "Delay of the setpoint before the controller.",
+    ),
+    _at_least_zero(
+        "measurement_delay", "measurement delay", "s", 0.0, 10.0,
+        "Delay of the sensed position and velocity.",
+    ),
+    _at_least_zero(
+        "output_delay", "output delay", "s", 0.0, 10.0,
+        "Delay of the force after the actuator's dynamics.",
+    ),
+    Parameter(
+        "control_rate", "control rate", "Hz", 1000.0, 0.1, 1e6, False,
+        "Rate at which the controller runs; its output is held in between.",
+    ),
+    Parameter(
+        "policy_rate", "policy rate", "Hz", INF, 0.1, 1e6, True,
+        "Rate at which setpoints are given, held in between; divides the control rate, and changes"
+        " neither stability nor margins; inf: as the control rate.",
+    ),
+    _at_least_zero(
+        "position_resolution", "position resolution", "m", 0.0, 1e6,
+        "Size of one count of the position encoder; 0: none.",
+    ),
+    _at_least_zero(
+        "velocity_resolution", "velocity resolution", "m/s", 0.0, 1e6,
+        "Size of one count of the velocity sensor; 0: none.",
+    ),
+    _at_least_zero(
+        "command_resolution", "command resolution", "N", 0.0, 1e9,
+        "Size of one step of the D/A converter of the command; 0: none.",
+    ),
+    _at_least_zero(
+        "position_noise", "position noise", "m", 0.0, 1e6,
+        "Standard deviation of the white noise on each sensed position.",
+    ),
+    _at_least_zero(
+        "velocity_noise", "velocity noise", "m/s", 0.0, 1e6,
+        "Standard deviation of the white noise on each sensed velocity.",
+    ),
+    _any("position_bias", "position bias", "m", 0.0, 1e6, "Constant error of the sensed position."),
+    _any(
+        "velocity_bias", "velocity bias", "m/s", 0.0, 1e6, "Constant error of the sensed velocity."
+    ),
+    _at_least_zero(
+        "position_bias_walk", "position bias walk", "m/s^0.5", 0.0, 1e6,
+        "Random walk of the position bias: its standard deviation after one second.",
+    ),
+    _at_least_zero(
+        "velocity_bias_walk", "velocity bias walk", "m/s^1.5", 0.0, 1e6,
+        "Random walk of the velocity bias: its standard deviation after one second.",
+    ),
+    Parameter(
+        "velocity_filter", "velocity filter cutoff", "rad/s", INF, 1e-3, 1e9, True,
+        "Cutoff of the first-order filter of the differenced velocity; inf: none.",
+    ),
+    Parameter(
+        "force_limit", "force limit", "N", INF, 1e-9, 1e12, True,
+        "Largest force of the actuator, to both sides; inf: none.",
+    ),
+    Parameter(
+        "force_rate_limit", "force rate limit", "N/s", INF, 1e-9, 1e15, True,
+        "Largest rate of change of the force; inf: none.",
+    ),
+    Parameter(
+        "stall_force", "stall force", "N", INF, 1e-9, 1e12, True,
+        "Force of the torque-speed line at zero speed; inf: no such line.",
+    ),
+    Parameter(
+        "no_load_speed", "no-load speed", "m/s", INF, 1e-9, 1e9, True,
+        "Speed at which the torque-speed line reaches zero force; inf: no such line.",
+    ),
+    _any(
+        "setpoint", "setpoint", "m", 0.1, 1e6,
+        "Height of the setpoint's step at time 0, or amplitude of its motion; of a robot, from its"
+        " posture (default there: 0).",
+    ),
+    _any(
+        "initial_position", "initial position", "m", 0.0, 1e6,
+        "Position at time 0; of a robot, from its posture.",
+    ),
+    _any("initial_velocity", "initial velocity", "m/s", 0.0, 1e6, "Velocity at time 0."),
+    _at_least_zero(
+        "rest_amplitude", "amplitude at rest", "m", 0.0, 1e6,
+        "Motion at the end that counts as at rest, where noise never lets it end; of a robot:"
+        " 0.002, or a tenth of a count where there is quantisation and no noise.",
+    ),
+    _at_least_zero(
+        "payload", "payload", "kg", 0.0, 1e6, "Of a robot: mass added to the body of the payload."
+    ),
+    Parameter(
+        "inertia_scale", "inertia scale", "1", 1.0, 1e-3, 1e3, False,
+        "Of a robot: factor on mass and inertia of the bodies that the driven joints move.",
+    ),
+    _at_least_zero(
+        "joint_damping", "added joint damping", "N s/m", 0.0, 1e9,
+        "Of a robot: viscous damping added to the driven joints.",
+    ),
+    _at_least_zero(
+        "joint_armature", "added armature", "kg", 0.0, 1e6,
+        "Of a robot: rotor inertia added to the driven joints.",
+    ),
+    _at_least_zero(
+        "joint_friction", "added joint friction", "N", 0.0, 1e9,
+        "Of a robot: dry friction added to the driven joints.",
+    ),
+    _at_least_zero(
+        "contact_friction", "contact friction scale", "1", 1.0, 1e3,
+        "Of a robot: factor on the friction of all contacts.",
+    ),
+)  # fmt: skip
+
+PARAMETERS: dict[str, Parameter] = {parameter.name: parameter for parameter in _TABLE}
+
+# What a robot's model may bring itself; not a number where it does not.
+OF_MODEL = ("kp", "kd", "wn", "zeta", "delay", "setpoint_delay", "force_limit")
+# Other defaults for a robot: it holds its posture, and trembles a little where it is noisy, which
+# `jaxact.simulation.starts.rest_amplitude` puts a number to.
+OF_ROBOTS = {"setpoint": 0.0, "rest_amplitude": math.nan}
+# What changes the model of a robot, and has no meaning for the mass.
+ROBOT_ONLY = (
+    "payload", "inertia_scale", "joint_damping", "joint_armature", "joint_friction",
+    "contact_friction",
+)  # fmt: skip
+# What one number serves for all joints of a robot.
+SHARED = (
+    "gain_scale", "mass", "control_rate", "policy_rate", "payload", "contact_friction",
+    "rest_amplitude",
+)  # fmt: skip
+
+# Actuators by name: (wn [rad/s], zeta), as the reference study identified them.
+PRESETS: dict[str, tuple[float, float]] = {
+    "ideal": (INF, 1.0),
+    "hyq": (800.0, 0.45),
+    "starleth": (110.0, 0.9),
+}
+
+_ALIASES = {parameter.long_name.replace(" ", "_"): parameter.name for parameter in _TABLE} | {
+    "effort_limit": "force_limit",
+}
+
+
+def canonical(key: str) -> str:
+    """The key with the short name of a parameter given by either name; any other key as it is."""
+    name, at, pattern = key.partition("@")
+    return (name if name in PARAMETERS else _ALIASES.get(name, name)) + at + pattern
+
+
+def base(key: str) -> str:
+    """The parameter of a key: `kp@.*_knee`, the stiffness of some joints, is a `kp`."""
+    return key.partition("@")[0]
+
+
+def of(key: str) -> Parameter:
+    """The parameter of a key of this table, its long name telling the joints it is meant for."""
+    name, _, pattern = key.partition("@")
+    parameter = PARAMETERS[name]
+    if not pattern:
+        return parameter
+    return replace(parameter, name=key, long_name=f"{parameter.long_name} of {pattern}")
+
+
+def known(key: str) -> bool:
+    """Whether a key names a parameter, of all joints or of those that match a pattern."""
+    name, at, pattern = key.partition("@")
+    if not at:
+        return name in PARAMETERS
+    return name in PARAMETERS and name not in SHARED and _is_pattern(pattern)
+
+
+def _is_pattern(text: str) -> bool:
+    try:
+        re.compile(text)
+    except re.error:
+        return False
+    return bool(text)
+
+
+def check(name: str, value: object, key: str = "") -> float:
+    """The value of a parameter as a float, if it is a number within the parameter's bounds.
+
+    name: short name of the parameter, or a key of it for some joints
+    value: what was given
+    key: how the message names it, the parameter's own name by default
+
+    Raises UserError for anything that is no number, is not a number (NaN), or is out of bounds.
+    """
+    parameter = of(name)
+    key = key or name
+    number = as_number(value)
+    if number is None or math.isnan(number):
+        raise UserError(
+            f"{key} = {shown(value)} is no number; allowed: {parameter.allowed}"
+            f" ({parameter.long_name})"
+        )
+    inside = parameter.minimum <= number <= parameter.maximum
+    if not (inside or (parameter.infinite and number == INF)):
+        raise UserError(
+            f"{key} = {shown(value)} is out of range; allowed: {parameter.allowed}"
+            f" ({parameter.long_name})"
+        )
+    return number
+
+
+def check_actuator(value: object, key: str = "actuator") -> str:
+    """The name of an actuator preset, if there is one of that name.
+
+    Raises UserError for any other name.
+    """
+    if not isinstance(value, str) or value not in PRESETS:
+        raise UserError(f"{key} = {shown(value)} is no actuator preset; {nearest(value, PRESETS)}")
+    return value
+
+
+def as_number(value: object) -> float | None:
+    """An int or a float as a float, None for anything else; true and false are not numbers."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        return float(value)
+    except OverflowError:
+        return INF if value > 0 else -INF

@@ -1,0 +1,1 @@
+"""MJX's step of a small robot, unrolled to scalar operations."""

@@ -1,0 +1,106 @@
+"""One physics step of MJX, with a constraint solver that also finishes in float32.
+
+MJX's solver goes on only where that makes the cost of the constraints smaller. In float32 a cost of
+some thousand is known to 1e-4 or so, and the solver stops where a step would gain less: not far
+from the solution, but always on the side it came from, so that a robot that sways slowly on its
+feet drifts. The gradient of the cost is known far better. A Newton step that makes it smaller is
+taken at the end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxact.plants.mjx.scalars.step import written_out
+
+STATE = ("qpos", "qvel", "act", "qacc_warmstart", "time")
+"""What MJX integrates; everything else in its data follows from it."""
+
+# Most degrees of freedom of a robot whose step is written out, and most of them times the rows of
+# its constraints: beyond, compiling takes longer than without, and a step no less.
+_FREEDOMS, _PRODUCT = 7, 48
+
+
+@contextlib.contextmanager
+def _without_warp_notice() -> Iterator[None]:
+    """MJX prints that the optional Warp is missing; keep that, and only that, off the screen."""
+    captured = io.StringIO()
+    with contextlib.redirect_stdout(captured):
+        yield
+    for line in captured.getvalue().splitlines():
+        if not line.startswith(("Failed to import warp", "Failed to import mujoco_warp")):
+            print(line, file=sys.stdout)
+
+
+with _without_warp_notice():
+    from mujoco import mjx as mjx
+    from mujoco.mjx._src import solver as solver
+
+
+def solved(model: Any, data: Any) -> Any:
+    """The data with the accelerations and forces of the constraints.
+
+    Args:
+        model, data: of MJX's own implementation, in either precision; data with everything up to
+            the unconstrained accelerations.
+    """
+    data = mjx.solve(model, data)
+    if data.qacc.dtype != jnp.float32:
+        return data
+    newton = model.tree_replace({"opt.solver": mjx.SolverType.NEWTON})
+    there = solver.Context.create(newton, data)
+    qacc = data.qacc + there.search
+    after = solver.Context.create(newton, data.replace(qacc=qacc), grad=False)
+    gradient = after.Ma - data.qfrc_smooth - after.qfrc_constraint
+    nearer = jnp.linalg.norm(gradient) < jnp.linalg.norm(there.grad)
+    return data.replace(
+        qacc=jnp.where(nearer, qacc, data.qacc),
+        qfrc_constraint=jnp.where(nearer, after.qfrc_constraint, data.qfrc_constraint),
+    )
+
+
+def step(model: Any, data: Any, solve: Callable[[Any, Any], Any] = solved) -> Any:
+    """The data given, with the state one step later.
+
+    Args:
+        model, data: of MJX's own implementation.
+        solve: finds the accelerations of the constraints, as `solved`; the integrator RK4, which
+            needs them several times, uses MJX's own.
+    """
+    # MJX multiplies matrices by vectors as NumPy allows; a user may have forbidden that.
+    with jax.numpy_rank_promotion("allow"):
+
+        def whole(model: Any, data: Any) -> Any:
+            return _whole(model, data, solve)
+
+        return (written_out(whole) if _is_small(model, data) else whole)(model, data)
+
+
+def _is_small(model: Any, data: Any) -> bool:
+    """Whether a robot's step is written out."""
+    return model.nv <= _FREEDOMS and model.nv * data._impl.efc_J.shape[0] <= _PRODUCT
+
+
+def constrained(data: Any) -> bool:
+    """Whether a model in MJX's own implementation has contacts, limits or friction."""
+    return bool(data._impl.efc_J.size)
+
+
+def _whole(model: Any, given: Any, solve: Callable[[Any, Any], Any]) -> Any:
+    """The given data, with the state one step later."""
+    if model.opt.integrator == mjx.IntegratorType.RK4:
+        after = mjx.step(model, given)
+    else:
+        data = mjx.fwd_velocity(model, mjx.fwd_position(model, given))
+        data = mjx.fwd_acceleration(model, mjx.fwd_actuation(model, data))
+        data = solve(model, data) if constrained(data) else data.replace(qacc=data.qacc_smooth)
+        euler = model.opt.integrator == mjx.IntegratorType.EULER
+        after = mjx.euler(model, data) if euler else mjx.implicit(model, data)
+    return given.replace(**{name: getattr(after, name) for name in STATE})

@@ -1,0 +1,149 @@
+"""Small print of a picture: what was simulated, and how it agrees with exact theory."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+from jaxact.plotting import wording
+from jaxact.status import Verdict
+
+if TYPE_CHECKING:
+    from jaxact.sweeping.agreement import Agreement
+
+# Where any of these is active the loop is not linear: parameter, and its value when it is off.
+_NONLINEAR = {
+    "position_resolution": 0.0,
+    "velocity_resolution": 0.0,
+    "command_resolution": 0.0,
+    "position_noise": 0.0,
+    "velocity_noise": 0.0,
+    "position_bias_walk": 0.0,
+    "velocity_bias_walk": 0.0,
+    "force_limit": math.inf,
+    "force_rate_limit": math.inf,
+    "stall_force": math.inf,
+}
+_ENGINES = {
+    "mass": "exact mass plant",
+    "mjx": "MuJoCo MJX",
+    "mujoco": "MuJoCo (C)",
+    "warp": "MJX-Warp",
+}
+
+
+def simulated(results: xr.Dataset) -> str:
+    """What was simulated: engine, control rate, velocity, duration, precision, number of loops.
+
+    results: a sweep store
+    """
+    specification = json.loads(results.attrs["specification"])
+    engine = _ENGINES.get(specification["engine"], str(specification["engine"]))
+    if "plant" in specification:
+        engine += f" with {specification['plant']['model']}"
+    rates = np.unique(_parameter(results, "control_rate"))
+    rate = wording.quantity(rates[0], "Hz") if len(rates) == 1 else f"{len(rates)} rates"
+    words = [
+        f"Simulated: {engine}",
+        f"control at {rate}",
+        f"{specification['velocity']} velocity",
+        f"{specification['duration']:g} s",
+        f"{specification['precision']}",
+        f"{results['verdict'].size:,} loops",
+    ]
+    if "physics_step" in specification:
+        words.insert(3, f"physics step {wording.quantity(specification['physics_step'], 's')}")
+    if specification.get("integrator_correction") and specification["engine"] != "mass":
+        words.insert(1, "its integrator corrected")
+    return ", ".join(words) + "."
+
+
+def exact(results: xr.Dataset) -> str:
+    """What a store of margins is of: the kind of loop, its velocity and filter, how many loops.
+
+    results: from `jaxact.sweeping.margins_store`
+    """
+    specification = json.loads(results.attrs["specification"])
+    words = [f"Exact margins, {results.attrs['margins']}"]
+    if results.attrs["margins"] == "sampled":
+        rates = np.unique(_parameter(results, "control_rate"))
+        rate = wording.quantity(rates[0], "Hz") if len(rates) == 1 else f"{len(rates)} rates"
+        words += [f"control at {rate}", f"{specification['velocity']} velocity"]
+    cutoffs = np.unique(_parameter(results, "velocity_filter"))
+    if len(cutoffs) == 1 and np.isfinite(cutoffs[0]):
+        words.append(f"velocity filtered at {wording.quantity(cutoffs[0], 'rad/s')}")
+    return ", ".join([*words, f"{results['verdict'].size:,} loops"]) + "."
+
+
+def compared(agreement: Agreement) -> str:
+    """How many verdicts differ from exact sampled stability, and how near the border they are."""
+    whole = agreement.compared == agreement.samples
+    of_all = "" if whole else f" of {agreement.compared:,} compared"
+    if agreement.disagreements == 0:
+        return f"No verdict{of_all} differs from the exact stability of the sampled loop."
+    share = agreement.disagreements / agreement.compared
+    count = "1 verdict" if agreement.disagreements == 1 else f"{agreement.disagreements:,} verdicts"
+    verb = "differs" if agreement.disagreements == 1 else "differ"
+    near = (
+        f"within {_percent(agreement.furthest)} of the boundary in gain"
+        if agreement.furthest < 1.0
+        else f"up to a factor {1.0 + agreement.furthest:.3g} from the boundary in gain"
+    )
+    return (
+        f"{count}{of_all} ({_percent(share)}) {verb} from the exact stability of the sampled loop: "
+        f"{near}, exact growth rate within ±{agreement.fastest:.2g}/s."
+    )
+
+
+def linear_only(results: xr.Dataset) -> str:
+    """A warning where a sweep has quantisation, noise or limits, which exact theory leaves out."""
+    active = [name for name, off in _NONLINEAR.items() if np.any(_parameter(results, name) != off)]
+    if not active:
+        return ""
+    words = ", ".join(name.replace("_", " ") for name in active)
+    return f"The exact boundary is that of the linear loop, without its {words}."
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %"
+
+
+def _parameter(results: xr.Dataset, name: str) -> np.ndarray:
+    if name in results.coords:
+        return np.asarray(results.coords[name].values, dtype=float)
+    return np.asarray(float(json.loads(results.attrs["parameters"])[name]))
+
+
+def loop(values: dict[str, float], results: dict[str, float], static: dict[str, object]) -> str:
+    """Of one loop: its gains and mass, how it was simulated, and what came out.
+
+    values: parameters by short name
+    results: figures by the names of a sweep's variables
+    static: options of a specification by name
+    """
+    engine = _ENGINES.get(str(static["engine"]), str(static["engine"]))
+    rate = wording.quantity(values["control_rate"], "Hz")
+    gains = f"kp {values['kp']:g} N/m, kd {values['kd']:g} N s/m, mass {values['mass']:g} kg"
+    if static.get("plant") is not None:
+        gains = f"kp {_own(values['kp'], 'N m/rad')}, kd {_own(values['kd'], 'N m s/rad')}"
+    if values["gain_scale"] != 1.0:
+        gains = f"{values['gain_scale']:g} times {gains}"
+    asked = f"{gains}; {engine}, control at {rate}, {static['velocity']} velocity"
+    if static["velocity"] == "differenced" and math.isfinite(values["velocity_filter"]):
+        asked += f" filtered at {wording.quantity(values['velocity_filter'], 'rad/s')}"
+    verdict = Verdict(int(results["verdict"])).label
+    found = [verdict, f"growth rate {results['growth_rate']:.3g}/s"]
+    if math.isfinite(results.get("overshoot", math.nan)):
+        found.append(f"overshoot {100.0 * results['overshoot']:.3g} %")
+    if math.isfinite(results.get("settling_time", math.nan)):
+        found.append(f"settled after {wording.quantity(results['settling_time'], 's')}")
+    return f"{asked}\n{', '.join(found)}"
+
+
+def _own(value: float, unit: str) -> str:
+    """A gain of a robot: one number, or what the model or the specification says of each joint."""
+    return "as each joint has it" if math.isnan(value) else f"{value:g} {unit}"

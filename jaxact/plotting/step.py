@@ -1,0 +1,102 @@
+"""Step responses of one or several loops over each other: position, and force below."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from jaxact.plotting import look
+from jaxact.plotting.dust import spans, widen
+from jaxact.plotting.sheet import column, lines, sheet
+from jaxact.plotting.trajectory import Joint, seconds_or_milliseconds
+
+
+@dataclass(frozen=True)
+class StepResponse:
+    """One loop's response, ready to be drawn.
+
+    label: name in the legend, with what is said of the response
+    run: its trajectory
+    stable: an unstable response is drawn thin, and does not set the picture's range
+    """
+
+    label: str
+    run: Joint
+    stable: bool = True
+
+
+def step(
+    responses: Sequence[StepResponse],
+    *,
+    title: str = "",
+    footer: str = "",
+    units: tuple[str, str] = ("m", "N"),
+    band: float = 0.02,
+    until: float = math.inf,
+) -> Figure:
+    """Position against its setpoint, with the settling band, and force.
+
+    responses: at least one loop
+    title, footer: above and below
+    units: of the position and of the force
+    band: half width of the settling band as a fraction of the step [-]
+    until: end of the time axis [s], where it is before the end of the runs
+    """
+    with look.look():
+        labels = column([response.label for response in responses], 7.4)
+        paper = sheet(
+            7.4, 5.2, title=title, footer=footer, entries=lines(labels) + 1, entry_width=7.4
+        )
+        heights = {"height_ratios": (1.5, 1)}
+        upper, lower = paper.figure.subplots(2, 1, sharex=True, gridspec_kw=heights)
+        longest = max((r.run.time for r in responses), key=lambda time: float(time[-1]))
+        _, label = seconds_or_milliseconds(longest)
+        scale = 1e3 if label == "time [ms]" else 1.0
+        _setpoint(upper, responses[0].run, scale, band)
+        for index, response in enumerate(responses):
+            line = look.style(index) | ({} if response.stable else {"linewidth": 0.9})
+            time = response.run.time * scale
+            upper.plot(time, response.run.position, label=labels[index], zorder=3, **line)
+            lower.plot(time, response.run.force, zorder=3, **line)
+        calm = [r for r in responses if r.stable]
+        if len(calm) < len(responses):
+            _limit(upper, [r.run.position for r in calm] + [responses[0].run.setpoint])
+            _limit(lower, [r.run.force for r in calm] or [responses[0].run.command[:1]])
+        least = spans(
+            longest, [r.run.position for r in calm or responses], responses[0].run.setpoint,
+            [r.run.force for r in calm or responses], unit=units[0],
+        )  # fmt: skip
+        widen(upper, least.position)
+        widen(lower, least.force)
+        upper.set_ylabel(f"position [{units[0]}]")
+        lower.set_ylabel(f"force [{units[1]}]")
+        lower.axhline(0.0, color=look.FAINT, linewidth=0.6, zorder=1)
+        lower.set_xlabel(label)
+        lower.set_xlim(0.0, min(float(longest[-1]), until) * scale)
+        for axes in (upper, lower):
+            axes.grid(visible=True)
+        paper.figure.align_ylabels()
+        paper.legend(upper.get_legend_handles_labels()[0])
+    return paper.figure
+
+
+def _setpoint(axes: Axes, run: Joint, scale: float, band: float) -> None:
+    final, start = float(run.setpoint[-1]), float(run.position[0])
+    half = band * abs(final - start)
+    axes.axhspan(final - half, final + half, color="#E4E4E4", zorder=0)
+    axes.plot(
+        run.time * scale, run.setpoint, "--", color=look.INK, linewidth=1.0, zorder=2,
+        label=f"setpoint, band of ±{band:.0%}",
+    )  # fmt: skip
+
+
+def _limit(axes: Axes, arrays: list[np.ndarray]) -> None:
+    values = np.concatenate([array[np.isfinite(array)] for array in arrays])
+    low, high = float(values.min()), float(values.max())
+    pad = 0.6 * max(high - low, 1e-9)
+    axes.set_ylim(low - pad, high + pad)

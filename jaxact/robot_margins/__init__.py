@@ -1,0 +1,1 @@
+"""What is asked of a robot's loop as a specification describes it."""

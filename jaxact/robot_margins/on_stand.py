@@ -1,0 +1,139 @@
+"""How much delay the gains that a robot's model brings bear, and what its damping does to that.
+
+On a stand, where only the joints and their drives are left; and of a base that is free, whether the
+robot stands at all. Ideal actuators, unless the model brings others.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jaxact.analysis.robot.delay import DelayBorne
+from jaxact.errors import UserError
+from jaxact.loops.samples import Samples
+from jaxact.loops.specification import Plant, Specification
+from jaxact.robot_margins import whole_robot
+from jaxact.robots import friction, mounting
+from jaxact.robots.robot import Joint, Robot
+
+CONTROL_RATE = 1000.0
+"""At which a robot is looked at where nothing else is asked [Hz]."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A loop of the gains that the model brings.
+
+    Attributes:
+        borne: the delay that it bears, and the motion in which it is lost.
+        names: of the joints.
+    """
+
+    borne: DelayBorne
+    names: tuple[str, ...]
+
+    @property
+    def joint(self) -> str:
+        """The joint that moves most in that motion."""
+        return self.names[int(np.argmax(self.borne.participation))]
+
+
+@dataclass(frozen=True)
+class OnStand:
+    """What is known of a robot's own gains; None for what does not apply, or is asked for already.
+
+    Attributes:
+        control_rate: [Hz].
+        as_it_is: on a stand.
+        in_drive: on a stand, with the joints' damping in the drives.
+        hidden: the joints whose damping stands for a drive's kd, see `hidden_gains`.
+        stuck: on a stand, with dry friction as MuJoCo linearises it at rest.
+        friction: largest dry friction of the model [N or N m].
+        free: with its base free, where it is.
+        falls: why there is no such loop: the robot does not come to rest; "" where there is.
+    """
+
+    control_rate: float
+    as_it_is: Loop
+    in_drive: Loop | None
+    hidden: tuple[Joint, ...]
+    stuck: Loop | None
+    friction: float
+    free: Loop | None
+    falls: str
+
+
+def hidden_gains(robot: Robot) -> tuple[Joint, ...]:
+    """The driven joints with a kp, no kd, and damping of their own: a D gain, most likely.
+
+    Simulators integrate it implicitly and at once; the drive of the hardware computes it.
+    """
+    damping = robot.model.dof_damping
+    return tuple(
+        joint
+        for joint in robot.joints
+        if joint.kp > 0.0 and joint.kd == 0.0 and damping[joint.dof] > 0.0
+    )
+
+
+def brings_gains(robot: Robot) -> bool:
+    """Whether the model brings all gains, so that there is a loop to look at."""
+    return bool(robot.joints) and not any(
+        math.isnan(joint.kp) or math.isnan(joint.kd) for joint in robot.joints
+    )
+
+
+def loop(plant: Plant, control_rate: float = CONTROL_RATE) -> Loop:
+    """The loop of the gains that the model brings.
+
+    Args:
+        plant: the robot.
+        control_rate: [Hz].
+
+    Raises:
+        UserError: as `jaxact.robot_margins.whole_robot.evaluate`.
+    """
+    specification = Specification(
+        engine="mujoco", plant=plant, parameters={"control_rate": control_rate}
+    )
+    along = {name: np.array([value]) for name, value in specification.nominal.items()}
+    samples = Samples(along, ("loop",), (1,), {})
+    (found,) = whole_robot.evaluate(specification, samples)
+    return Loop(found.delay_borne, found.robot.names)
+
+
+def on_stand(plant: Plant, robot: Robot, control_rate: float = CONTROL_RATE) -> OnStand:
+    """What the gains that the model brings bear.
+
+    Args:
+        plant: the robot.
+        robot: the same, read.
+        control_rate: [Hz].
+
+    Raises:
+        UserError: as `jaxact.robot_margins.whole_robot.evaluate`, of the robot on a stand.
+    """
+    stand = replace(plant, base="fixed")
+    hidden = hidden_gains(robot)
+    rubs = plant.friction == "moving" and friction.rubs(robot.model)
+    free, falls = _free(plant, control_rate) if mounting.floats(robot) else (None, "")
+    return OnStand(
+        control_rate=control_rate,
+        as_it_is=loop(stand, control_rate),
+        in_drive=loop(replace(stand, damping="drive"), control_rate) if hidden else None,
+        hidden=hidden,
+        stuck=loop(replace(stand, friction="stuck"), control_rate) if rubs else None,
+        friction=friction.largest(robot.model),
+        free=free,
+        falls=falls,
+    )
+
+
+def _free(plant: Plant, control_rate: float) -> tuple[Loop | None, str]:
+    try:
+        return loop(plant, control_rate), ""
+    except UserError as error:
+        return None, str(error)

@@ -1,0 +1,1 @@
+"""How fast a small perturbation of a loop grows."""

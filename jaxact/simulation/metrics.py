@@ -1,0 +1,341 @@
+"""Figures of merit of a rollout, accumulated tick by tick; no trajectory is kept.
+
+With the response y = (q - q0) / (r - q0) to a setpoint that steps from q0 to r:
+
+    overshoot max(y) - 1,   rise time from y = 0.1 to 0.9,   settling time to |y - 1| <= 0.02,
+    integrals of |r - q| and (r - q)^2, of the squared command and the squared force
+
+Rise is interpolated between ticks; settling counts whole ticks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import jax
+import jax.numpy as jnp
+
+from jaxact.loops.loop import Output
+from jaxact.simulation import verdicts
+from jaxact.simulation.verdicts import Judgement, Motion, Scale
+from jaxact.status import Verdict
+
+SETTLED = 0.02
+"""Half-width of the band, relative to the step, that counts as settled."""
+
+SEGMENTS = 4
+"""A rollout is cut into this many equal parts, each with its own envelope."""
+
+_LOW, _HIGH = 0.1, 0.9
+
+
+@dataclass(frozen=True)
+class Running:
+    """Accumulators of a whole rollout, each of shape (joints,); times in ticks."""
+
+    highest: jax.Array
+    farthest: jax.Array
+    low: jax.Array
+    high: jax.Array
+    unsettled: jax.Array
+    absolute_error: jax.Array
+    squared_error: jax.Array
+    effort: jax.Array
+    peak_force: jax.Array
+    squared_force: jax.Array
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Accumulators of one segment, each of shape (joints,): extremes and turns of the motion."""
+
+    lowest: jax.Array
+    highest: jax.Array
+    turns: jax.Array
+    first_turn: jax.Array
+    last_turn: jax.Array
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What a response is measured against, each of shape (joints,).
+
+    Attributes:
+        start, target: q0 and r [m or rad].
+        per_span: 1 / (r - q0), or 1 where there is no step.
+    """
+
+    start: jax.Array
+    target: jax.Array
+    per_span: jax.Array
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Results of a rollout; shape (joints,) except for the verdict and growth rate, shape ().
+
+    Figures that a loop does not have are NaN: all but the verdict and growth rate of a diverged
+    loop, the rise or settling time of one that did not rise or settle in time.
+
+    Attributes:
+        growth_rate: of a small perturbation [1/s]; negative is stable.
+        verdict: code of `jaxact.status.Verdict`.
+        overshoot: relative to the step [-].
+        rise_time: from 10 % to 90 % of the step [s].
+        settling_time: until the response stays within 2 % of the step [s].
+        integrated_absolute_error: [m s or rad s].
+        integrated_squared_error: [m^2 s or rad^2 s].
+        control_effort: integral of the squared command [N^2 s or (N m)^2 s].
+        peak_force: largest mean force of a physics step [N or N m].
+        rms_force: root mean square of the force [N or N m].
+        limit_cycle_amplitude: half the range of the position over the last quarter [m or rad], of
+            the rollout itself where it goes on, else of another start's; 0 for a stable loop.
+        limit_cycle_frequency: [rad/s]; NaN where there is no limit cycle.
+    """
+
+    growth_rate: jax.Array
+    verdict: jax.Array
+    overshoot: jax.Array
+    rise_time: jax.Array
+    settling_time: jax.Array
+    integrated_absolute_error: jax.Array
+    integrated_squared_error: jax.Array
+    control_effort: jax.Array
+    peak_force: jax.Array
+    rms_force: jax.Array
+    limit_cycle_amplitude: jax.Array
+    limit_cycle_frequency: jax.Array
+
+
+for _class in (Running, Envelope, Reference, Metrics):
+    jax.tree_util.register_dataclass(
+        _class, data_fields=[item.name for item in fields(_class)], meta_fields=[]
+    )
+
+
+def reference(start: jax.Array, target: jax.Array) -> Reference:
+    """Reference of a step from `start` to `target`, [m or rad], shape (joints,)."""
+    span = target - start
+    per_span = jnp.where(span == 0.0, 1.0, 1.0 / jnp.where(span == 0.0, 1.0, span))
+    return Reference(start=start, target=target, per_span=per_span)
+
+
+def init(like: jax.Array) -> Running:
+    """Accumulators before the first tick, shaped like `like`."""
+    zero = jnp.zeros_like(like)
+    never = zero + jnp.inf
+    return Running(zero, zero, never, never, zero, zero, zero, zero, zero, zero)
+
+
+def init_envelope(like: jax.Array) -> Envelope:
+    """Accumulators at the beginning of a segment, shaped like `like`."""
+    zero = jnp.zeros_like(like)
+    return Envelope(zero + jnp.inf, zero - jnp.inf, zero, zero, zero)
+
+
+@dataclass(frozen=True)
+class Period:
+    """What happened in one control period, and what it is measured against.
+
+    Attributes:
+        output: of the loop; shape (joints,).
+        reference: of the step.
+        tick: number of the period's end, counted from 1, as a float.
+        weight: 0 leaves the period out of the integrals; None is 1 throughout.
+    """
+
+    output: Output
+    reference: Reference
+    tick: jax.Array
+    weight: jax.Array | None = None
+
+    @property
+    def error(self) -> jax.Array:
+        """q - r [m or rad]."""
+        return self.output.position - self.reference.target
+
+    @property
+    def response(self) -> jax.Array:
+        """Position at the end of the period, relative to the step [-]."""
+        return (self.output.position - self.reference.start) * self.reference.per_span
+
+    @property
+    def response_before(self) -> jax.Array:
+        """Position at the beginning of the period, relative to the step [-]."""
+        return (self.output.position_before - self.reference.start) * self.reference.per_span
+
+    def counted(self, value: jax.Array) -> jax.Array:
+        """A part of an integral."""
+        return value if self.weight is None else self.weight * value
+
+
+def _passed(passed: jax.Array, periods: Sequence[Period], level: float) -> jax.Array:
+    """When the response first passed a level, linear between ticks; inf until it does."""
+    above, rise, tick = jnp.zeros_like(passed), jnp.ones_like(passed), passed + jnp.inf
+    for period in reversed(periods):
+        after = period.response
+        now = after >= level
+        above = jnp.where(now, after - level, above)
+        rise = jnp.where(now, after - period.response_before, rise)
+        tick = jnp.where(now, period.tick, tick)
+    # A single division for all the periods: it costs as much as all the rest.
+    return jnp.where(passed == jnp.inf, tick - above / rise, passed)
+
+
+def update(running: Running, periods: Sequence[Period]) -> Running:
+    """Take in some control periods, in order.
+
+    Several at once are cheaper than one at a time: each accumulator is read and written once.
+
+    Args:
+        running: so far.
+        periods: at least one; shape (joints,).
+
+    Returns:
+        The accumulators.
+    """
+    highest, farthest, unsettled = running.highest, running.farthest, running.unsettled
+    absolute, squared, effort = running.absolute_error, running.squared_error, running.effort
+    peak, squared_force = running.peak_force, running.squared_force
+    for period in periods:
+        output, error, response = period.output, period.error, period.response
+        size = jnp.abs(error)
+        outside = size * jnp.abs(period.reference.per_span) > SETTLED
+        # Comparisons rather than maxima: what is not a number never replaces what came before.
+        highest = jnp.where(response > highest, response, highest)
+        farthest = jnp.where(size > farthest, size, farthest)
+        unsettled = jnp.where(outside, period.tick, unsettled)
+        absolute = absolute + period.counted(size)
+        squared = squared + period.counted(error * error)
+        effort = effort + period.counted(output.command * output.command)
+        peak = jnp.maximum(peak, output.peak_force)
+        squared_force = squared_force + period.counted(output.square_force)
+    return Running(
+        highest=highest,
+        farthest=farthest,
+        low=_passed(running.low, periods, _LOW),
+        high=_passed(running.high, periods, _HIGH),
+        unsettled=unsettled,
+        absolute_error=absolute,
+        squared_error=squared,
+        effort=effort,
+        peak_force=peak,
+        squared_force=squared_force,
+    )
+
+
+def update_envelope(envelope: Envelope, periods: Sequence[Period]) -> Envelope:
+    """Take in some control periods of a segment; arguments as in `update`."""
+    lowest, highest, turns = envelope.lowest, envelope.highest, envelope.turns
+    first, last = envelope.first_turn, envelope.last_turn
+    for period in periods:
+        output = period.output
+        turned = (output.velocity_before < 0.0) & (output.velocity >= 0.0)
+        lowest = jnp.minimum(lowest, output.position)
+        highest = jnp.maximum(highest, output.position)
+        turns = turns + turned.astype(output.velocity.dtype)
+        first = jnp.where(turned & (first == 0.0), period.tick, first)
+        last = jnp.where(turned, period.tick, last)
+    return Envelope(lowest, highest, turns, first, last)
+
+
+def motion(
+    running: Running, envelopes: Envelope, reference: Reference, period: jax.Array
+) -> Motion:
+    """What a finished rollout did; arguments as for `finish`."""
+    turns = envelopes.turns[-1]
+    lapse = (envelopes.last_turn[-1] - envelopes.first_turn[-1]) * period
+    frequency = 2.0 * jnp.pi * (turns - 1.0) / jnp.where(lapse > 0.0, lapse, 1.0)
+    return Motion(
+        amplitude=0.5 * (envelopes.highest - envelopes.lowest),
+        frequency=jnp.where(turns >= 2.0, frequency, jnp.nan),
+        farthest=running.farthest,
+        span=jnp.abs(reference.target - reference.start),
+        valid=jnp.isfinite(running.squared_error),
+    )
+
+
+def judge(
+    running: Running,
+    envelopes: Envelope,
+    reference: Reference,
+    growth_rate: jax.Array,
+    *,
+    period: jax.Array,
+    ticks: int | jax.Array,
+    scale: Scale | None,
+) -> Judgement:
+    """What came of one start; arguments as for `finish`, leaves of shape (joints,)."""
+    done = motion(running, envelopes, reference, period)
+    if scale is None:
+        return verdicts.of_growth(growth_rate, done.span)
+    return verdicts.of_motion(done, scale, growth_rate, period * (ticks // SEGMENTS))
+
+
+def finish(
+    running: Running,
+    envelopes: Envelope,
+    reference: Reference,
+    growth_rate: jax.Array,
+    *,
+    period: jax.Array,
+    ticks: int | jax.Array,
+    counted: jax.Array | float,
+    scale: Scale | None,
+    others: Judgement | None = None,
+) -> tuple[Metrics, Judgement]:
+    """The metrics of a finished rollout, and what came of its start alone.
+
+    A linear loop's verdict is the sign of its growth rate, additive noise or not. Where
+    quantisation, limits or a nonlinear plant are at work it comes from the motion that remains, see
+    `jaxact.simulation.verdicts`, and from that of other starts where they are given.
+
+    Args:
+        running: accumulators of the whole rollout.
+        envelopes: of the segments, shape (SEGMENTS, joints).
+        reference: of the step.
+        growth_rate: [1/s], shape ().
+        period: control period [s].
+        ticks: number of ticks.
+        counted: number of ticks in the integrals.
+        scale: from `jaxact.simulation.verdicts.scale`; None for a loop that is linear, but for
+        noise.
+        others: from `judge`, of other starts of the same loop, shape (starts, joints).
+    """
+    span = jnp.abs(reference.target - reference.start)
+    loop = running, envelopes, reference, growth_rate
+    own = each = judge(*loop, period=period, ticks=ticks, scale=scale)
+    if others is not None and scale is not None:
+        each = verdicts.together(own, others, scale)
+    finite = jnp.isfinite(running.squared_error) & jnp.isfinite(running.effort)
+    finite &= jnp.isfinite(running.squared_force)
+    # A loop that is stable, and whose numbers overflow all the same, was not simulated.
+    overflows = (each.verdict == Verdict.STABLE) & ~finite
+    each = replace(each, verdict=jnp.where(overflows, Verdict.INVALID, each.verdict))
+    verdict = jnp.max(each.verdict).astype(jnp.int8)
+    finite &= verdict != Verdict.INVALID
+
+    def known(value: jax.Array, when: jax.Array | bool = True) -> jax.Array:
+        return jnp.where(finite & when, value, jnp.nan)
+
+    stepped = span > 0.0
+    settled = running.unsettled < ticks
+    cycling = each.verdict == Verdict.LIMIT_CYCLE
+    rise = (running.high - running.low) * period
+    quiet = jnp.where(each.verdict == Verdict.STABLE, 0.0, jnp.nan)
+    found = Metrics(
+        growth_rate=growth_rate,
+        verdict=verdict,
+        overshoot=known(jnp.maximum(running.highest - 1.0, 0.0), stepped),
+        rise_time=known(rise, stepped & jnp.isfinite(running.high)),
+        settling_time=known(running.unsettled * period, stepped & settled),
+        integrated_absolute_error=known(running.absolute_error * period),
+        integrated_squared_error=known(running.squared_error * period),
+        control_effort=known(running.effort * period),
+        peak_force=known(running.peak_force),
+        rms_force=known(jnp.sqrt(running.squared_force / counted)),
+        limit_cycle_amplitude=known(jnp.where(cycling, each.amplitude, quiet)),
+        limit_cycle_frequency=known(each.frequency, cycling),
+    )
+    return found, own

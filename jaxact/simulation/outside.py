@@ -1,0 +1,358 @@
+"""Samples of a robot whose physics runs in C MuJoCo: one batch of a sweep.
+
+The counterpart of `jaxact.simulation.kernel` for the engine "mujoco"; parameters, drive and metrics
+are the same code.
+"""
+
+from __future__ import annotations
+
+import copy
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from jaxact.compilation.programs import Program
+from jaxact.drive import step as _drive
+from jaxact.drive.controller import Setpoint
+from jaxact.drive.step import Coefficients
+from jaxact.loops import robots
+from jaxact.loops.robots import Scene
+from jaxact.loops.specification import Setting
+from jaxact.loops.template import Template
+from jaxact.plants import linearize, variation
+from jaxact.plants.mujoco import Impulse, JointPush, Simulations
+from jaxact.plants.variation import Variation
+from jaxact.robots import posture as _posture
+from jaxact.simulation import batch_rollout, kernel
+from jaxact.simulation import starts as _starts
+from jaxact.simulation.batch_rollout import BatchState
+from jaxact.simulation.kernel import Case
+from jaxact.simulation.metrics import Metrics
+from jaxact.simulation.rollout import RolloutOptions, Trajectory
+from jaxact.simulation.verdicts import Judgement
+
+Observer = Callable[[int, BatchState, jax.Array], None]
+
+
+@functools.lru_cache(maxsize=4)
+def template(case: Case, setting: Setting) -> Template:
+    """What the samples share; it holds no JAX arrays, so any precision may use it."""
+    return kernel.template_of(replace(case, engine="mujoco"), setting, "metrics")
+
+
+def moved(case: Case, setting: Setting, values: Mapping[str, np.ndarray]) -> tuple[Any, Any] | None:
+    """A and B of the linear plant of every sample, where the model varies.
+
+    Each is linearised where its own model rests: under a payload that nothing carries, contacts
+    would be on the way to somewhere else. It is done in C whatever the engine, sample by sample.
+
+    Args:
+        case, setting: static.
+        values: of the samples, shape (n,) each.
+
+    Returns:
+        Shapes (n, kept, kept) and (n, kept, joints), in the nominal plant's coordinates; None where
+        all samples have the nominal model.
+    """
+    if not case.varied:
+        return None
+    rows = np.stack([_at_joints(case, setting, values, name) for name in case.varied], axis=1)
+    distinct, places = np.unique(rows.reshape(len(rows), -1), axis=0, return_inverse=True)
+    found = [_linear(case, setting, tuple(row.tolist())) for row in distinct]
+    which = places.reshape(-1)
+    return np.stack([a for a, _ in found])[which], np.stack([b for _, b in found])[which]
+
+
+@functools.lru_cache(maxsize=256)
+def _linear(case: Case, setting: Setting, row: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """A and B with the changes of one sample, (varied, joints) in a row."""
+    scene = template(case, setting).scene
+    assert scene is not None
+    model = _changed(case, scene, np.reshape(row, (len(case.varied), -1)))
+    posture = _posture.under(scene.robot, model, scene.posture)
+    changed = replace(scene, robot=replace(scene.robot, model=model), posture=posture)
+    moving = robots.linearised(changed, setting.plant)
+    A, B, _ = linearize.linearise_c(moving.robot, moving.posture, case.step)
+    if setting.corrected:
+        A, B = linearize.synchronised(A, B, model.nv, case.step)
+    basis = _basis(case, setting)
+    return basis.T @ A @ basis, basis.T @ B
+
+
+@functools.lru_cache(maxsize=16)
+def _basis(case: Case, setting: Setting) -> np.ndarray:
+    """The nominal plant's coordinates, see `jaxact.plants.linearize.Linearisation`."""
+    scene = template(case, setting).scene
+    assert scene is not None
+    scene = robots.linearised(scene, setting.plant)
+    return linearize.linear_c(
+        scene.robot, scene.posture, case.step, corrected=setting.corrected
+    ).basis
+
+
+def _at_joints(case: Case, setting: Setting, values: Mapping[str, np.ndarray], name: str):
+    """A change of the model for every sample and joint, shape (n, joints)."""
+    made = template(case, setting)
+    keys = [key for key in values if key.partition("@")[0] == name]
+    joints = len(made.scene.labels) if made.scene is not None else 1
+    found = np.repeat(np.asarray(values[name], float)[:, None], joints, axis=1)
+    for key in keys:
+        if key != name:
+            mine = np.asarray(values[key], float)[:, None]
+            found = np.where(made.masks[key] & ~np.isnan(mine), mine, found)
+    return found
+
+
+def _changed(case: Case, scene: Scene, row: np.ndarray) -> Any:
+    """A copy of the robot's model with the changes of one sample, shape (varied, joints)."""
+    model = copy.copy(scene.robot.model)
+    for field, value in _fields(case, scene, row).items():
+        getattr(model, field)[:] = value
+    return model
+
+
+def _fields(case: Case, scene: Scene, row: np.ndarray) -> dict[str, np.ndarray]:
+    """The model's fields that a sample's changes replace."""
+    given = {
+        name: values[0] if name in ("payload", "contact_friction") else values
+        for name, values in zip(case.varied, row, strict=True)
+    }
+    joints = scene.robot.joints
+    with jax.enable_x64(True):
+        fields = variation.changed(
+            scene.robot.model,
+            Variation(**given),
+            dofs=tuple(joint.dof for joint in joints),
+            bodies=tuple(joint.body for joint in joints),
+            payload_body=scene.payload_body,
+        )
+    arrays = {name: np.asarray(value) for name, value in fields.items()}
+    return arrays | {"dof_M0": _own_inertia(scene, arrays)}
+
+
+def _own_inertia(scene: Scene, fields: Mapping[str, np.ndarray]) -> np.ndarray:
+    """What C MuJoCo keeps of the inertia of bodies without children, instead of computing it."""
+    model = copy.copy(scene.robot.model)
+    for name, value in fields.items():
+        getattr(model, name)[:] = value
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model.dof_M0.copy()
+
+
+def metrics(
+    case: Case,
+    setting: Setting,
+    values: Mapping[str, np.ndarray],
+    growth_rate: np.ndarray,
+    seed: int,
+    numbers: np.ndarray,
+    *,
+    watch: Callable[[Simulations, Coefficients], Observer] | None = None,
+    push: JointPush | None = None,
+) -> Metrics:
+    """Metrics of a batch of samples; see `jaxact.simulation.kernel.metrics`, which does one.
+
+    Args:
+        case, setting: static.
+        values: of the samples, shape (n,) each.
+        growth_rate: [1/s], shape (n,).
+        seed: of the sweep.
+        numbers: of the samples, shape (n,); one that occurs several times is simulated once.
+        watch: makes the observer that `jaxact.simulation.batch_rollout.evaluate` calls at every
+        physics step.
+        push: on the joints, beside what the specification asks for.
+    """
+    loops = values, growth_rate, seed, numbers
+    found, _ = _judged(case, setting, *loops, watch=watch, push=push)
+    return jax.tree.map(lambda leaf: jnp.nanmax(leaf, axis=1) if leaf.ndim > 1 else leaf, found)
+
+
+def _judged(
+    case: Case,
+    setting: Setting,
+    values: Mapping[str, np.ndarray],
+    growth_rate: np.ndarray,
+    seed: int,
+    numbers: np.ndarray,
+    *,
+    watch: Callable[[Simulations, Coefficients], Observer] | None = None,
+    push: JointPush | None = None,
+) -> tuple[Metrics, Judgement]:
+    """Metrics (n, joints), and what came of each start, the own one first, (n, starts, joints)."""
+    loops = values, growth_rate, seed, numbers
+    quiet = replace(setting, motion=None)
+    each = [_rolled(case, quiet, *loops, start=name)[1] for name in case.starts]
+    others = jax.tree.map(lambda *rows: jnp.stack(rows, axis=1), *each) if each else None
+    found, own = _rolled(case, setting, *loops, watch=watch, push=push, others=others)
+    own = jax.tree.map(lambda leaf: leaf[:, None], own)
+    if others is None:
+        return found, own
+    return found, jax.tree.map(lambda *rows: jnp.concatenate(rows, axis=1), own, others)
+
+
+def _rolled(
+    case: Case,
+    setting: Setting,
+    values: Mapping[str, np.ndarray],
+    growth_rate: np.ndarray,
+    seed: int,
+    numbers: np.ndarray,
+    *,
+    start: str = "",
+    watch: Callable[[Simulations, Coefficients], Observer] | None = None,
+    push: JointPush | None = None,
+    others: Judgement | None = None,
+) -> tuple[Metrics, Judgement]:
+    """A batch of rollouts from one start, by default the samples' own; see `_judged`."""
+    made = template(case, setting)
+    scene = made.scene
+    assert scene is not None
+    dtype = jnp.result_type(float)
+    arrays = {name: jnp.asarray(value, dtype) for name, value in values.items()}
+    begin = _prepare(*_beginning(case, setting, start))
+    prepared = begin(arrays, np.uint32(seed), jnp.asarray(numbers, jnp.uint32))
+    fields = {}
+    if case.varied:
+        rows = np.stack([_at_joints(case, setting, values, name) for name in case.varied], axis=1)
+        each = [_fields(case, scene, row) for row in rows]
+        fields = {name: np.stack([one[name] for one in each]) for name in each[0]}
+    simulations = Simulations(
+        scene.robot,
+        scene.posture,
+        case.step,
+        len(numbers),
+        same=numbers,  # a batch is filled up with one of its samples
+        fields=fields,
+        impulse=_impulse(setting, scene),
+        push=push,
+        corrected=setting.corrected,
+    )
+    coefficients, state, begun, setpoint, setpoints, keys, rest = prepared
+    active = np.ceil(case.duration * np.asarray(values["control_rate"], float) - 1e-4)
+    return batch_rollout.evaluate(
+        simulations,
+        coefficients,
+        case.drive,
+        case.rollout.ticks,
+        state,
+        (np.asarray(begun[0], float), np.asarray(begun[1], float)),
+        setpoint,
+        jnp.asarray(growth_rate, dtype),
+        keys,
+        active_ticks=jnp.asarray(active, dtype),
+        masked=case.masked,
+        rest_amplitude=rest,
+        setpoints=setpoints,
+        observe=None if watch is None else watch(simulations, coefficients),
+        others=others,
+    )
+
+
+def _impulse(setting: Setting, scene: Scene) -> Impulse | None:
+    push = setting.push
+    if push is None:
+        return None
+    number = robots.body(scene.robot, push.body, "push.body")
+    force = np.array(push.impulse) / push.duration
+    return Impulse(number, force, push.time, push.duration)
+
+
+def _beginning(case: Case, setting: Setting, start: str) -> tuple[Case, Setting]:
+    """What the beginning of a batch depends on: the drive, the robot, and how it is moved."""
+    ticks = case.rollout.ticks if setting.motion is not None else 0
+    begun = Case(
+        "mujoco", case.drive, RolloutOptions(ticks), False, 0.0, case.model, step=case.step,
+        starts=(start,) if start else (),
+    )  # fmt: skip
+    return begun, replace(setting, push=None)
+
+
+@functools.lru_cache(maxsize=8)
+def _prepare(case: Case, setting: Setting) -> Program:
+    """The program that makes everything a batch starts from out of its parameters."""
+    made = template(case, setting)
+
+    def one(values: Mapping[str, jax.Array], seed: jax.Array, number: jax.Array):
+        resolved = kernel.resolved(made, values)
+        drive = kernel.drive_of(resolved)
+        trembling = _starts.rest_amplitude(case.drive, resolved, drive, robot=True)
+        if case.starts:
+            given = _starts.given(case.starts, resolved, drive, _starts.friction(made))
+            resolved = {**resolved, **{name: row[0] for name, row in given.items()}}
+        rest = jnp.asarray(made.position, values["kp"].dtype)
+        force = jnp.asarray(made.force, rest.dtype)
+        coefficients = _drive.prepare(drive, case.drive, rest.shape)
+        position = rest + resolved["initial_position"]
+        velocity = jnp.broadcast_to(resolved["initial_velocity"], rest.shape)
+        state = _drive.init(coefficients, case.drive, position, velocity, command=force)
+        zero = jnp.zeros_like(rest)
+        setpoint = Setpoint(rest + resolved["setpoint"], zero, force)
+        return (
+            coefficients,
+            state,
+            (position, velocity),
+            setpoint,
+            kernel.setpoints(made, values, case.rollout.ticks),
+            jax.random.fold_in(jax.random.key(seed), number),
+            jnp.broadcast_to(trembling, rest.shape),
+        )
+
+    return Program(lambda: jax.vmap(one, in_axes=(0, None, 0)), ("start", case, setting))
+
+
+def followed(
+    case: Case,
+    setting: Setting,
+    values: Mapping[str, np.ndarray],
+    growth_rate: np.ndarray,
+    seed: int,
+    numbers: np.ndarray,
+    push: JointPush | None = None,
+) -> tuple[Metrics, Trajectory, Judgement]:
+    """Metrics of a few samples, and every physics step; see `jaxact.simulation.rollout.follow`.
+
+    Args:
+        case, setting, values, growth_rate, seed, numbers, push: as for `metrics`.
+
+    Returns:
+        The metrics; NumPy arrays with a leading axis for the loops, the configuration at every
+        control tick; and what came of each start, as `jaxact.simulation.single` has it.
+    """
+    rows: list[tuple[np.ndarray, ...]] = []
+    configurations: list[np.ndarray] = []
+
+    def watch(simulations: Simulations, coefficients: Coefficients) -> Observer:
+        older_share = np.asarray(coefficients.older_share)
+
+        def observe(place: int, state: BatchState, force: jax.Array) -> None:
+            position, velocity = np.moveaxis(simulations.measure(), 1, 0)
+            share = older_share[:, place]
+            older, newer = np.asarray(state.drive.older), np.asarray(state.drive.newer)
+            with np.errstate(invalid="ignore", over="ignore"):  # of a loop that has diverged
+                delayed = share * older + (1.0 - share) * newer
+            # Copies, as these are views of everything that the loops carry.
+            slow = state.drive.held  # by a policy
+            given = state.setpoint if slow is None else slow.setpoint
+            held = np.array(given.position), np.array(state.command)
+            rows.append((held[0], position, velocity, held[1], delayed, np.asarray(force)))
+            if place == 0:
+                configurations.append(simulations.configuration())
+
+        return observe
+
+    found, judged = _judged(
+        case, setting, values, growth_rate, seed, numbers, watch=watch, push=push
+    )
+    names = ("setpoint", "position", "velocity", "command", "delayed_command", "force")
+    columns = zip(names, zip(*rows, strict=True), strict=True)
+    arrays: dict[str, Any] = {name: np.stack(column, axis=1) for name, column in columns}
+    arrays["time"] = np.broadcast_to(case.step * np.arange(len(rows)), (len(numbers), len(rows)))
+    arrays["configuration"] = np.stack(configurations, axis=1)
+    worst = jax.tree.map(lambda leaf: jnp.nanmax(leaf, axis=-1) if leaf.ndim > 1 else leaf, found)
+    return worst, Trajectory(**arrays), _starts.of_joints(judged)

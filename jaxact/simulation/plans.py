@@ -1,0 +1,255 @@
+"""How a sweep is computed: groups of samples, each with one compiled kernel, tiles and devices.
+
+A tile is a fixed number of loops simulated side by side, small on a CPU so that their state stays
+in the first-level cache. Samples are sent to the devices in batches of a fixed number of tiles, so
+that each kernel is compiled once; a batch that is not full is filled up with copies of its last
+sample.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+
+from jaxact.drive import step as _drive
+from jaxact.errors import UserError
+from jaxact.loops.samples import Samples
+from jaxact.loops.specification import Motion, Specification
+from jaxact.parameters import ROBOT_ONLY, base
+from jaxact.simulation import engines, kernel
+from jaxact.simulation import rollout as _rollout
+from jaxact.simulation import starts as _starts
+from jaxact.simulation.growth.rate import GrowthOptions
+from jaxact.simulation.kernel import Case
+from jaxact.simulation.rollout import RolloutOptions
+
+# Physics step of the MJX plant where none is given [s].
+MJX_STEP = 0.25e-3
+
+# Control periods of the mass plant in one iteration of the compiled loop.
+_UNROLL = 4
+# The same with JAX 0.10, which fuses several of them in spite of the stages between, and computes
+# the same numbers over and over.
+_OLD_UNROLL = 1
+
+# A robot has many slow modes (contacts that creep), which only blocks of many periods tell apart; a
+# start that has settled for long holds too few of them.
+_ROBOT_GROWTH = GrowthOptions(block=64, settle=4, dimension=32, squarings=18, stacked=True)
+# The control rate that the blocks of `GrowthOptions` are meant for [Hz].
+_USUAL_RATE = 1000.0
+
+_STEP = Motion(kind="step")
+
+# A control period may miss a whole number of physics steps by rounding only.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a group of samples is computed.
+
+    Attributes:
+        case: static options.
+        rates: control rates of the group's samples [Hz], shape (n,); None: all samples are in it.
+        tile: loops in a tile.
+        tiles: tiles that each device gets at once.
+        devices: number of devices.
+    """
+
+    case: Case
+    rates: np.ndarray | None
+    tile: int
+    tiles: int
+    devices: int
+
+    @property
+    def batch(self) -> int:
+        """Loops in one call."""
+        return self.tile * self.tiles * self.devices
+
+    @property
+    def steps(self) -> int:
+        """Physics steps of one loop, from all starts that it is judged by."""
+        return _starts.steps(self.case)
+
+
+def substeps(specification: Specification, control_rate: np.ndarray) -> np.ndarray:
+    """Physics steps in a control period for these control rates [Hz].
+
+    Raises:
+        UserError: a control period is no multiple of the physics step.
+    """
+    step = specification.physics_step
+    if step is None and specification.engine == "mass":
+        return np.ones(control_rate.shape, int)
+    if step is None and specification.plant is not None:
+        # The largest step that divides the control period and is no longer than the model's own.
+        longest = kernel.timestep(specification.setting)
+        return np.maximum(np.ceil(1.0 / (control_rate * longest) - _ROUNDING), 1.0).astype(int)
+    step = MJX_STEP if step is None else step
+    ratio = 1.0 / (control_rate * step)
+    whole = np.maximum(np.round(ratio), 1.0)
+    wrong = np.abs(ratio - whole) > _ROUNDING * whole
+    if np.any(wrong):
+        rate = float(np.extract(wrong, control_rate)[0])
+        raise UserError(
+            f"control_rate = {rate:g} Hz: its period of {1.0 / rate:g} s is no multiple of "
+            f"physics_step = {step:g} s"
+        )
+    return whole.astype(int)
+
+
+def _devices(specification: Specification) -> int:
+    """Number of devices to use.
+
+    Raises:
+        UserError: more are asked for than there are.
+    """
+    there = len(jax.local_devices())
+    # MJX-Warp computes for one CPU device after the other, so that more of them would gain nothing.
+    single = specification.engine == "warp" and jax.default_backend() == "cpu"
+    usual = 1 if single else there
+    asked = usual if specification.devices is None else specification.devices
+    if single and asked > 1:
+        raise UserError(f"devices = {asked}: on CPUs, the engine warp uses one; leave it out")
+    if asked > there:
+        raise UserError(f"devices = {asked}: this machine has {there}; `jaxact info` lists them")
+    return asked
+
+
+def _refuse_deadlock(specification: Specification) -> None:
+    """JAX 0.10 on few cores can wait for ever for its own threads on a large model.
+
+    Raises:
+        UserError: it could happen here, and how to prevent it.
+    """
+    old = engines.old_jax() and jax.default_backend() == "cpu"
+    asked = os.environ.get("NPROC", "")
+    threads = int(asked) if asked.isdigit() else os.cpu_count() or 1
+    if old and specification.model is not None and specification.engine == "mjx" and threads < 8:
+        raise UserError(
+            "JAX 0.10 can hang on this machine with a model of one's own: set the environment "
+            "variable NPROC=8 before Python starts, or use Python 3.12 or newer, which gets a "
+            "newer JAX"
+        )
+
+
+def groups(
+    specification: Specification, samples: Samples, *, together: int | None = None
+) -> list[Plan]:
+    """How the groups of samples that one compiled kernel serves each are computed.
+
+    Samples whose control periods hold different numbers of physics steps are different groups;
+    usually there is one.
+
+    Args:
+        specification: checked.
+        samples: expanded from it.
+        together: loops that are computed together; None: about a second of work.
+
+    Raises:
+        UserError: a control period is no multiple of the physics step, there are too few devices,
+            or this version of JAX could hang.
+    """
+    specification = engines.resolved(specification)
+    _refuse_deadlock(specification)
+    rates = samples.along["control_rate"].ravel()
+    steps = substeps(specification, rates)
+    kinds = np.unique(steps)
+    devices = _devices(specification)
+    tile = max(min(engines.tile_size(specification), len(samples)), engines.fewest(specification))
+    found = []
+    for count in kinds:
+        own = rates[steps == count]
+        apart = own.reshape(-1, *(1,) * len(samples.dims))
+        case = _case(specification, samples.along | {"control_rate": apart}, int(count))
+        size = together
+        if size is None:
+            # Batches of equal size, so that the last one is not mostly filling.
+            size = -(-len(samples) // -(-len(samples) // engines.batch_size(case, tile, devices)))
+        tiles = max(1, -(-size * own.size // (rates.size * tile * devices)))
+        found.append(Plan(case, None if kinds.size == 1 else own, tile, tiles, devices))
+    return found
+
+
+def _case(specification: Specification, values: dict[str, np.ndarray], count: int) -> Case:
+    """The static options that serve all samples with these values, which broadcast."""
+    rates = values["control_rate"]
+    fastest = float(np.max(rates))
+    robot = specification.plant is not None
+    options = _drive.options(
+        kernel.drive_of(kernel.occurring(specification.setting, values)),
+        substeps=count,
+        differenced=specification.velocity == "differenced",
+    )
+    if specification.engine == "mass" and jax.default_backend() == "cpu":
+        options = replace(options, staged=True)
+    unroll = _OLD_UNROLL if engines.old_jax() else _UNROLL
+    ticks = _rollout.whole_ticks(specification.duration, 1.0 / fastest)
+    varied = {base(axis.name) for axis in specification.axes}
+    varied |= {base(name) for name in specification.parameters}
+    mass = specification.engine == "mass"
+    starts = _starts.needed(
+        options,
+        linear_plant=mass or not robot,
+        rubs=robot and kernel.rubs(specification.setting, values),
+        disturbed=_disturbed(specification, values),
+    )
+    return Case(
+        engine=specification.engine,
+        drive=options,
+        rollout=RolloutOptions(
+            ticks=ticks,
+            unroll=unroll if mass else 1,
+            linear_plant=mass or not robot,
+            stops=specification.engine != "mujoco",
+        ),
+        masked=bool(np.any(np.ceil(specification.duration * rates - 1e-4) < ticks)),
+        duration=specification.duration,
+        model=kernel.model_digest(specification.setting),
+        own_mass=not mass and (not robot or "mass" in varied),
+        varied=tuple(name for name in ROBOT_ONLY if robot and name in varied),
+        step=1.0 / (fastest * count) if robot else 0.0,
+        growth=_growth(_ROBOT_GROWTH if robot else GrowthOptions(dense=not mass), fastest),
+        starts=starts,
+    )
+
+
+def _disturbed(specification: Specification, values: dict[str, np.ndarray]) -> bool:
+    """Whether every loop is moved by something: its setpoint, its initial state, or a push."""
+    if specification.push is not None or (specification.motion or _STEP).kind == "file":
+        return True
+    moving = ("setpoint", "initial_position", "initial_velocity")
+    return any(base(key) in moving and bool(np.all(given != 0.0)) for key, given in values.items())
+
+
+def _growth(usual: GrowthOptions, rate: float) -> GrowthOptions:
+    """The options with blocks that last as long at another control rate [Hz].
+
+    In a shorter block the slow modes hardly differ from each other; in a longer one the fast ones
+    drown.
+    """
+    return replace(usual, block=max(4, round(usual.block * rate / _USUAL_RATE)))
+
+
+def batches(
+    plan: Plan, samples: Samples, numbers: np.ndarray | None = None
+) -> Iterator[tuple[np.ndarray, int]]:
+    """Numbers of the samples of each batch of the plan's group, filled up, and how many count.
+
+    Args:
+        plan: of the group.
+        samples: of the sweep.
+        numbers: of the samples to compute; None for all.
+    """
+    if numbers is None:
+        numbers = np.arange(len(samples))
+    if plan.rates is not None:
+        numbers = numbers[np.isin(samples.take(numbers)["control_rate"], plan.rates)]
+    for first in range(0, numbers.size, plan.batch):
+        part = numbers[first : first + plan.batch]
+        yield part[np.minimum(np.arange(plan.batch), part.size - 1)], part.size

@@ -1,0 +1,268 @@
+"""The verdict of a loop that is not linear: what the motion that remains does.
+
+A rollout is cut into segments, of which each has an envelope. With the half ranges a of the last
+three and the growth rate g of a small perturbation, a loop is at rest, or on the way there, if
+
+    a_last <= rest   or   a falls from segment to segment by half of what exp(g t) predicts at least
+
+Else it cycles. What counts as rest is measured with the loop's own scales, never with the height of
+the setpoint's step: see `rest`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import jax
+import jax.numpy as jnp
+
+from jaxact.drive.options import Drive
+from jaxact.status import Verdict
+
+# A motion of less than this share of one count, as it is felt in position, is at rest.
+_OF_A_COUNT = 0.01
+# The same share of the displacement that commands the force limit.
+_OF_THE_LIMIT = 1e-3
+# Spacings of floating-point numbers at the setpoint that rounding alone can move a joint by.
+_ROUNDING = 64.0
+# A motion this many times as large as all scales of the loop has diverged.
+_DIVERGED = 1e3
+# An envelope that grows by this factor from segment to segment, twice, is not bounded.
+_GROWING = 1.1
+# What is no larger than so many counts, or so many times what noise sustains, does not grow.
+_FEW = 3.0
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a rollout did, each of shape (joints,) unless said otherwise.
+
+    Attributes:
+        amplitude: half ranges of the position in the segments [m or rad], (segments, joints).
+        frequency: of the last segment [rad/s]; NaN where the motion does not turn twice.
+        farthest: largest distance from the setpoint [m or rad].
+        span: height of the setpoint's step [m or rad].
+        valid: whether all of it is finite.
+    """
+
+    amplitude: jax.Array
+    frequency: jax.Array
+    farthest: jax.Array
+    span: jax.Array
+    valid: jax.Array
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What a motion is measured with, each of shape (joints,).
+
+    Attributes:
+        count: what the coarsest quantiser makes of a position [m or rad]; 0 without one.
+        rest: half range that counts as at rest [m or rad].
+        floor: the part of it that is none of the loop's own [m or rad].
+        linear: whether the loop is linear, but for noise: its growth rate tells all.
+        unlimited: whether it is linear in a motion so large that counts are nothing in it; then
+            what grows, grows for ever.
+    """
+
+    count: jax.Array
+    rest: jax.Array
+    floor: jax.Array
+    linear: jax.Array
+    unlimited: jax.Array
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What came of one start, each of shape (joints,).
+
+    Attributes:
+        verdict: code of `jaxact.status.Verdict`.
+        moving: it still moved in the last segment, beyond rest, and not just about to end.
+        resting: it has come to rest, or needs not to: the loop is linear.
+        amplitude: half range of the last segment [m or rad].
+        frequency: of it [rad/s]; NaN where it does not turn twice.
+    """
+
+    verdict: jax.Array
+    moving: jax.Array
+    resting: jax.Array
+    amplitude: jax.Array
+    frequency: jax.Array
+
+
+for _class in (Motion, Scale, Judgement):
+    jax.tree_util.register_dataclass(
+        _class, data_fields=[item.name for item in fields(_class)], meta_fields=[]
+    )
+
+
+def _felt(value: jax.Array, kp: jax.Array) -> jax.Array:
+    """A force [N or N m] as the displacement that commands it [m or rad]; 0 without stiffness."""
+    stiff = jnp.abs(kp)
+    return jnp.where(stiff > 0.0, value / jnp.where(stiff > 0.0, stiff, 1.0), 0.0)
+
+
+def count(drive: Drive) -> jax.Array:
+    """One count of the coarsest quantiser of a drive, as it is felt in position.
+
+        max(position count, |kd / kp| velocity count, D/A step / |kp|)
+
+    Args:
+        drive: leaves of shape (joints,).
+
+    Returns:
+        [m or rad], shape (joints,); 0 without quantisers.
+    """
+    controller, sensor = drive.controller, drive.sensor
+    kp = jnp.asarray(controller.kp)
+    velocity = _felt(jnp.abs(controller.kd) * sensor.velocity_resolution, kp)
+    command = _felt(jnp.asarray(controller.command_resolution), kp)
+    return jnp.maximum(jnp.maximum(sensor.position_resolution, velocity), command)
+
+
+def limit(drive: Drive) -> jax.Array:
+    """The displacement that commands the largest force, or its fastest change in ten periods.
+
+    Returns:
+        [m or rad], shape (joints,); inf without limits.
+    """
+    actuator = drive.actuator
+    change = 10.0 * actuator.force_rate_limit * drive.control_period
+    force = jnp.minimum(jnp.minimum(actuator.force_limit, actuator.stall_force), change)
+    kp = jnp.asarray(drive.controller.kp)
+    return jnp.where(jnp.abs(kp) > 0.0, _felt(force, kp), jnp.inf)
+
+
+def scale(
+    drive: Drive, size: jax.Array, floor: jax.Array | float = 0.0, *, linear_plant: bool
+) -> Scale:
+    """What the motions of a loop are measured with.
+
+    Args:
+        drive: leaves of shape (joints,).
+        size: largest position in sight [m or rad], which sets the rounding.
+        floor: half range that counts as at rest in any case [m or rad]: what noise sustains.
+        linear_plant: static.
+
+    Returns:
+        Of a drive with counts, a hundredth of one is at rest; else a thousandth of the displacement
+        that commands the force limit. Rounding and the floor always are.
+    """
+    sensor, actuator = drive.sensor, drive.actuator
+    exact = sensor.position_resolution == 0.0
+    exact &= (sensor.velocity_resolution == 0.0) & (drive.controller.command_resolution == 0.0)
+    unlimited = jnp.isinf(actuator.force_limit) & jnp.isinf(actuator.stall_force)
+    unlimited &= jnp.isinf(actuator.force_rate_limit)
+    counts, far = count(drive), limit(drive)
+    least = jnp.maximum(_ROUNDING * jnp.finfo(size.dtype).eps * size, floor)
+    limits = jnp.where(jnp.isfinite(far), _OF_THE_LIMIT * far, 0.0)
+    own = jnp.where(counts > 0.0, _OF_A_COUNT * counts, limits if linear_plant else 0.0)
+    return Scale(
+        count=counts,
+        rest=jnp.maximum(least, own),
+        floor=least,
+        linear=exact & unlimited & linear_plant,
+        unlimited=unlimited & linear_plant,
+    )
+
+
+def of_growth(growth_rate: jax.Array, like: jax.Array) -> Judgement:
+    """A linear loop needs no start: its growth rate [1/s] tells; leaves shaped as `like`."""
+    none = jnp.zeros_like(like)
+    verdict = jnp.where(growth_rate < 0.0, Verdict.STABLE, Verdict.UNSTABLE)
+    verdict = jnp.where(jnp.isnan(growth_rate), Verdict.INVALID, verdict)
+    return Judgement(
+        verdict=verdict + none.astype(verdict.dtype),
+        moving=none > 0.0,
+        resting=none == 0.0,
+        amplitude=none,
+        frequency=none + jnp.nan,
+    )
+
+
+def of_motion(
+    motion: Motion, scale: Scale, growth_rate: jax.Array, segment: jax.Array
+) -> Judgement:
+    """What came of one start.
+
+    Args:
+        motion: of the rollout.
+        scale: of the loop.
+        growth_rate: [1/s], shape ().
+        segment: how long one lasts [s].
+    """
+    before, previous, last = motion.amplitude[-3], motion.amplitude[-2], motion.amplitude[-1]
+    # Of a robot at rest, the first motion is rounding, and no scale for what follows.
+    size = jnp.where(motion.span > 0.0, motion.span, motion.amplitude[0])
+    size = jnp.maximum(size, jnp.maximum(scale.count, scale.floor))
+    diverged = motion.farthest > _DIVERGED * jnp.where(size > 0.0, size, 1.0)
+    growing = (last > _GROWING * previous) & (previous > _GROWING * before)
+    # Counts and noise make irregular motions, but none without bound.
+    growing &= (last > _FEW * jnp.maximum(scale.count, scale.rest)) | (growth_rate >= 0.0)
+    growing &= ~scale.unlimited | (growth_rate >= 0.0)
+    # Half the decay that the linear loop would show is decay; less is a motion that keeps going.
+    kept = 1.0 + 0.5 * jnp.expm1(jnp.minimum(growth_rate, 0.0) * segment)
+    # An irregular limit cycle is smaller than before now and then, but rarely twice in a row.
+    decaying = (last <= kept * previous) & ((scale.count == 0.0) | (previous <= kept * before))
+    resting = last <= scale.rest
+    moving = ~(resting | ((growth_rate < 0.0) & decaying))
+    verdict = jnp.where(moving, Verdict.LIMIT_CYCLE, Verdict.STABLE)
+    # A perturbation that grows, but has not had the time to, or dies in what the plant has of its
+    # own: a larger one would not.
+    grows = growth_rate >= 0.0
+    unstable = growing | (grows & (~moving | scale.unlimited))
+    verdict = jnp.where(unstable, Verdict.UNSTABLE, verdict)
+    invalid = ~motion.valid | jnp.isnan(growth_rate)
+    verdict = jnp.where(invalid, Verdict.INVALID, verdict)
+    verdict = jnp.where(diverged, Verdict.UNSTABLE, verdict)
+    linear = of_growth(growth_rate, last)
+    return Judgement(
+        verdict=jnp.where(scale.linear, linear.verdict, verdict),
+        moving=moving & ~scale.linear,
+        resting=resting | scale.linear,
+        amplitude=last,
+        frequency=motion.frequency,
+    )
+
+
+def together(own: Judgement, others: Judgement, scale: Scale) -> Judgement:
+    """The worst of a loop's own start and of others, joint by joint.
+
+    Of a start that has come to rest where small perturbations grow, nothing is known but that; what
+    one that still moves shows is more. What remains of the own start counts where it is more than a
+    count: within one, it depends on where between two counts the setpoint happens to be, and the
+    others stand for all such places.
+
+    Args:
+        own: of the setpoint's step, shape (joints,).
+        others: shape (starts, joints).
+        scale: of the loop.
+
+    Returns:
+        The verdict; amplitude and frequency of the own motion where it goes on and turns, else of
+        the largest of the others that do.
+    """
+    cycling = others.moving & (others.verdict == Verdict.LIMIT_CYCLE)
+    amplitudes = jnp.where(cycling, others.amplitude, -1.0)
+    largest = jnp.argmax(amplitudes, axis=0)[None]
+    amplitude = jnp.take_along_axis(others.amplitude, largest, axis=0)[0]
+    frequency = jnp.take_along_axis(others.frequency, largest, axis=0)[0]
+    shown = own.moving | jnp.any(others.moving, axis=0)
+
+    def proven(start: Judgement) -> jax.Array:
+        unproven = ~start.moving & (start.verdict == Verdict.UNSTABLE) & shown
+        return jnp.where(unproven, Verdict.STABLE, start.verdict)
+
+    minor = own.moving & (own.verdict == Verdict.LIMIT_CYCLE) & (own.amplitude <= scale.count)
+    mine = jnp.where(minor, Verdict.STABLE, proven(own))
+    verdict = jnp.maximum(mine, jnp.max(jax.vmap(proven)(others), axis=0))
+    # A motion that turns but once in a segment has no frequency to be measured.
+    itself = (own.moving & jnp.isfinite(own.frequency)) | ~jnp.any(cycling, axis=0)
+    return Judgement(
+        verdict=verdict,
+        moving=shown,
+        resting=own.resting & jnp.all(others.resting, axis=0),
+        amplitude=jnp.where(itself, own.amplitude, amplitude),
+        frequency=jnp.where(itself, own.frequency, frequency),
+    )

@@ -1,0 +1,183 @@
+"""Opening the results of a sweep: found, held against their checksums, read, exported."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxact.errors import UserError
+from jaxact.sweeping import integrity, seal
+from jaxact.sweeping import place as _place
+from jaxact.sweeping.place import Place
+from jaxact.sweeping.progress import Finding, Store
+from jaxact.sweeping.store import STORE, is_ours, unwritable
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+@contextlib.contextmanager
+def readable(where: str | Path) -> Iterator[None]:
+    """Raises UserError where a place cannot be read: no permission, no connection."""
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"{where}: cannot be read ({error.strerror or error})") from error
+
+
+def find(where: str | Path) -> Place:
+    """The store that a user means: a results folder with a `sweep.zarr` in it, or the store itself.
+
+    where: path or URL
+
+    Raises UserError if there is none, or it is none of jaxact's.
+    """
+    given = _place.at(where)
+    inner = given.inside(STORE)
+    with readable(where):
+        for store in (inner, given):
+            if is_ours(store):
+                return store
+        there = inner.entries() or given.entries()
+    if there or (isinstance(given, _place.Folder) and given.path.exists()):
+        raise UserError(f"{where}: is no result of a sweep; give a folder that holds a {STORE}")
+    raise UserError(f"{where}: no such result; give the results folder of a sweep, or its {STORE}")
+
+
+def open_result(where: str | Path, *, unfinished: bool = False) -> xr.Dataset:
+    """The results of a sweep, read lazily.
+
+    where: results folder with a `sweep.zarr` in it, or the store itself; path or URL
+    unfinished: also of a sweep that has not come to its end; what is missing is NaN, verdict -1
+
+    Metadata and coordinates are held against their checksums, the results by names and sizes of
+    their files, and by their own checksums when they are read.
+
+    Raises UserError if there is none, it is none of jaxact's, it is damaged, or it is unfinished.
+    """
+    store = find(where)
+    with readable(where):
+        entries = store.entries()
+        integrity.demand(store, lambda there, number: there.glance(number, entries))
+        return _finished(store, unfinished=unfinished)
+
+
+def load_result(where: str | Path) -> xr.Dataset:
+    """The results of a sweep in memory, each of their files held against its checksum.
+
+    where: as for `open_result`
+
+    Raises UserError as `open_result`.
+    """
+    store = find(where)
+    read: dict[int, dict[str, np.ndarray]] = {}
+
+    def look(there: Store, number: int) -> Finding:
+        finding, read[number] = there.attempt(number)
+        return finding
+
+    with readable(where):
+        found = integrity.demand(store, look)
+        results = _finished(store)
+        there = integrity.chunked(store, found)
+        return loaded(results) if there is None else _filled(results, there, read)
+
+
+def _filled(
+    results: xr.Dataset, store: Store, read: dict[int, dict[str, np.ndarray]]
+) -> xr.Dataset:
+    """The results with the numbers of all chunks, which are let go of."""
+    size = int(np.prod(store.layout.shape, dtype=np.int64))
+    whole = {name: np.empty(size, store.dtype(name)) for name in store.variables if name in results}
+    for number in sorted(read):
+        first, count = store.layout.span(number)
+        part = read.pop(number)
+        for name, values in whole.items():
+            values[first : first + count] = part[name]
+    arrays = {
+        name: results[name].copy(data=values.reshape(store.layout.shape))
+        for name, values in whole.items()
+    }
+    return loaded(results.assign(arrays))
+
+
+def _finished(store: Place, *, unfinished: bool = False) -> xr.Dataset:
+    results = opened(store)
+    if not results.attrs.get("complete", False) and not unfinished:
+        raise UserError(
+            f"{store.name}: the sweep has not come to its end; continue it with"
+            " `jaxact sweep ... --resume`, `jaxact status` shows how far it is"
+        )
+    return results
+
+
+def opened(store: Place) -> xr.Dataset:
+    """The dataset in a place, read lazily; raises UserError if it cannot be read."""
+    import xarray as xr
+
+    try:
+        results: xr.Dataset = xr.open_zarr(store.zarr(), zarr_format=3)
+        if "parameters" not in results.attrs:
+            raise UserError(
+                f"{store.name}: is a list of loops without axes; give the result of `jaxact sweep`,"
+                " or of `jaxact margins --loops SPECIFICATION --store`"
+            )
+        json.loads(results.attrs["parameters"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(
+            f"{store.name}: cannot be read ({error}); `jaxact validate` says what is damaged, and"
+            " `jaxact sweep ... --resume` mends it"
+        ) from error
+    results.attrs = seal.plain(results.attrs)
+    return results
+
+
+def loaded(results: xr.Dataset) -> xr.Dataset:
+    """The results with all numbers read into memory; raises UserError if a chunk is damaged."""
+    try:
+        return results.load()
+    except (OSError, ValueError) as error:
+        raise UserError(
+            f"a chunk of the results cannot be read ({error}); `jaxact validate` says which, and"
+            " `jaxact sweep ... --resume` computes it anew"
+        ) from error
+
+
+def check_netcdf(path: Path, *, overwrite: bool = False) -> None:
+    """Raise UserError if a file may not or cannot be written there; arguments as `to_netcdf`."""
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; name a file in it")
+    if path.exists() and not overwrite:
+        raise UserError(f"{path}: exists; give another name, or --overwrite to replace it")
+    if not path.parent.is_dir():
+        raise UserError(f"{path}: the folder {path.parent} does not exist; create it first")
+
+
+def to_netcdf(results: xr.Dataset, path: Path, *, overwrite: bool = False) -> None:
+    """Write the results as one NetCDF-4 file, whole or not at all.
+
+    results: of a sweep
+    path: of the file
+    overwrite: replace a file that is there
+
+    Raises UserError if the file exists and may not be replaced, or cannot be written.
+    """
+    check_netcdf(path, overwrite=overwrite)
+    encoded = loaded(results).assign_attrs({k: _netcdf(v) for k, v in results.attrs.items()})
+    try:
+        with tempfile.TemporaryDirectory(prefix=".jaxact-", dir=path.parent) as scratch:
+            partial = Path(scratch) / path.name
+            encoded.to_netcdf(partial, engine="h5netcdf")
+            partial.replace(path)
+    except OSError as error:
+        raise UserError(unwritable(path, error)) from error
+
+
+def _netcdf(value: Any) -> Any:
+    return int(value) if isinstance(value, bool) else value

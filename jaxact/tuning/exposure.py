@@ -1,0 +1,116 @@
+"""What gains are exposed to before they are trusted: errors of sensors, and a push.
+
+What a specification says itself is kept; what it leaves open is filled in with the usual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from jaxact.errors import UserError
+from jaxact.loops import robots
+from jaxact.loops.robots import Scene
+from jaxact.loops.specification import Push, Specification
+
+ERRORS: Mapping[str, float] = {
+    "position_resolution": 2.0 * np.pi / 80_000,  # counts of the encoder per revolution
+    "position_noise": 2e-5,  # [rad or m]
+    "velocity_resolution": 5e-3,  # [rad/s or m/s]
+    "velocity_noise": 1e-2,
+}
+"""Errors of usual joint sensors; a specification that gives any error is taken to give all."""
+
+_OF_SENSORS = (
+    *ERRORS, "position_bias", "velocity_bias", "position_bias_walk", "velocity_bias_walk",
+    "command_resolution",
+)  # fmt: skip
+_DURATION = 2.0  # [s]
+# The velocity that the push gives the body at once [m/s], and how long it takes at most [s].
+_SPEED, _LASTS = 0.1, 0.05
+# A body that gives way sideways by less than this share of how it gives way upwards does not.
+_RIGID = 1e-3
+
+
+def exposed(
+    specification: Specification, *, duration: float | None = None, push: bool = True
+) -> Specification:
+    """A robot with errors of its sensors and a push, where its specification gives none.
+
+    specification: with a plant
+    duration: of the rollouts [s]; None: 2 s
+    push: whether it is pushed; the specification's own push is left out, too, if not
+
+    Raises UserError for a push that does not end within the first quarter: verdicts compare the
+    motion from quarter to quarter.
+    """
+    seconds = _DURATION if duration is None else duration
+    parameters = dict(specification.parameters)
+    if not any(parameters.get(name) for name in _OF_SENSORS):
+        parameters |= ERRORS
+    given = specification.push if push else None
+    if push and given is None:
+        given = usual_push(robots.scene(_plant(specification)), seconds)
+    if given is not None and given.time + given.duration > 0.25 * seconds * (1.0 + 1e-9):
+        raise UserError(
+            f"push: ends after {given.time + given.duration:g} s; it must end within the first "
+            f"quarter of the {seconds:g} s that are simulated"
+        )
+    return replace(
+        specification, duration=float(seconds), parameters=parameters, push=given, axes=(),
+        sampling=None,
+    )  # fmt: skip
+
+
+def _plant(specification: Specification):
+    if specification.plant is None:
+        raise UserError("validation: only for a robot; give one below [plant]")
+    return specification.plant
+
+
+def usual_push(scene: Scene, duration: float) -> Push | None:
+    """A push on the heaviest body that moves, sideways where it gives way most.
+
+        impulse = v / (n' J M^-1 J' n)
+
+    gives the free body's centre of mass the velocity v along n at once; J is its Jacobian and M the
+    robot's inertia.
+
+    scene: the robot in its posture
+    duration: of the rollout [s]
+
+    Returns None for a robot none of whose moving bodies has a name.
+    """
+    model = scene.robot.model
+    moving = [
+        body for body in range(1, model.nbody) if model.body_weldid[body] and model.body(body).name
+    ]
+    if not moving:
+        return None
+    body = max(moving, key=lambda number: model.body_mass[number])
+    mobility = _mobility(model, scene.posture.qpos, body)
+    size, directions = np.linalg.eigh(mobility[:2, :2])
+    along = np.array([*directions[:, -1], 0.0])
+    if size[-1] < _RIGID * mobility[2, 2]:
+        along = np.array([0.0, 0.0, 1.0])
+    along *= np.sign(along[np.argmax(np.abs(along))])
+    given = along @ mobility @ along
+    if given <= 0.0:
+        return None
+    first, second, third = (float(part) for part in _SPEED / given * along)
+    lasts = min(_LASTS, 0.1 * duration)
+    return Push(model.body(body).name, (first, second, third), 0.1 * duration, lasts)
+
+
+def _mobility(model: mujoco.MjModel, qpos: np.ndarray, body: int) -> np.ndarray:
+    """J M^-1 J' of the centre of mass of a body in a posture [1/kg], shape (3, 3)."""
+    data = mujoco.MjData(model)
+    data.qpos = qpos
+    mujoco.mj_fwdPosition(model, data)
+    jacobian, inertia = np.zeros((3, model.nv)), np.zeros((model.nv, model.nv))
+    mujoco.mj_jacBodyCom(model, data, jacobian, None, body)
+    mujoco.mj_fullM(model, data, inertia)
+    return jacobian @ np.linalg.solve(inertia, jacobian.T)

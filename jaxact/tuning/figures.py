@@ -1,0 +1,158 @@
+"""Exact figures of every loop and their derivatives, float64: what is polished and certified.
+
+No smoothing: the margins are those of `jaxact.analysis.joint.margins` and
+`jaxact.analysis.sampled.margins`, refined to rounding. Derivatives are by the logarithms of the
+gains and by the members' parameters.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.analysis.joint.frequency import JointLoop
+from jaxact.analysis.joint.margins import margins
+from jaxact.analysis.sampled.margins import sampled_margins
+from jaxact.analysis.sampled.period_map import SampledLoop, delay_steps
+from jaxact.compilation.programs import KEPT, Program
+from jaxact.tuning.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
+from jaxact.tuning.noise import bandwidth, noise_gain
+
+# Loops are computed in batches of one size, so that one program is compiled.
+_SIZE = 32
+_ALWAYS = (
+    "sensitivity_peak", "complementary_peak", "gain_margin", "delay_margin", "disk_margin",
+    "log_gain_to_boundary",
+)  # fmt: skip
+_EXTRA = ("bandwidth", "noise_gain")
+_INPUTS = 2 + len(PARAMETERS)
+
+
+@dataclass(frozen=True)
+class Exact:
+    """Figures of loops, NumPy float64; `log` and `slope` are NaN where they mean nothing.
+
+    stable: shape (...)
+    log: ln of each figure by name, shape (...); `log_gain_to_boundary` is the figure itself
+    slope: derivatives of `log` by (ln kp, ln kd, mass, wn, zeta, delay), shape (..., 6)
+    """
+
+    stable: np.ndarray
+    log: Mapping[str, np.ndarray]
+    slope: Mapping[str, np.ndarray]
+
+    @property
+    def gain_slope(self) -> dict[str, np.ndarray]:
+        """Derivatives by the logarithms of the two gains, shape (..., 2)."""
+        return {name: array[..., :2] for name, array in self.slope.items()}
+
+
+def evaluate(
+    log_kp: np.ndarray,
+    log_kd: np.ndarray,
+    members: Ensemble | Mapping[str, np.ndarray],
+    sampling: Sampling,
+    extra: tuple[str, ...] = (),
+    timed: Any = None,
+) -> Exact:
+    """Exact figures of many loops.
+
+    log_kp, log_kd: ln of the gains, any shape
+    members: parameters that broadcast with them
+    sampling: of the controller
+    extra: figures beyond the margins, "noise_gain" and "bandwidth"; other names change nothing
+    timed: static `jaxact.tuning.response.Timed`, of figures from simulated time; None for none
+    """
+    rows = [members[n] if isinstance(members, Mapping) else getattr(members, n) for n in PARAMETERS]
+    arrays = np.broadcast_arrays(log_kp, log_kd, *rows)
+    shape = arrays[0].shape
+    flat = np.stack([np.asarray(a, dtype=float).reshape(-1) for a in arrays])
+    steps = 0
+    if sampling.control_period is not None and flat.shape[1]:
+        steps = delay_steps(flat[5], sampling.control_period)
+    # Only what makes a difference to the program, so that goals share it.
+    wanted = tuple(name for name in _EXTRA if name in extra)
+    parts = []
+    with jax.enable_x64(True):
+        function = _compiled(sampling, steps, wanted, timed)
+        for start in range(0, flat.shape[1], _SIZE):
+            part = flat[:, start : start + _SIZE]
+            number = part.shape[1]
+            padded = np.pad(part, ((0, 0), (0, _SIZE - number)), mode="edge")
+            found = jax.tree.map(np.asarray, function(jnp.asarray(padded)))
+            parts.append(jax.tree.map(lambda a, n=number: a[..., :n], found))
+    joined = jax.tree.map(lambda *a: np.concatenate(a, axis=-1), *parts)
+    stable, log, slope = joined
+    return Exact(
+        stable.reshape(shape),
+        {name: a.reshape(shape) for name, a in log.items()},
+        {name: np.moveaxis(a, 0, -1).reshape((*shape, _INPUTS)) for name, a in slope.items()},
+    )
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _compiled(sampling: Sampling, steps: int, wanted: tuple[str, ...], timed: Any) -> Program:
+    def logs(inputs: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+        """ln of all figures of loops, shape (loops,), and which loops are stable."""
+        kp, kd = jnp.exp(inputs[0]), jnp.exp(inputs[1])
+        found = _figures(kp, kd, inputs[2:], sampling, steps, wanted, timed)
+        stable = found.pop("stable")
+        distance = found.pop("log_gain_to_boundary")
+        result = {name: jnp.log(value) for name, value in found.items()}
+        return result | {"log_gain_to_boundary": distance}, stable
+
+    def both(inputs: jax.Array) -> tuple[jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
+        value, push, stable = jax.linearize(logs, inputs, has_aux=True)
+        # Each loop depends on its own inputs only: one pass for each kind of input does all loops.
+        basis = jnp.eye(_INPUTS, dtype=inputs.dtype)[:, :, None] * jnp.ones_like(inputs)[None]
+        return stable, value, jax.vmap(push)(basis)
+
+    return Program(lambda: both, ("figures", sampling, steps, wanted, timed))
+
+
+def _figures(
+    kp: jax.Array,
+    kd: jax.Array,
+    plant: jax.Array,
+    sampling: Sampling,
+    steps: int,
+    wanted: tuple[str, ...],
+    timed: Any,
+) -> dict[str, jax.Array]:
+    """All figures of a flat batch, with `stable`; the gains' own logarithms are not among them."""
+    mass, wn, zeta, delay = plant
+    found: Any
+    finite = math.isfinite(sampling.velocity_filter)
+    cutoff = jnp.full_like(kp, sampling.velocity_filter) if finite else None
+    period, hold = DEFAULT_PERIOD, 0.0
+    if sampling.control_period is None:
+        found = margins(JointLoop(kp, kd, mass, wn, zeta, delay, cutoff))
+    else:
+        period, hold = sampling.control_period, 0.5 * sampling.control_period
+        loop = SampledLoop(
+            kp, kd, mass, wn, zeta, delay,
+            jnp.full_like(kp, period), jnp.full_like(kp, sampling.velocity_filter),
+            velocity=sampling.velocity,
+        )  # fmt: skip
+        found = sampled_margins(loop, max_delay_steps=steps)
+    result = {name: getattr(found, name) for name in _ALWAYS}
+    # The hold delays by half a period: what is defined in continuous time sees it so.
+    held = JointLoop(kp, kd, mass, wn, zeta, delay + hold, cutoff)
+
+    def settled(value: jax.Array) -> jax.Array:
+        return jnp.where(found.stable, value, jnp.nan)
+
+    if "noise_gain" in wanted:
+        result["noise_gain"] = settled(noise_gain(held, period))
+    if "bandwidth" in wanted:
+        result["bandwidth"] = settled(bandwidth(held))
+    if timed is not None:
+        result[timed.figure] = settled(timed.of_loops(kp, kd, plant))
+    return result | {"stable": found.stable}

@@ -1,0 +1,182 @@
+"""What is asked of the gains: an objective, constraints, and how an ensemble is weighed.
+
+Everything is in logarithms: an objective is ln of a figure that is to be large, a constraint is
+ln(figure / bound) <= 0, so that one per cent counts the same everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxact.errors import UserError, nearest, shown
+
+# Objective -> (figure, +1 if it is to be large, -1 if small; unit).
+OBJECTIVES = {
+    "stiffness": ("kp", 1.0, "N/m"),
+    "bandwidth": ("bandwidth", 1.0, "rad/s"),
+    "disk-margin": ("disk_margin", 1.0, "1"),
+    "settling": ("settling_time", -1.0, "s"),
+    "tracking": ("tracking_error", -1.0, "m"),
+}
+
+# Constraint -> ((figure, +1 if it must not exceed the bound, -1 if it must not fall below), ...).
+CONSTRAINTS = {
+    "max_peak": (("sensitivity_peak", 1.0), ("complementary_peak", 1.0)),
+    "min_gain_margin": (("gain_margin", -1.0),),
+    "min_delay_margin": (("delay_margin", -1.0),),
+    "min_disk_margin": (("disk_margin", -1.0),),
+    "max_noise_gain": (("noise_gain", 1.0),),
+}
+
+# What each constraint protects against.
+PROTECTS = {
+    "max_peak": "Ms and Mt: disturbances amplified, overshoot, any modelling error at all",
+    "min_gain_margin": "a load lighter, or an actuator stronger, than assumed",
+    "min_delay_margin": "a bus or a computer later than assumed",
+    "min_disk_margin": "gain and phase off by so much, in every joint by its own",
+    "max_noise_gain": "force noise, heat and wear from the counts of the encoder",
+    "min_kp": "a joint too soft for its task",
+    "max_kp": "a joint too stiff for contact, or for its limits",
+}
+
+
+@dataclass(frozen=True)
+class Goal:
+    """An objective and its constraints, for a loop or an ensemble.
+
+    objective: a name of OBJECTIVES
+    max_peak: largest Ms and Mt [-], > 1, inf = none
+    min_gain_margin: [-], >= 1, 1 = none
+    min_delay_margin: [s], >= 0, 0 = none
+    min_disk_margin: balanced [-], >= 0, 0 = none
+    max_noise_gain: force rms per encoder count [N/m], > 0, inf = none; see `jaxact.tuning.noise`
+    min_kp, max_kp: stiffness [N/m], 0 and inf = none
+    risk: "worst" member, "mean", or "cvar:A", the mean of the worst share 1 - A of the members;
+        every member is stable, whichever is asked
+    reference: setpoints [m] at the control ticks for "tracking", shape (ticks,)
+    reference_period: time between them [s]
+    """
+
+    objective: str = "stiffness"
+    max_peak: float = 1.6
+    min_gain_margin: float = 1.0
+    min_delay_margin: float = 0.0
+    min_disk_margin: float = 0.0
+    max_noise_gain: float = math.inf
+    min_kp: float = 0.0
+    max_kp: float = math.inf
+    risk: str = "worst"
+    reference: tuple[float, ...] = ()
+    reference_period: float = 1e-3
+
+    @property
+    def figure(self) -> str:
+        """Name of the figure that is optimised."""
+        return OBJECTIVES[self.objective][0]
+
+    @property
+    def sense(self) -> float:
+        """+1 if the figure is to be large, -1 if small."""
+        return OBJECTIVES[self.objective][1]
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Constraints on figures that ask anything, in the order of CONSTRAINTS."""
+        idle = {"max_peak": math.inf, "min_gain_margin": 1.0, "min_delay_margin": 0.0,
+                "min_disk_margin": 0.0, "max_noise_gain": math.inf}  # fmt: skip
+        return tuple(name for name in CONSTRAINTS if getattr(self, name) != idle[name])
+
+    @property
+    def rows(self) -> tuple[tuple[str, str, float, float], ...]:
+        """(constraint, figure, sign, bound) of every constraint on a figure."""
+        return tuple(
+            (name, figure, sign, float(getattr(self, name)))
+            for name in self.active
+            for figure, sign in CONSTRAINTS[name]
+        )
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """Figures that objective and constraints need, without the gains themselves."""
+        names = {figure for _, figure, _, _ in self.rows} | ({self.figure} - {"kp"})
+        return tuple(sorted(names))
+
+    @property
+    def tail(self) -> float:
+        """Share of the members that count: 0 for the worst alone, 1 for all, 1 - A for cvar:A."""
+        return risk_tail(self.risk)
+
+
+def check(goal: Goal) -> Goal:
+    """The same goal, if it can be asked for.
+
+    Raises UserError for a name or a bound that makes no sense.
+    """
+    if goal.objective not in OBJECTIVES:
+        raise UserError(f"objective {shown(goal.objective)}; {nearest(goal.objective, OBJECTIVES)}")
+    risk_tail(goal.risk)
+    limits = {"max_peak": (1.0, "larger than 1"), "max_noise_gain": (0.0, "positive"),
+              "max_kp": (0.0, "positive")}  # fmt: skip
+    for name, (least, words) in limits.items():
+        if not getattr(goal, name) > least:
+            raise UserError(f"{_option(name)} {getattr(goal, name):g}: must be {words}")
+    floors = {"min_gain_margin": (1.0, "at least 1"), "min_delay_margin": (0.0, "not negative"),
+              "min_disk_margin": (0.0, "not negative"),
+              "min_kp": (0.0, "not negative")}  # fmt: skip
+    for name, (least, words) in floors.items():
+        value = getattr(goal, name)
+        if not least <= value < math.inf:
+            raise UserError(f"{_option(name)} {value:g}: must be finite and {words}")
+    if goal.min_kp > goal.max_kp:
+        raise UserError(f"--min-kp {goal.min_kp:g} is above --max-kp {goal.max_kp:g}")
+    if goal.objective == "disk-margin" and goal.min_kp == 0.0:
+        raise UserError(
+            "the disk margin is largest for gains that do nothing; say how stiff the joint must be "
+            "with --min-kp"
+        )
+    if goal.objective == "tracking" and len(goal.reference) < 2:
+        raise UserError("tracking needs a file of setpoints: --objective tracking:FILE")
+    return goal
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+def risk_tail(risk: str) -> float:
+    """Share of the members that a risk weighs; see `Goal.tail`.
+
+    Raises UserError for any other word.
+    """
+    if risk == "worst":
+        return 0.0
+    if risk == "mean":
+        return 1.0
+    kind, colon, level = risk.partition(":")
+    try:
+        value = float(level)
+    except ValueError:
+        value = math.nan
+    if kind != "cvar" or not colon or not 0.0 <= value < 1.0:
+        raise UserError(f"risk {shown(risk)}: write worst, mean, or cvar:A with 0 <= A < 1")
+    return 1.0 - value
+
+
+def tail_weights(values: Any, tail: float) -> np.ndarray:
+    """Weights of the members, largest values first, that make their risk; rows sum to 1.
+
+    values: what is bad when large, shape (..., n)
+    tail: share that counts, > 0; of n members the worst tail * n, the last one in part
+    """
+    values = np.asarray(values)
+    number = values.shape[-1]
+    share = np.clip(tail * number - np.arange(number), 0.0, 1.0)
+    share = share / share.sum() if share.sum() > 0 else np.eye(number)[0]
+    order = np.argsort(-values, axis=-1, kind="stable")
+    weights = np.empty_like(values, dtype=float)
+    np.put_along_axis(weights, order, np.broadcast_to(share, values.shape), axis=-1)
+    return weights

@@ -1,0 +1,239 @@
+"""The tuning problem of single joints: smooth for the descent, exact rows for the polish.
+
+The unknowns are x = (ln kp, ln kd). Cases lie side by side: different joints with the same goal, or
+one joint with bounds that differ, as along a Pareto front.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.tuning import figures as _figures
+from jaxact.tuning.ensemble import PARAMETERS, Ensemble
+from jaxact.tuning.figures import Exact
+from jaxact.tuning.goal import Goal, tail_weights
+from jaxact.tuning.objective import Smooth, combine
+from jaxact.tuning.polish import Problem, Rows
+from jaxact.tuning.spectrum import Spectrum, log_figures, single_precision, tabulate
+
+# Starts (a, b): kd = a m / lag, kp = b m / lag^2. Stable where b < a; the optima for peaks of 1.1
+# to 2.5 lie between them.
+STARTS = (
+    (0.08, 0.0015), (0.15, 0.005), (0.25, 0.02), (0.25, 0.06),
+    (0.40, 0.04), (0.40, 0.10), (0.60, 0.08), (0.60, 0.25),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Case:
+    """One joint, or one ensemble, with what is asked of it."""
+
+    members: Ensemble
+    goal: Goal
+
+
+def time_scale(case: Case) -> np.ndarray:
+    """Time that normalises gains and frequencies of each member [s], shape (n,).
+
+    The lag; for a loop without any it is what the stiffest gains allowed make it.
+    """
+    stiffest = case.goal.max_kp
+    fastest = 0.3 * np.sqrt(case.members.mass / stiffest) if np.isfinite(stiffest) else 0.0
+    return np.where(case.members.lag > 0.0, case.members.lag, fastest)
+
+
+def starts(case: Case, number: int) -> np.ndarray:
+    """Default log-gains to start from, shape (number, 2): the same for all joints but for scale.
+
+    number: the first ones of STARTS, and between them where more are asked for
+    """
+    table = np.log(np.array(STARTS))
+    if number > len(table):
+        from scipy.stats import qmc
+
+        spread = qmc.Sobol(2, scramble=False).random_base2(max(number - 1, 1).bit_length())
+        low, high = np.log([0.05, 1e-3]), np.log([0.8, 0.5])
+        table = np.concatenate([table, low + (high - low) * spread[1:]])
+    # The slowest and the lightest member limit what all get along with.
+    lag, mass = time_scale(case).max(), case.members.mass.min()
+    a, b = table[:number].T
+    low, high = log_bounds(case.goal)[:, 0] - np.log(mass / lag**2)
+    stiffer = b < low
+    b = np.clip(b, low, high)
+    # Stiffer than the table: with as much damping as could be stable, b < a.
+    if stiffer.any():
+        a = np.where(stiffer, np.linspace(low + 0.1, max(low + 1.0, 0.0), number), a)
+    return np.stack([b + np.log(mass / lag**2), a + np.log(mass / lag)], axis=1)
+
+
+def log_bounds(goal: Goal) -> np.ndarray:
+    """ln of the smallest and the largest gains allowed, shape (2, 2); +-inf where none."""
+    with np.errstate(divide="ignore"):
+        low, high = np.log([goal.min_kp, goal.max_kp])
+    return np.array([[low, -np.inf], [high, np.inf]])
+
+
+@dataclass(frozen=True)
+class Table:
+    """What the descent needs of each case; leading axes (cases, members) or (cases,).
+
+    spectrum: of every member, float32
+    log_bounds: ln of the bounds of the constraints, shape (cases, rows)
+    low, high: bounds of the log-gains, shape (cases, 2)
+    plant: of every member for figures of simulated time, shape (cases, members, 4)
+    tail: share of the members that counts, shape (cases,)
+    """
+
+    spectrum: Spectrum
+    log_bounds: jax.Array
+    low: jax.Array
+    high: jax.Array
+    plant: jax.Array
+    tail: jax.Array
+
+
+jax.tree_util.register_dataclass(
+    Table, data_fields=["spectrum", "log_bounds", "low", "high", "plant", "tail"], meta_fields=[]
+)
+
+
+def table(cases: Sequence[Case]) -> Table:
+    """Spectra and bounds of all cases, which must have as many members each."""
+    cache: dict[int, Any] = {}
+    for case in cases:
+        if id(case.members) not in cache:
+            cache[id(case.members)] = tabulate(case.members, time_scale(case))
+    spectra = [cache[id(case.members)] for case in cases]
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *spectra)
+    bounds = np.array([[bound for *_, bound in case.goal.rows] for case in cases])
+    bounds = bounds.reshape((len(cases), -1))
+    ends = np.array([log_bounds(case.goal) for case in cases])
+    # In float32 infinities are fine, but their gradients are not.
+    ends = np.clip(ends, -80.0, 80.0)
+    plant = np.stack([np.stack([getattr(c.members, p) for p in PARAMETERS], 1) for c in cases])
+    return Table(
+        single_precision(stacked),
+        jnp.asarray(np.log(bounds), jnp.float32),
+        jnp.asarray(ends[:, 0], jnp.float32),
+        jnp.asarray(ends[:, 1], jnp.float32),
+        jnp.asarray(plant, jnp.float32),
+        jnp.asarray([case.goal.tail for case in cases], jnp.float32),
+    )
+
+
+def family(goal: Goal) -> Goal:
+    """The goal with numbers that only say what there is: one compiled program for all of them."""
+    kept = {"max_peak": 2.0, "min_gain_margin": 2.0, "min_delay_margin": 1.0,
+            "min_disk_margin": 0.5, "max_noise_gain": 1.0}  # fmt: skip
+    bounds = {name: kept[name] for name in goal.active}
+    risk = "worst" if goal.tail == 0.0 else "mean"
+    return replace(goal, **bounds, min_kp=0.0, max_kp=np.inf, risk=risk)
+
+
+@dataclass(frozen=True)
+class JointSurrogate:
+    """The smooth problem of a goal; its numbers come with the data, so that they may vary.
+
+    goal: objective, kind of risk, and which constraints there are; see `family`
+    timed: `jaxact.tuning.response.Timed` for an objective in simulated time
+    """
+
+    goal: Goal
+    timed: Any = None
+
+    def __call__(self, x: jax.Array, data: Table, sharpness: jax.Array) -> Smooth:
+        """See `jaxact.tuning.objective.Surrogate`."""
+        goal, timed = self.goal, self.timed
+        rows = tuple((figure, sign) for _, figure, sign, _ in goal.rows)
+        names = tuple(sorted({name for name, _ in rows} | {goal.figure}))
+        # Beyond a bound nothing changes any more.
+        x = jnp.clip(x, data.low, data.high)
+        kp, kd = jnp.exp(x[0]), jnp.exp(x[1])
+
+        def one(spectrum: Spectrum) -> tuple[dict[str, jax.Array], jax.Array]:
+            return log_figures(spectrum, kp, kd, names, sharpness)
+
+        found, stable = jax.vmap(one)(data.spectrum)
+        if timed is not None:
+            soft = jax.vmap(lambda plant: timed.smooth(kp, kd, plant, sharpness))(data.plant)
+            found = found | {goal.figure: soft}
+        if goal.figure == "kp":
+            found = found | {"kp": x[:1]}  # the same for all members
+        objective = goal.figure, goal.sense
+        tail = None if goal.tail == 0.0 else data.tail
+        return combine(found, stable, rows, data.log_bounds, objective, tail, sharpness)
+
+
+def exact(cases: Sequence[Case], x: np.ndarray, timed: Any = None) -> Exact:
+    """Exact figures of every member of every case at its log-gains x, shape (cases, members)."""
+    plants = {p: np.stack([getattr(c.members, p) for c in cases]) for p in PARAMETERS}
+    first = cases[0]
+    extra = tuple(name for name in first.goal.wanted if timed is None or name != timed.figure)
+    return _figures.evaluate(x[:, :1], x[:, 1:], plants, first.members.sampling, extra, timed)
+
+
+def rows_of(case_goals: Sequence[Goal], x: np.ndarray, found: Exact) -> Rows:
+    """Values and constraints of each case, from exact figures of its members.
+
+    case_goals: of the same objective, constraints and risk; bounds may differ
+    x: log-gains, shape (cases, 2)
+    """
+    goal = case_goals[0]
+    slope = found.gain_slope
+    usable = np.all(found.stable, axis=1)
+    if goal.figure == "kp":
+        value = x[:, :1]
+        value_slope = np.broadcast_to(np.array([1.0, 0.0]), (len(x), 1, 2))
+    else:
+        bad, bad_slope = -goal.sense * found.log[goal.figure], -goal.sense * slope[goal.figure]
+        bad, bad_slope = risk_rows(bad, bad_slope, goal.tail)
+        value, value_slope = -bad, -bad_slope
+    excess, excess_slope = [np.empty((len(x), 0))], [np.empty((len(x), 0, 2))]
+    for place, (_, figure, sign, _) in enumerate(goal.rows):
+        bound = np.log([list(g.rows)[place][3] for g in case_goals])
+        over = sign * (found.log[figure] - bound[:, None])
+        row, row_slope = risk_rows(over, sign * slope[figure], goal.tail)
+        excess.append(row)
+        excess_slope.append(row_slope)
+    return Rows(value, value_slope, np.concatenate(excess, axis=1),
+                np.concatenate(excess_slope, axis=1), usable)  # fmt: skip
+
+
+def risk_rows(bad: np.ndarray, slope: np.ndarray, tail: float) -> tuple[np.ndarray, np.ndarray]:
+    """Every member a row where the worst counts, else one row of weighted members.
+
+    bad: shape (cases, n);  slope: shape (cases, n, d)
+    """
+    if tail == 0.0:
+        return bad, slope
+    weights = tail_weights(np.nan_to_num(bad, nan=np.inf), tail)
+    with np.errstate(invalid="ignore"):
+        return (
+            np.sum(np.where(weights > 0, weights * bad, 0.0), axis=1, keepdims=True),
+            np.sum(np.where(weights[..., None] > 0, weights[..., None] * slope, 0.0), axis=1,
+                   keepdims=True),
+        )  # fmt: skip
+
+
+def problem(cases: Sequence[Case], timed: Any = None, *, aim: bool = True) -> Problem:
+    """Exact rows of cases as a function of their log-gains.
+
+    aim: False leaves the objective out: only the constraints are to be met
+    """
+    goals = [case.goal for case in cases]
+
+    def rows(x: np.ndarray) -> Rows:
+        """As `rows_of`, with an objective that is the same everywhere where none is wanted."""
+        found = rows_of(goals, x, exact(cases, x, timed))
+        if aim:
+            return found
+        nothing = np.zeros((len(x), 1)), np.zeros((len(x), 1, x.shape[1]))
+        return Rows(*nothing, found.excess, found.excess_slope, found.usable)
+
+    return rows

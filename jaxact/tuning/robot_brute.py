@@ -1,0 +1,70 @@
+"""The check of a robot's optimum by trying every gain of a grid, where there are few groups.
+
+The smooth figures, sharp and on the whole table, decide which gains could meet the constraints; the
+grid closes in on the best of them, and the last word is that of the exact figures.
+"""
+
+from __future__ import annotations
+
+import itertools
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.tuning import robot_smooth
+from jaxact.tuning.polish import MET
+from jaxact.tuning.robot_rows import Found, RobotCase, excess, rows
+
+MOST_GROUPS = 2
+# Points along each unknown, for two and for four of them.
+_GRID = {2: 48, 4: 7}
+# How wide the grid is [ln], how it shrinks, how often.
+_WIDTH, _SHRINK, _ROUNDS = 2.0, {2: 0.1, 4: 0.4}, {2: 4, 4: 7}
+# Loops that the sieve looks at, the worst at the centre; all are in the last word.
+_LOOPS = 12
+_TILE, _SHARP = 32, 1e5
+# What the tables may miss of a peak [ln], and how many points are looked at exactly.
+_SLACK, _EXACTLY = 2e-3, 48
+
+
+def brute_force(case: RobotCase, centre: np.ndarray) -> Found:
+    """The best log-gains of a grid around a point, refined.
+
+    centre: shape (2 g,), of at most MOST_GROUPS groups
+    """
+    size = len(centre)
+    table = case.table.take(np.argsort(-excess(case, centre))[:_LOOPS])
+    data = robot_smooth.data(
+        table, case.groups, case.goal, case.low, case.high, table.angle.shape[1]
+    )
+    smooth = robot_smooth.RobotSurrogate(robot_smooth.family(case.goal), len(table.loops))
+    offsets = np.array(list(itertools.product(np.linspace(-1.0, 1.0, _GRID[size]), repeat=size)))
+    middle, width, tried = centre, _WIDTH, 0
+    best = Found(centre, -np.inf, np.inf, 0, 0)
+    for _ in range(_ROUNDS[size]):
+        grid = np.clip(middle + width * offsets, case.low, case.high)
+        value, violation = map(np.asarray, _all(smooth, data, jnp.asarray(grid, jnp.float32)))
+        tried += len(grid)
+        # Exact figures take long: no more points than it takes to find one that is fine.
+        order = np.argsort(-np.where(violation <= _SLACK, value, -np.inf))[:_EXACTLY]
+        for x in grid[order]:
+            known = rows(case, x)
+            here = Found(x, float(known.worst_value[0]), float(known.violation[0]), 0, 0)
+            if here.violation <= MET and here.value > best.value:
+                best = here
+                break
+        middle = best.x if np.isfinite(best.value) else grid[order[0]]
+        width *= _SHRINK[size]
+    return Found(best.x, best.value, best.violation, tried * len(table.loops), tried)
+
+
+@partial(jax.jit, static_argnums=0)
+def _all(smooth: Any, data: Any, grid: jax.Array) -> tuple[jax.Array, ...]:
+    def one(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        seen = smooth(x, data, jnp.asarray(_SHARP, x.dtype))
+        return seen.value, seen.violation
+
+    return jax.lax.map(one, grid, batch_size=_TILE)

@@ -1,0 +1,209 @@
+"""What is guaranteed of a robot's tuned gains: every loop, exact, by other means than the search.
+
+The search follows peaks on a table of open-loop responses. Here every loop is closed, its roots
+are counted, and its peaks are looked for on a grid made of these roots
+(`jaxact.analysis.robot.multiloop`), in float64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxact.analysis.robot import disk as _disk
+from jaxact.analysis.robot import multiloop as _multiloop
+from jaxact.tuning.certificate import Certificate, Check
+from jaxact.tuning.goal import Goal
+from jaxact.tuning.robot_figures import SHIFTS, growth_rates, limits, peaks, sensitivity
+from jaxact.tuning.robot_loops import OpenLoops, Situation
+from jaxact.tuning.robot_rows import RobotCase, excess
+from jaxact.tuning.robot_uncertainty import Members
+from jaxact.tuning.uncertainty import ascend, spread
+
+# Bounds this near (relative) are called binding.
+_BINDING = 1e-5
+# Peaks on the grid below this share of the highest are not refined: the grid, made of the roots,
+# misses a few per cent of a peak at most.
+_LOW = 0.7
+# Ascent on the uncertainty: starts, steps, frequencies, and step of the difference quotients.
+_STARTS, _ASCENTS, _BAND, _STEP = 4, 10, 24, 1e-4
+
+
+@dataclass(frozen=True)
+class Exact:
+    """Figures of l closed loops.
+
+    growth_rate: [1/s], shape (l,); at most 0 is stable
+    log: ln of each figure by name, shape (l,); NaN of an unstable loop
+    angle: w T of its peak [rad], shape (l,) each
+    """
+
+    growth_rate: np.ndarray
+    log: dict[str, np.ndarray]
+    angle: dict[str, np.ndarray]
+
+    @property
+    def stable(self) -> np.ndarray:
+        """Whether each loop is, shape (l,)."""
+        return self.growth_rate < 0.0
+
+    def excess(self, goal: Goal) -> np.ndarray:
+        """How far each loop is beyond its bounds, ln of the ratio, inf if unstable; shape (l,)."""
+        over = np.full(len(self.growth_rate), -np.inf)
+        for _, figure, sign, bound in goal.rows:
+            over = np.maximum(over, sign * (self.log[figure] - np.log(bound)))
+        return np.where(self.stable, over, np.inf)
+
+
+def exact(loops: OpenLoops, kp: np.ndarray, kd: np.ndarray, figures: tuple[str, ...]) -> Exact:
+    """Stability and figures of every loop.
+
+    kp, kd: gains of the joints, shape (m,)
+    figures: names of `jaxact.tuning.robot_figures.SHIFTS`
+    """
+    growth = growth_rates(loops, kp, kd)
+    log = {name: np.full(len(loops), np.nan) for name in figures}
+    angle = {name: np.full(len(loops), np.nan) for name in figures}
+    for index in np.flatnonzero(growth < 0.0):
+        loop = _multiloop.multiloop(*loops.closed(int(index), kp, kd), float(loops.period[index]))
+        for name, (value, at) in _peaks(loop, figures).items():
+            log[name][index], angle[name][index] = value, at
+    return Exact(growth, log, angle)
+
+
+def _peaks(loop: _multiloop.Multiloop, figures: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    """ln of the figures of one loop, and w T where."""
+    grid = _multiloop.grid(loop)
+    S = _multiloop.sensitivity(loop, grid)
+    S[[0, -1]] = S[[0, -1]].real
+    plain = [name for name in figures if name != "disk_margin"]
+    found = {}
+    if "disk_margin" in figures:
+        peak, at = _disk.largest_bound(loop, grid, S)
+        found["disk_margin"] = (-float(np.log(peak)), at)
+    if not plain:
+        return found
+    unit = np.eye(S.shape[-1])
+    turned = np.array([SHIFTS[name] for name in plain])
+
+    def largest(t: np.ndarray, number: np.ndarray) -> np.ndarray:
+        c, c0 = turned[number].T
+        X = c[:, None, None] * _multiloop.sensitivity(loop, t) + c0[:, None, None] * unit
+        return np.linalg.svd(X, compute_uv=False)[:, 0]
+
+    columns = [_summit(c * S + c0 * unit) for c, c0 in turned]
+    value, where = _multiloop.peaks(grid, np.stack(columns, axis=1), largest)
+    logs = np.log(value)
+    return found | {name: (float(logs[i]), float(where[i])) for i, name in enumerate(plain)}
+
+
+def _summit(X: np.ndarray) -> np.ndarray:
+    """Largest singular value of each, shape (k,); 0 of those that are surely below _LOW times the
+    highest."""
+    least, most = limits(X)
+    wanted = np.flatnonzero(most >= _LOW * float(np.max(least)))
+    value = np.zeros(len(X))
+    value[wanted] = np.linalg.svd(X[wanted], compute_uv=False)[:, 0]
+    return np.where(value >= _LOW * float(np.max(value)), value, 0.0)
+
+
+def certificate(loops: OpenLoops, found: Exact, goal: Goal, gains: tuple[np.ndarray, np.ndarray],
+                corners: int = 0, interior: float | None = None) -> Certificate:  # fmt: skip
+    """Everything that was asked, judged.
+
+    loops, found: that were computed, with these gains of the joints
+    corners: how many of the loops are corners of the uncertainty
+    interior: largest excess that ascent on it found
+    """
+    checks, binding = [], []
+    for name, figure, sign, bound in goal.rows:
+        over = sign * (found.log[figure] - np.log(bound))
+        over = np.where(np.isnan(over), np.inf, over)
+        worst = int(np.argmax(over))
+        value = float(np.exp(found.log[figure][worst]))
+        checks.append(Check(name, figure, bound, value, loops.names[worst], float(over[worst])))
+        binding += [loops.names[int(i)] for i in np.flatnonzero(over > -_BINDING)]
+    kp = gains[0]
+    inside = goal.min_kp * (1.0 - 1e-12) <= kp.min() and kp.max() <= goal.max_kp * (1.0 + 1e-12)
+    return Certificate(
+        bool(found.stable.all()), tuple(checks), bool(inside), tuple(dict.fromkeys(binding)),
+        len(loops), corners, interior,
+    )  # fmt: skip
+
+
+def worst_inside(
+    situations: Sequence[Situation], case: RobotCase, x: np.ndarray, seed: int
+) -> list[Members]:
+    """Points of the box where each situation exceeds its bounds most, as ascent finds them.
+
+    case: what is known; the worst loops of each situation are starts of their own
+    x: log-gains
+    seed: of the other starts
+    """
+    loops = case.table.loops
+    gains = case.groups.gains(x)
+    found = peaks(case.table, *gains, case.goal.wanted)
+    over = excess(case, x)
+    every = []
+    for place, one in enumerate(situations):
+        own = np.flatnonzero(loops.situation == place)
+        worst = own[np.argsort(-over[own])[:2]]
+        start = np.concatenate(
+            [spread(loops.fraction.shape[1], _STARTS, seed), loops.fraction[worst]]
+        )
+        known = [found[figure] for _, figure, _, _ in case.goal.rows]
+        angles = np.concatenate([p.angle[worst, p.log[worst].argmax(axis=1)] for p in known])
+        points = ascend(_riser(one, case.goal, gains, _band(angles)), start, _ASCENTS)
+        every.append(Members(points, tuple(f"interior {i}" for i in range(len(points)))))
+    return every
+
+
+def _band(peaks: np.ndarray) -> np.ndarray:
+    """Angles around those of peaks [rad]."""
+    around = np.geomspace(0.5, 2.0, _BAND // 2)
+    ends = np.array([np.min(peaks), np.max(peaks)])
+    return np.minimum(np.unique(ends[:, None] * around), np.pi)
+
+
+def _riser(
+    one: Situation, goal: Goal, gains: tuple[np.ndarray, np.ndarray], band: np.ndarray
+) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """The largest excess on a band of frequencies, and its slopes by fractions of the box."""
+
+    def opened(u: np.ndarray) -> tuple[np.ndarray, ...]:
+        return one.opened(one.values(u[None])[0])[:3]
+
+    def over(matrices: tuple[np.ndarray, ...], angle: np.ndarray) -> np.ndarray:
+        """ln of how far the worst figure exceeds its bound at each angle [-]."""
+        A, B, seen = matrices
+        z = np.exp(1j * angle)[:, None, None]
+        states = np.linalg.solve(z * np.eye(len(A)) - A, B[None].astype(complex))
+        rows = seen.reshape(-1, len(A)) @ states
+        S = sensitivity(rows.reshape(len(angle), *seen.shape[:2], -1), *gains)
+        worst = np.full(len(angle), -np.inf)
+        for _, figure, sign, bound in goal.rows:
+            c, c0 = SHIFTS[figure]
+            X = c * S + c0 * np.eye(S.shape[-1])
+            # mu of the disk margin is one over it
+            size = _disk.balanced(X)[0] if sign < 0 else np.linalg.norm(X, 2, axis=(1, 2))
+            worst = np.maximum(worst, np.log(size) - sign * np.log(bound))
+        return worst
+
+    def rise(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """At points of the box, shape (points, d): the excess, and its slopes one-sided."""
+        values, slopes = [], []
+        for u in points:
+            here = over(opened(u), band)
+            at = band[[int(np.argmax(here))]]
+            slope = []
+            for axis, fraction in enumerate(u):
+                end = u.copy()
+                end[axis] += _STEP if fraction < 0.5 else -_STEP
+                slope.append((over(opened(end), at)[0] - here.max()) / (end[axis] - fraction))
+            values.append(here.max())
+            slopes.append(slope)
+        return np.array(values), np.array(slopes)
+
+    return rise

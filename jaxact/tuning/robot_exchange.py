@@ -1,0 +1,119 @@
+"""What only the exact figures and the ascent on the uncertainty know of goes back to the search."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jaxact.tuning import robot_certificate
+from jaxact.tuning.polish import MET
+from jaxact.tuning.robot_certificate import Exact, exact
+from jaxact.tuning.robot_figures import extended, growth_rates, refined, tabulate
+from jaxact.tuning.robot_loops import OpenLoops, Situation, open_loops, together
+from jaxact.tuning.robot_rows import Found, RobotCase, excess, more, polished, rescued
+
+# How often it does, and how far a peak may be off where the bounds cannot be met anyway [ln].
+_EXCHANGES, _OFF = 12, 1e-3
+
+
+@dataclass(frozen=True)
+class Reached:
+    """Where a search has led.
+
+    case: with all loops and frequencies that turned out to matter
+    found: the best point
+    interior: largest excess that ascent on the uncertainty found there, None if there was none
+    known: exact figures of all loops there, None where they are not known
+    """
+
+    case: RobotCase
+    found: Found
+    interior: float | None
+    known: Exact | None
+
+
+def exchanged(case: RobotCase, situations: Sequence[Situation], found: Found, seed: int) -> Reached:
+    """Go on from a point with what only the exact figures and the ascent on the box know of."""
+    interior, known = None, None
+    for turn in range(_EXCHANGES):
+        known = exact(case.table.loops, *case.groups.gains(found.x), case.goal.wanted)
+        over = known.excess(case.goal).max(initial=-np.inf)
+        if not np.isfinite(over):
+            break
+        if over > max(found.violation, 0.0) + (MET if found.met else _OFF):
+            angles = np.stack([known.angle[name] for name in case.goal.wanted], axis=1)
+            case = replace(case, table=refined(case.table, np.maximum(angles, 1e-9)))
+        else:
+            # The ascent takes longest: only where nothing else is left.
+            more = _inside_worse(case, situations, found, seed, turn)
+            if more is None:
+                break
+            interior, loops = more
+            if not len(loops):
+                break
+            case = replace(case, table=extended(case.table, loops))
+        found, known = _polished_again(case, situations, found), None
+    return Reached(case, found, interior, known)
+
+
+def _inside_worse(
+    case: RobotCase,
+    situations: Sequence[Situation],
+    found: Found,
+    seed: int,
+    turn: int,
+) -> tuple[float, OpenLoops] | None:
+    """The largest excess that ascent finds in the box, and loops worse than those that are known.
+
+    None where nothing is uncertain, or nothing bounded.
+    """
+    if not case.goal.rows or not situations[0].spans:
+        return None
+    gains = case.groups.gains(found.x)
+    points = robot_certificate.worst_inside(situations, case, found.x, seed)
+    inside = together(*(
+        open_loops([one], own) for one, own in zip(situations, points, strict=True)
+    ))  # fmt: skip
+    inside = _renamed(inside, situations, turn)
+    own = replace(case, table=tabulate(inside))
+    stable = growth_rates(inside, *gains) < 0.0
+    over = np.where(stable, excess(own, found.x), np.inf)
+    order = np.argsort(-over)
+    worse = order[over[order] > max(found.violation, 0.0) + MET]
+    return float(over.max()), inside.take(_apart(inside, worse))
+
+
+def _polished_again(case: RobotCase, situations: Sequence[Situation], found: Found) -> Found:
+    """Polished once more, for more loops or frequencies."""
+    x = found.x
+    if not case.stable(x):
+        lag = max(one.lag for one in situations)
+        x, _ = rescued(case.table.loops, case.groups, x, lag, case.low, case.high)
+        if not case.stable(x):
+            return replace(found, x=x, violation=np.inf)
+    return more(polished(case, x, fresh=False), found.evaluations, found.steps)
+
+
+def _renamed(loops: OpenLoops, situations: Sequence[Situation], turn: int) -> OpenLoops:
+    """Loops of one situation each, put back to their situations."""
+    each = len(loops) // len(situations)
+    number = [place for place in range(len(situations)) for _ in range(each)]
+    names = tuple(
+        f"{situations[s].name}, interior {turn}.{i % each}" if len(situations) > 1
+        else f"interior {turn}.{i}"
+        for i, s in enumerate(number)
+    )  # fmt: skip
+    return replace(loops, names=names, situation=np.array(number))
+
+
+def _apart(loops: OpenLoops, worse: np.ndarray) -> np.ndarray:
+    """The worst of these, one of each place in the box; three of a situation at most."""
+    kept: list[int] = []
+    for index in map(int, worse):
+        same = [k for k in kept if loops.situation[k] == loops.situation[index]]
+        near = any(np.abs(loops.fraction[k] - loops.fraction[index]).max() < 0.02 for k in same)
+        if not near and len(same) < 3:
+            kept.append(index)
+    return np.array(kept, dtype=int)

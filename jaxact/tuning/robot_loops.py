@@ -1,0 +1,393 @@
+"""A robot's loops, opened at the controllers: every situation with every member of its box.
+
+A situation is a robot at rest in a posture, linearised there, with its drives; a member is a point
+of what is uncertain of both. Of each loop the matrices over one control period are kept,
+
+    x' = A x + B u,     seen = Y x,     G(z) = Y (z I - A)^-1 B,
+
+which do not know of any gains. A member with a body of its own, a payload say, is linearised
+where that body rests, as in a sweep (`jaxact.simulation.outside.moved`).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from jaxact.analysis.robot.multiloop import joined
+from jaxact.compilation.programs import Program
+from jaxact.drive.step import Drive
+from jaxact.errors import UserError
+from jaxact.loops import robots
+from jaxact.loops.samples import explicit
+from jaxact.loops.specification import Setting, Specification
+from jaxact.loops.template import Template
+from jaxact.parameters import base
+from jaxact.parameters import check as in_bounds
+from jaxact.simulation import kernel, outside, plans, robot_loop
+from jaxact.simulation.kernel import Case
+from jaxact.tuning.robot_uncertainty import OF_BODY, Members, Span
+
+# Parameters that the gains of a joint come from.
+_GAINS = ("kp", "kd", "gain_scale")
+
+Opened = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""A, B and Y of one loop, and the inertias that forces on the joints feel, shape (joints,)."""
+
+
+@dataclass(frozen=True)
+class Situation:
+    """A robot in a posture, ready to be opened with any member of a box.
+
+    name: of the posture
+    names: of each driven joint and of its actuator
+    kp, kd: gains that are given, or that the model brings, shape (joints,); None where some joint
+        has none
+    inertias: that forces on the joints feel [kg or kg m^2], at the end of the box where they are
+        smaller, shape (joints,)
+    rotary: whether a joint is a hinge, shape (joints,)
+    lag: of the slowest drive of the box [s], delays + 2 zeta / wn + T / 2
+    period: control period T [s]
+    residual: largest acceleration left at the posture [rad/s^2 or m/s^2]
+    specification: that it was made of
+    payload_body: name of the body that carries a payload
+    spans: what is uncertain
+    opened: from values of `keys`, shape (keys,), to a loop (`jaxact.simulation.robot_loop.OpenMap`)
+        and its inertias, compiled
+    keys: parameters that vary
+    places: number of the span that each of them follows, shape (keys,)
+    low, high: their values at the ends of the box, shape (keys,)
+    """
+
+    name: str
+    names: tuple[tuple[str, str], ...]
+    kp: np.ndarray | None
+    kd: np.ndarray | None
+    inertias: np.ndarray
+    rotary: np.ndarray
+    lag: float
+    period: float
+    residual: float
+    specification: Specification
+    payload_body: str
+    spans: tuple[Span, ...]
+    opened: Callable[[np.ndarray], Opened]
+    keys: tuple[str, ...]
+    places: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    def values(self, fraction: np.ndarray) -> np.ndarray:
+        """Values of `keys` at fractions of the spans, shape (n, spans) -> (n, keys)."""
+        return self.low + (self.high - self.low) * fraction[:, self.places]
+
+    def columns(self, fraction: np.ndarray) -> dict[str, np.ndarray]:
+        """The same by key, shape (n,) each."""
+        return dict(zip(self.keys, self.values(fraction).T, strict=True))
+
+
+def situation(specification: Specification, name: str, spans: tuple[Span, ...] = ()) -> Situation:
+    """Prepare a robot in a posture.
+
+    specification: with a plant; nothing in it varies
+    name: to call it by
+    spans: what is uncertain
+
+    Raises UserError for a robot that cannot be used, and for a range that does not fit.
+    """
+    specification, owned = _with_gains(specification)
+    keys, places, low, high = _ends(specification, spans)
+    columns = dict(zip(keys, np.stack([low, high], axis=1), strict=True))
+    # What differs between models must be part of what is compiled.
+    bodies = {key: float(rows[0]) for key, rows in columns.items() if base(key) in OF_BODY}
+    specification = replace(specification, parameters={**specification.parameters, **bodies})
+    samples = explicit(specification, columns or {"feedforward": np.zeros(2)})
+    (plan,) = plans.groups(specification, samples)
+    values = samples.take(np.arange(2))
+    template = outside.template(plan.case, specification.setting)
+    with jax.enable_x64(True):
+        drives = [_drive(template, {key: row[i] for key, row in values.items()}) for i in (0, 1)]
+    scene, nominal = template.scene, {key: float(row[0]) for key, row in values.items()}
+    assert scene is not None
+    opened = _opener(plan.case, specification.setting, nominal, keys)
+    shape = (len(scene.labels),)
+    period = 1.0 / nominal["control_rate"]
+    gains = drives[0].controller
+    hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
+    model = scene.robot.model
+    return Situation(
+        name=name,
+        names=scene.names,
+        kp=np.broadcast_to(np.asarray(gains.kp, float), shape) if owned else None,
+        kd=np.broadcast_to(np.asarray(gains.kd, float), shape) if owned else None,
+        inertias=np.minimum(opened(low)[3], opened(high)[3]),
+        rotary=np.array([model.jnt_type[joint.joint] == hinge for joint in scene.robot.joints]),
+        lag=max(_lag(drive) for drive in drives) + 0.5 * period,
+        period=period,
+        residual=scene.posture.residual,
+        specification=specification,
+        payload_body=model.body(scene.payload_body).name or f"body {scene.payload_body}",
+        spans=spans,
+        opened=opened,
+        keys=keys,
+        places=places,
+        low=low,
+        high=high,
+    )
+
+
+def _with_gains(specification: Specification) -> tuple[Specification, bool]:
+    """The specification, and whether it has gains for all joints; others stand in if it has not."""
+    specification = replace(specification, axes=(), sampling=None)
+    assert specification.plant is not None
+    scene = robots.scene(specification.plant)
+    nominal = specification.nominal
+    given = {key for key, value in nominal.items() if not np.isnan(value)}
+    keys = [key for key in specification.setting.keys if base(key) in _GAINS]
+    for key in keys:
+        robots.matched(scene, key)
+    try:
+        robots.check(scene, keys, given)
+    except UserError:
+        kept = {k: v for k, v in specification.parameters.items() if base(k) not in _GAINS}
+        stand_in = replace(specification, parameters=kept | {"kp": 1.0, "kd": 1.0})
+        return stand_in, False
+    return specification, True
+
+
+def _drive(template: Template, values: Mapping[str, float]) -> Drive:
+    return kernel.drive_of(
+        kernel.resolved(template, {key: jnp.asarray(value) for key, value in values.items()})
+    )
+
+
+def _lag(drive: Drive) -> float:
+    """Largest delay + 2 zeta / wn of any joint [s]."""
+    actuator = drive.actuator
+    slow = 2.0 * np.asarray(actuator.damping_ratio) / np.asarray(actuator.natural_frequency)
+    late = np.asarray(actuator.delay) + np.asarray(drive.sensor.delay)
+    return float(np.max(slow + late + np.asarray(drive.output_delay)))
+
+
+def _ends(
+    specification: Specification, spans: Sequence[Span]
+) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]:
+    """Parameters that vary, the span of each, and their values at the ends of the box."""
+    assert specification.plant is not None
+    brought = robots.brought(robots.scene(specification.plant))
+    rows: list[tuple[str, int, float, float]] = []
+    for place, span in enumerate(spans):
+        own = {k: v for k, v in specification.nominal.items() if base(k) == span.name}
+        if np.isnan(own[span.name]):
+            of_model = np.unique(brought[span.name])
+            if span.factor and of_model.size > 1:
+                raise UserError(
+                    f"--uncertainty {span.name}: the model's joints differ in it; give "
+                    f"--{span.name.replace('_', '-')}"
+                )
+            own[span.name] = float(of_model[0])
+        if span.factor and not np.isfinite(list(own.values())).all():
+            raise UserError(
+                f"--uncertainty {span.name}: the actuator is ideal, its {span.name} cannot vary by "
+                "a factor; give --wn and --zeta or an --actuator"
+            )
+        if span.factor and not any(own.values()):
+            raise UserError(
+                f"--uncertainty {span.name}: is 0, which no factor changes; write both ends in its "
+                "unit, without x"
+            )
+        if not span.factor and len(own) > 1:
+            raise UserError(
+                f"--uncertainty {span.name}: joints differ in it; write the ends as factors, 0.8x"
+            )
+        scales = {key: value if span.factor else 1.0 for key, value in own.items()}
+        for key, scale in scales.items():
+            low, high = (
+                in_bounds(key, end * scale, f"--uncertainty {span.name}: {key}")
+                for end in (span.low, span.high)
+            )
+            rows.append((key, place, low, high))
+    keys = tuple(row[0] for row in rows)
+    columns = np.array([row[1:] for row in rows], float).reshape(-1, 3).T
+    return keys, columns[0].astype(int), columns[1], columns[2]
+
+
+def _opener(
+    case: Case, setting: Setting, nominal: Mapping[str, float], keys: tuple[str, ...]
+) -> Callable[[np.ndarray], Opened]:
+    """See `Situation.opened`; compiled once for all members."""
+    linearised = _linearised(case, setting, nominal, keys)
+    # One NaN, which is found again as a key, for all that the model brings.
+    known = {key: math.nan if np.isnan(value) else value for key, value in nominal.items()}
+    compiled = _open_loop(*kernel.linear_part(case, setting), tuple(sorted(known.items())), keys)
+
+    def opened(row: np.ndarray) -> Opened:
+        with jax.enable_x64(True):
+            moved = jax.tree.map(jnp.asarray, linearised(row))
+            return jax.tree.map(np.asarray, compiled(jnp.asarray(row, float), moved))
+
+    return opened
+
+
+@functools.lru_cache(maxsize=16)
+def _open_loop(
+    case: Case, setting: Setting, nominal: tuple[tuple[str, float], ...], keys: tuple[str, ...]
+) -> Program:
+    """From values of the keys and a plant of their own to a loop, see `Situation.opened`.
+
+    What is nominal is a constant there, so that little is left to be compiled.
+    """
+
+    def make() -> Callable:
+        """The function; the robot is linearised only where its program is not kept."""
+        template = kernel.template_of(case, setting, "growth_rate")
+
+        def matrices(row: jax.Array, moved: tuple[jax.Array, jax.Array] | None):
+            """A, B, what controllers measure, and inertias of one member."""
+            values = {name: jnp.asarray(value) for name, value in nominal}
+            values |= {key: row[place] for place, key in enumerate(keys)}
+            loop = kernel.linear_loop(case, template, values, moved)
+            found = robot_loop.open_map(loop, case.drive)
+            seen = jnp.stack([found.positions, found.velocities], axis=1)
+            return found.A, found.B, seen, robot_loop.felt_inertias(loop.plant)
+
+        return matrices
+
+    return Program(make, ("open loop", case, setting, nominal, keys))
+
+
+def _linearised(
+    case: Case, setting: Setting, nominal: Mapping[str, float], keys: tuple[str, ...]
+) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray] | None]:
+    """From values of the keys to A and B of the plant, where its members differ in the model."""
+    bodies = [place for place, key in enumerate(keys) if base(key) in OF_BODY]
+
+    # Neighbours in the box often differ in their drives only.
+    @functools.lru_cache(maxsize=64)
+    def of(body: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray] | None:
+        own = dict(zip((keys[place] for place in bodies), body, strict=True))
+        values = {key: np.full(1, value) for key, value in {**nominal, **own}.items()}
+        found = outside.moved(case, setting, values)
+        return None if found is None else (found[0][0], found[1][0])
+
+    return lambda row: of(tuple(row[bodies].tolist()))
+
+
+@dataclass(frozen=True)
+class OpenLoops:
+    """Open loops of a robot, l of them, with n states (the smaller ones filled up) and m joints.
+
+    names: what they are called: situation and member
+    situation: number of the situation of each, shape (l,)
+    fraction: of the ranges of the box, shape (l, spans)
+    A, B: shape (l, n, n), (l, n, m)
+    seen: positions and velocities as the controllers measure them, shape (l, m, 2, n)
+    period: T [s], shape (l,)
+    """
+
+    names: tuple[str, ...]
+    situation: np.ndarray
+    fraction: np.ndarray
+    A: np.ndarray
+    B: np.ndarray
+    seen: np.ndarray
+    period: np.ndarray
+
+    def __len__(self) -> int:
+        """Number of loops."""
+        return len(self.names)
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return self.B.shape[-1]
+
+    def take(self, index: np.ndarray) -> OpenLoops:
+        """Some of the loops, by their numbers."""
+        return OpenLoops(
+            tuple(self.names[int(i)] for i in index), self.situation[index], self.fraction[index],
+            self.A[index], self.B[index], self.seen[index], self.period[index],
+        )  # fmt: skip
+
+    def closed(self, index: int, kp: np.ndarray, kd: np.ndarray) -> tuple[np.ndarray, ...]:
+        """M, N, C of one loop closed with gains of shape (m,), as in `analysis.robot.multiloop`."""
+        C = -(kp[:, None] * self.seen[index, :, 0] + kd[:, None] * self.seen[index, :, 1])
+        return self.A[index] + self.B[index] @ C, self.B[index], C
+
+    def response(self, index: np.ndarray, angle: np.ndarray) -> np.ndarray:
+        """G of loops at w T = `angle` [rad], shape (k,) each: shape (k, m, 2, m), complex."""
+        size = self.A.shape[-1]
+        parts = []
+        step = max(1, 2_000_000 // size**2)
+        for first in range(0, len(index), step):
+            own, z = index[first : first + step], np.exp(1j * angle[first : first + step])
+            right = self.B[own].astype(complex)
+            states = np.linalg.solve(z[:, None, None] * np.eye(size) - self.A[own], right)
+            rows = self.seen[own].reshape(len(own), -1, size)
+            parts.append((rows @ states).reshape(len(own), self.joints, 2, self.joints))
+        return np.concatenate(parts)
+
+
+def open_loops(situations: Sequence[Situation], members: Members) -> OpenLoops:
+    """The loops of every situation with every member."""
+    found, names, number = [], [], []
+    for place, one in enumerate(situations):
+        rows = [one.opened(row)[:3] for row in one.values(members.fraction)]
+        # What gains of one and the same sign leave unmoved in one loop, they do in all alike.
+        kept = np.unique(np.concatenate([_kept(*row) for row in rows]))
+        found += [(A[np.ix_(kept, kept)], B[kept], Y[..., kept]) for A, B, Y in rows]
+        names += [_name(one.name, member, len(situations)) for member in members.names]
+        number += [place] * len(members)
+    size = max(len(A) for A, _, _ in found)
+    filled = [_filled(*row, size) for row in found]
+    return OpenLoops(
+        names=tuple(names),
+        situation=np.array(number),
+        fraction=np.tile(members.fraction, (len(situations), 1)),
+        A=np.stack([row[0] for row in filled]),
+        B=np.stack([row[1] for row in filled]),
+        seen=np.stack([row[2] for row in filled]),
+        period=np.array([situations[place].period for place in number]),
+    )
+
+
+def together(*parts: OpenLoops) -> OpenLoops:
+    """The loops of several."""
+    size = max(part.A.shape[-1] for part in parts)
+    filled = [
+        _filled(*row, size) for part in parts for row in zip(part.A, part.B, part.seen, strict=True)
+    ]
+    A, B, seen = (np.stack(column) for column in zip(*filled, strict=True))
+    number, fraction, period = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("situation", "fraction", "period")
+    )
+    return OpenLoops(
+        tuple(name for part in parts for name in part.names), number, fraction, A, B, seen, period
+    )
+
+
+def _kept(A: np.ndarray, B: np.ndarray, Y: np.ndarray) -> np.ndarray:
+    C = Y.sum(axis=1)
+    return joined((A + B @ C, B, C))
+
+
+def _filled(A: np.ndarray, B: np.ndarray, Y: np.ndarray, size: int) -> tuple[np.ndarray, ...]:
+    """The same with states that do nothing, up to a number of them."""
+    more = size - len(A)
+    return (
+        np.pad(A, ((0, more), (0, more))),
+        np.pad(B, ((0, more), (0, 0))),
+        np.pad(Y, ((0, 0), (0, 0), (0, more))),
+    )
+
+
+def _name(situation: str, member: str, situations: int) -> str:
+    return f"{situation}, {member}" if situations > 1 else member

@@ -1,0 +1,165 @@
+"""Where the search for a robot's gains begins, and how it goes on: starts, descent, polish."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.tuning import robot_smooth
+from jaxact.tuning.goal import Goal
+from jaxact.tuning.groups import Groups
+from jaxact.tuning.joint import STARTS as TABLE
+from jaxact.tuning.optimize import Descended, Descent, descend
+from jaxact.tuning.phases import Phase, silent
+from jaxact.tuning.polish import MET
+from jaxact.tuning.robot_loops import Situation
+from jaxact.tuning.robot_rows import Found, RobotCase, excess, part, polished, rescued, rows
+from jaxact.tuning.robot_starts import closer
+
+# Log-gains stay this near to where the search begins.
+_REACH = 8.0
+# Bounds exceeded by more than this are the boundary's doing [ln]; linear programmes away from it.
+_BESIDE, _APPROACH = 1.5, 4
+# Points that are polished roughly, how far apart they are [ln], and how many of them to the end
+# where none meets the bounds.
+_POLISHED, _SAME, _CLOSEST = 4, 0.05, 2
+# Where on a path that ended unstable to look for a stable point.
+_BACKWARDS = (0.9, 0.75, 0.5, 0.25, 0.1, 0.0)
+
+
+def usual(situations: Sequence[Situation], groups: Groups) -> np.ndarray:
+    """Log-gains to begin with where none are known: moderate ones for the inertias and the lag."""
+    lag = max(one.lag for one in situations)
+    inertia = np.min([one.inertias for one in situations], axis=0)
+    a, b = TABLE[4]
+    return groups.log_gains(b * inertia / lag**2, a * inertia / lag)
+
+
+def bounds(goal: Goal, groups: Groups, *x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest and largest log-gains, shape (2 g,) each: those of the goal, and not far from x.
+
+    x: one or more log-gains, shape (2 g,) each
+    """
+    low, high = np.min(x, axis=0) - _REACH, np.max(x, axis=0) + _REACH
+    kp = slice(0, len(groups))
+    with np.errstate(divide="ignore"):
+        least, most = np.log([goal.min_kp, goal.max_kp])
+    low[kp] = np.maximum(np.minimum(low[kp], most - _REACH), least)
+    high[kp] = np.minimum(np.maximum(high[kp], low[kp] + _REACH), most)
+    return low, high
+
+
+def stabilised(
+    case: RobotCase, situations: Sequence[Situation], x: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Log-gains at which all loops are stable, as near x as they are found; and loops tried."""
+    if case.stable(x):
+        return x, len(case.table.loops)
+    lag = max(one.lag for one in situations)
+    plain = np.clip(usual(situations, case.groups), case.low, case.high)
+    tried = 0
+    for begin in (x, plain):
+        there, steps = rescued(case.table.loops, case.groups, begin, lag, case.low, case.high)
+        tried += steps * len(case.table.loops)
+        if case.stable(there):
+            break
+    return there, tried
+
+
+def approached(case: RobotCase, x: np.ndarray) -> Found:
+    """x, or a point further from the boundary where x is beside it."""
+    over = float(excess(case, x).max(initial=-np.inf))
+    if over > _BESIDE:
+        return polished(case, x, aim=False, steps=_APPROACH)
+    return Found(x, -np.inf, max(over, 2.0 * MET), len(case.table.loops), 1)
+
+
+def hardest(case: RobotCase, x: np.ndarray) -> RobotCase:
+    """The same with a few loops only: the worst at x, and one at least of every situation."""
+    over = excess(case, x)
+    situation = case.table.loops.situation
+    first = [int(np.flatnonzero(situation == s)[np.argmax(over[situation == s])])
+             for s in np.unique(situation)]  # fmt: skip
+    rest = [int(i) for i in np.argsort(-over) if int(i) not in first]
+    chosen = (first + rest)[: max(robot_smooth.LOOPS, len(first))]
+    return part(case, np.sort(chosen))
+
+
+def descended(case: RobotCase, first: np.ndarray, how: Descent) -> Descended:
+    """Where the descent leads from several log-gains, shape (starts, 2 g), for a few loops."""
+    smooth = robot_smooth.RobotSurrogate(robot_smooth.family(case.goal), len(case.table.loops))
+    data = robot_smooth.data(case.table, case.groups, case.goal, case.low, case.high)
+    one = jax.tree.map(lambda leaf: leaf[None], data)
+    still = np.zeros(first.shape[1], np.float32)
+    found = descend(smooth, one, jnp.asarray(first[None], jnp.float32), still, how)
+    return jax.tree.map(np.asarray, found)
+
+
+def best_of(case: RobotCase, near: Found, paths: Descended, others: np.ndarray,
+            phase: Phase = silent) -> Found:  # fmt: skip
+    """The best of all that is known, polished: ends of the descent, and where it began.
+
+    near: a point that is fine
+    others: log-gains at which all loops are stable, shape (k, 2 g)
+    phase: told what is being done
+    """
+    ends = [_stable_end(case, paths, start) for start in range(paths.gains.shape[1])]
+    points = [
+        near.x,
+        *others,
+        *(np.clip(end, case.low, case.high) for end in ends if end is not None),
+    ]
+    seen = sorted((_seen(case, x) for x in points), key=_rank)
+    kept: list[Found] = []
+    for one in seen:
+        if len(kept) < _POLISHED and all(np.abs(one.x - k.x).max() > _SAME for k in kept):
+            kept.append(one)
+    # Roughly first: the last digits of what loses take longest.
+    rough = []
+    for number, one in enumerate(kept, 1):
+        phase(f"polishing end {number} of {len(kept)}")
+        rough.append(polished(case, one.x, fine=False))
+    rough.sort(key=_rank)
+    phase("polishing the best")
+    last = [polished(case, one.x) for one in rough[: 1 if rough[0].met else _CLOSEST]]
+    best = min([*rough, *last], key=_rank)
+    if not best.met:
+        phase("looking around what comes nearest")
+        last.append(polished(case, closer(case, best.x)))
+        best = min(best, last[-1], key=_rank)
+    spent = [*seen, *rough, *last]
+    return replace(
+        best,
+        evaluations=sum(one.evaluations for one in spent),
+        steps=sum(one.steps for one in spent),
+    )
+
+
+def _stable_end(case: RobotCase, paths: Descended, start: int) -> np.ndarray | None:
+    """The end of a start's path, or the last of a few points before it at which loops are stable.
+
+    The descent follows peaks alone, which it may jump over, and has no word of stability.
+    """
+    path = paths.path[0, start]
+    back = [path[int(len(path) * share)] for share in _BACKWARDS]
+    for x in (paths.gains[0, start], *back):
+        x = np.clip(np.asarray(x, float), case.low, case.high)
+        if np.isfinite(x).all() and case.stable(x):
+            return x
+    return None
+
+
+def _seen(case: RobotCase, x: np.ndarray) -> Found:
+    """What is known of a point."""
+    known = rows(case, x)
+    number = len(case.table.loops)
+    return Found(x, float(known.worst_value[0]), float(known.violation[0]), number, 1)
+
+
+def _rank(one: Found) -> tuple[bool, float]:
+    """Smaller is better: what meets the bounds by its value, then what exceeds them least."""
+    return not one.met, -one.value if one.met else one.violation

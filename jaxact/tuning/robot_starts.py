@@ -1,0 +1,184 @@
+"""Where the search for a robot's gains begins: gains over orders of magnitude, screened exactly.
+
+Peaks over the gains of many joints have many minima, and where a robot stands, gains that are
+stable at all lie between toppling and shaking. So three shapes of gains are scaled over four
+decades and more, damped lightly and heavily: those that are given, those of equal bandwidth,
+(kp, kd) = (J w^2, 2 zeta J w), and equal ones for all joints. Around the best of them every group
+is moved on its own. The peaks of S = (I + [kp kd] G)^-1, with G as tabulated, are cheap, and so is
+the spectrum of one loop.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxact.tuning.polish import MET
+from jaxact.tuning.robot_figures import growth_rates, highest
+from jaxact.tuning.robot_rows import RobotCase, excess, part
+
+# Factors on kp [ln], and, beside their square roots, on kd.
+_SCALES, _RATIOS = np.linspace(-7.0, 2.4, 9), np.linspace(-2.4, 2.4, 5)
+# The same where there is one group, whose gains fill a plane: finer.
+_FINE_SCALES, _FINE_RATIOS = np.linspace(-7.4, 2.8, 15), np.linspace(-3.0, 3.0, 9)
+# Natural frequencies of joints [1/lag], and their damping ratios.
+_FREQUENCIES, _DAMPING = np.geomspace(0.01, 3.0, 7), np.geomspace(0.2, 5.0, 4)
+# Points that others are tried around, how many, and how far away in ln kp and ln kd.
+_CENTRES, _AROUND, _REACH = 3, 24, (1.5, 1.0)
+# Clouds around what comes nearest to bounds that nothing meets: how wide [ln], points of each.
+_CLOUDS, _POINTS = (1.0, 0.5, 0.2, 0.1, 0.04, 0.015, 0.005), 64
+# Starts this near each other are one [ln].
+_SAME = 0.5
+
+
+@dataclass(frozen=True)
+class Screened:
+    """Log-gains at which all loops that were looked at are stable, the best first; k of them.
+
+    x: shape (k, 2 g)
+    value: of the objective, ln, signed so that larger is better [-], shape (k,)
+    violation: largest excess over the bounds [-], shape (k,)
+    tried: gains looked at, stable or not
+    """
+
+    x: np.ndarray
+    value: np.ndarray
+    violation: np.ndarray
+    tried: int
+
+
+def screened(
+    case: RobotCase, x: np.ndarray, inertia: np.ndarray, lag: float, seed: int
+) -> Screened:
+    """Gains over orders of magnitude, judged at the loops that say most.
+
+    x: log-gains that are known, shape (2 g,); may be unstable
+    inertia: that forces on the joints move [kg or kg m^2], shape (joints,)
+    lag: of the slowest drive [s]
+    seed: of the points around the best ones
+    """
+    from scipy.stats import qmc
+
+    few = part(case, _telling(case, x))
+    first = _distinct(case, np.concatenate([x[None], lattice(case, x, inertia, lag)]))
+    found = _judged(few, first)
+    centres = apart(found, _CENTRES)
+    size = len(x)
+    reach = np.repeat(_REACH, size // 2)
+    points = qmc.Sobol(size, scramble=True, rng=seed).random_base2(_AROUND.bit_length())
+    offsets = (2.0 * points[:_AROUND] - 1.0) * reach
+    more = np.array([centre + offset for centre in centres for offset in offsets])
+    if not more.size:
+        return found
+    return _ranked(found, _judged(few, _distinct(case, more)))
+
+
+def closer(case: RobotCase, x: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Log-gains near x that exceed the bounds least, by clouds of points that grow narrow.
+
+    Where two peaks are level no slope leads on; points to all sides do.
+    """
+    few = part(case, _telling(case, x))
+    generator = np.random.default_rng(seed)
+    for width in _CLOUDS:
+        offsets = generator.uniform(-1.0, 1.0, (_POINTS, len(x)))
+        points = np.concatenate([x[None], x + width * offsets])
+        found = _judged(few, _distinct(case, points)).x
+        x = next((there for there in found if case.stable(there)), x)
+    return x
+
+
+def lattice(case: RobotCase, x: np.ndarray, inertia: np.ndarray, lag: float) -> np.ndarray:
+    """Three shapes of gains over orders of magnitude, shape (n, 2 g); see the module."""
+    groups = case.groups
+    kp, kd = np.split(x, 2)
+
+    def scaled(kp: np.ndarray, kd: np.ndarray, scales: np.ndarray, ratios: np.ndarray):
+        return [np.concatenate([kp + a, kd + 0.5 * a + b])
+                for a, b in itertools.product(scales, ratios)]  # fmt: skip
+
+    if len(groups) == 1:
+        return np.array(scaled(kp, kd, _FINE_SCALES, _FINE_RATIOS))
+    found = scaled(kp, kd, _SCALES, _RATIOS)
+    found += [np.concatenate([kp + a, kd + a]) for a in _SCALES]
+    for w, zeta in itertools.product(_FREQUENCIES / lag, _DAMPING):
+        found.append(groups.log_gains(inertia * w**2, 2.0 * zeta * inertia * w))
+    level = [np.full(len(groups), half @ groups.share) for half in (kp, kd)]
+    return np.array(found + scaled(*level, _SCALES, _RATIOS))
+
+
+def apart(found: Screened, number: int) -> np.ndarray:
+    """The best of them that are not beside a better one, at most that many; shape (., 2 g)."""
+    kept: list[np.ndarray] = []
+    for x in found.x:
+        if len(kept) < number and all(np.abs(x - other).max() > _SAME for other in kept):
+            kept.append(x)
+    return np.array(kept).reshape(-1, found.x.shape[1])
+
+
+def _telling(case: RobotCase, x: np.ndarray) -> np.ndarray:
+    """Numbers of the first loop of every situation, and of the one that is worst at x."""
+    situation = case.table.loops.situation
+    if len(situation) == 1:
+        return np.zeros(1, int)
+    over = excess(case, x)
+    own = [np.flatnonzero(situation == place) for place in np.unique(situation)]
+    return np.unique([index for one in own for index in (one[0], one[np.argmax(over[one])])])
+
+
+def _distinct(case: RobotCase, x: np.ndarray) -> np.ndarray:
+    """The points within the bounds of the gains, each once, in their order."""
+    x = np.clip(x, case.low, case.high)
+    _, first = np.unique(np.round(x, 6), axis=0, return_index=True)
+    return x[np.sort(first)]
+
+
+def _judged(case: RobotCase, x: np.ndarray) -> Screened:
+    """Those of the points that are stable, ranked."""
+    order = list(range(len(case.table.loops)))
+    kept, value, violation = [], [], []
+    for point in x:
+        lost = _unstable(case, point, order)
+        if lost is not None:
+            # What one loop does not bear, it will hardly bear beside.
+            order.remove(lost)
+            order.insert(0, lost)
+            continue
+        kept.append(point)
+        one = _roughly(case, point)
+        value.append(one[0])
+        violation.append(one[1])
+    shape = np.array(kept).reshape(-1, x.shape[1])
+    alone = Screened(shape, np.array(value), np.array(violation), len(x))
+    return _ranked(alone, Screened(shape[:0], np.empty(0), np.empty(0), 0))
+
+
+def _unstable(case: RobotCase, x: np.ndarray, order: list[int]) -> int | None:
+    """The first loop in an order that is unstable at x, None if all are stable."""
+    gains = case.groups.gains(x)
+    for index in order:
+        if growth_rates(case.table.loops.take(np.array([index])), *gains)[0] >= 0.0:
+            return index
+    return None
+
+
+def _roughly(case: RobotCase, x: np.ndarray) -> tuple[float, float]:
+    """Value and largest excess at x, of the peaks on the table."""
+    goal = case.goal
+    found = highest(case.table, *case.groups.gains(x), goal.wanted)
+    # The disk margin is one over its peak.
+    over = [found[figure].max() - sign * np.log(bound) for _, figure, sign, bound in goal.rows]
+    own = x[: len(x) // 2] @ case.groups.share if goal.figure == "kp" else -found[goal.figure].max()
+    return float(own), float(max(over, default=-np.inf))
+
+
+def _ranked(one: Screened, other: Screened) -> Screened:
+    """Both together: what meets the bounds by its value, then the others by their excess."""
+    x = np.concatenate([one.x, other.x])
+    value = np.concatenate([one.value, other.value])
+    violation = np.concatenate([one.violation, other.violation])
+    met = violation <= MET
+    order = np.lexsort((np.where(met, -value, violation), ~met))
+    return Screened(x[order], value[order], violation[order], one.tried + other.tried)

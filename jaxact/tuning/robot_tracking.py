@@ -1,0 +1,100 @@
+"""Simulated tracking as a term of a robot's objective, beside the margins.
+
+    value - weight ln(rms),    rms = sqrt(mean of (q - r)^2)
+
+over ticks, joints, members and situations, in nonlinear rollouts after a push
+(`jaxact.tuning.simulated`). The weight says how many per cent of the objective one per cent less of
+the error is worth. The constraints stay what they are. One evaluation costs 1 + 2 g rollouts of
+every situation forwards, for g groups, or about ten backwards; and its compilation.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxact.errors import UserError
+from jaxact.tuning import simulated
+from jaxact.tuning.exposure import exposed
+from jaxact.tuning.groups import Groups
+from jaxact.tuning.robot_loops import Situation
+from jaxact.tuning.simulated import Term
+from jaxact.tuning.simulated_gradient import chosen, value_and_gradient
+
+# Length of the rollouts, whose first tenth ends with the push [s], and actuators in each situation.
+SECONDS, MEMBERS = 0.4, 2
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is asked of simulated tracking.
+
+    weight: of ln(rms) in the objective, > 0
+    derivative: "auto", "forward" or "reverse"
+    """
+
+    weight: float
+    derivative: str = "auto"
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """Tracking in several situations, in rollouts that are set up.
+
+    terms: of the situations
+    weight: of ln(rms) in the objective
+    mode: of the derivatives, "forward" or "reverse"
+    """
+
+    terms: tuple[Term, ...]
+    weight: float
+    mode: str
+
+    def log_rms(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """ln of the rms error at log-gains x, and its slope, shape (2 g,); inf if it diverges."""
+        return _log_rms(self, np.asarray(x, float).tobytes())
+
+
+def check(wish: Wish, groups: int) -> str:
+    """The mode of the derivatives.
+
+    Raises UserError for a weight or a mode that makes no sense.
+    """
+    if not (wish.weight >= 0.0 and math.isfinite(wish.weight)):
+        raise UserError(f"--tracking-weight {wish.weight:g}: give a positive number, 0 for none")
+    try:
+        return chosen(wish.derivative, 2 * groups)
+    except UserError as mistake:
+        raise UserError(f"--derivative: {mistake}") from None
+
+
+def tracking(
+    situations: Sequence[Situation], fractions: Sequence[np.ndarray], groups: Groups, wish: Wish
+) -> Tracking:
+    """Rollouts of every situation, with some of its actuators.
+
+    fractions: of the ranges of the box for each situation, shape (n, spans); the first are taken
+    """
+    mode = check(wish, len(groups))
+    terms = tuple(
+        simulated.term(
+            exposed(one.specification, duration=SECONDS), groups.members,
+            one.columns(fraction[:MEMBERS]),
+        )
+        for one, fraction in zip(situations, fractions, strict=True)
+    )  # fmt: skip
+    return Tracking(terms, wish.weight, mode)
+
+
+@functools.lru_cache(maxsize=64)
+def _log_rms(tracking: Tracking, at: bytes) -> tuple[float, np.ndarray]:
+    found = [value_and_gradient(one, np.frombuffer(at), tracking.mode) for one in tracking.terms]
+    mean = float(np.mean([one.tracking for one in found]))
+    slope = np.mean([one.gradient for one in found], axis=0)
+    if not (np.isfinite(mean) and np.isfinite(slope).all()):
+        return math.inf, np.zeros_like(slope)
+    return 0.5 * math.log(mean), 0.5 * slope / mean

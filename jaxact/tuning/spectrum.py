@@ -1,0 +1,226 @@
+"""Smooth stand-ins for the margins, cheap enough for thousands of gradient steps.
+
+L(jw) = kp Gp(jw) + kd Gv(jw) is linear in the gains, so Gp and Gv of every member are tabulated
+once, on frequencies normalised by the member's lag, delay + 2 zeta/wn. A peak is then a maximum
+over the table, smoothed: softmax_s(x) = ln(sum exp(s x)) / s, which is exact as s grows. Crossings
+are interpolated. What comes out steers the descent; nothing is certified with it.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, fields
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.analysis.joint.frequency import JointLoop, servo_denominator
+from jaxact.analysis.sampled.period_map import SampledLoop
+from jaxact.analysis.sampled.pulse import plant_response, pulse_transfer
+from jaxact.compilation.programs import KEPT, Program
+from jaxact.tuning.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
+
+POINTS = 144
+# From well below the corner kp/kd of the softest feasible loops to beyond any crossover.
+_LOW, _HIGH = 1e-3, 40.0
+_TINY = 1e-30
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["frequency", "position", "velocity", "mass", "period"],
+    meta_fields=[],
+)
+@dataclass(frozen=True)
+class Spectrum:
+    """Responses of one member to its command; members and cases go in front.
+
+    frequency: w [rad/s], ascending, shape (..., points)
+    position: Gp as real and imaginary part [m/N], shape (..., 2, points)
+    velocity: Gv as the controller sees it, likewise [m/s/N]
+    mass: [kg], shape (...)
+    period: between readings of the encoder [s], shape (...)
+    """
+
+    frequency: jax.Array
+    position: jax.Array
+    velocity: jax.Array
+    mass: jax.Array
+    period: jax.Array
+
+
+def tabulate(members: Ensemble, scale: np.ndarray, points: int = POINTS) -> Spectrum:
+    """Spectra of all members, float64 NumPy arrays with the members in front.
+
+    scale: time that normalises the frequencies of each [s], shape (n,)
+    """
+    x = np.geomspace(_LOW, _HIGH, points)
+    w = x / scale[:, None]
+    period = members.sampling.control_period
+    if period is None:
+        position = _continuous(members, w)
+        velocity = 1j * w / (1.0 + 1j * w / members.sampling.velocity_filter) * position
+        period = DEFAULT_PERIOD
+    else:
+        w = np.minimum(w, np.pi / period)
+        position, velocity = _sampled(members, w)
+    parts = (np.stack([g.real, g.imag], axis=1) for g in (position, velocity))
+    return Spectrum(w, *parts, members.mass, np.full(len(members), period))  # type: ignore[arg-type]
+
+
+def _continuous(members: Ensemble, w: np.ndarray) -> np.ndarray:
+    column = [getattr(members, name)[:, None] for name in PARAMETERS]
+    with jax.enable_x64(True):
+        real, imaginary = servo_denominator(JointLoop(0.0, 0.0, *column), w)  # type: ignore[arg-type]
+    servo = np.asarray(real) + 1j * np.asarray(imaginary)
+    return -np.exp(-1j * w * column[3]) / (column[0] * w * w * servo)
+
+
+def _sampled(members: Ensemble, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    with jax.enable_x64(True):
+        plants = tuple(jnp.asarray(getattr(members, name)) for name in PARAMETERS)
+        both = _pulse_responses(members.sampling)(plants, jnp.asarray(w))
+    return np.asarray(both[0]), np.asarray(both[1])
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _pulse_responses(sampling: Sampling) -> Program:
+    """From parameters of plants, (n,) each, and frequencies: Gp and Gv, shape (n, points)."""
+
+    def one(plant: tuple[jax.Array, ...], w: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Gp and Gv of one plant at its own frequencies."""
+        period = jnp.asarray(sampling.control_period, w.dtype)
+        cutoff = jnp.asarray(sampling.velocity_filter, w.dtype)
+        zero = jnp.zeros((), w.dtype)
+        loop = SampledLoop(zero, zero, *plant, period, cutoff, velocity=sampling.velocity)
+        transfer = pulse_transfer(loop)
+        theta = w * period
+        half = 0.5 * theta
+        u = jax.lax.complex(jnp.cos(theta), -jnp.sin(theta))
+        s = 2.0 * jnp.sin(half) * jax.lax.complex(jnp.sin(half), jnp.cos(half))
+        lag = theta * (transfer.steps + 1.0)
+        hold = jax.lax.complex(jnp.cos(lag), -jnp.sin(lag))
+        return plant_response(transfer, u, s, hold)
+
+    return Program(lambda: jax.vmap(one), ("pulse responses", sampling))
+
+
+def single_precision(spectrum: Spectrum) -> Spectrum:
+    """The same in float32, for the descent."""
+    return Spectrum(*(jnp.asarray(getattr(spectrum, f.name), jnp.float32)
+                      for f in fields(Spectrum)))  # fmt: skip
+
+
+def open_loop(spectrum: Spectrum, kp: jax.Array, kd: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Real and imaginary part of L on the table of one member, shape (points,)."""
+    response = kp * spectrum.position + kd * spectrum.velocity
+    return response[0], response[1]
+
+
+def is_stable(real: jax.Array, imaginary: jax.Array) -> jax.Array:
+    """Whether L, as tabulated, winds around -1 no time: no unstable root.
+
+    The double pole at the origin starts the curve at -180 degrees: above it the loop is stable
+    for small gains. Every passage of the real axis left of -1 counts, upwards against downwards.
+    """
+    above = imaginary > 0.0
+    changed = above[1:] != above[:-1]
+    real_there = _on_axis(real, imaginary)
+    beyond = changed & (real_there < -1.0)
+    passages = jnp.where(beyond, jnp.where(above[1:], 1, -1), 0)
+    at_end = real[-1] < -1.0
+    return (above[0].astype(passages.dtype) + jnp.sum(passages) == 0) & ~at_end
+
+
+def _on_axis(real: jax.Array, imaginary: jax.Array) -> jax.Array:
+    """Re L where Im L passes zero between neighbours, linear in between."""
+    step = imaginary[:-1] - imaginary[1:]
+    part = imaginary[:-1] / jnp.where(step == 0.0, 1.0, step)
+    return real[:-1] + part * (real[1:] - real[:-1])
+
+
+def softmax(values: jax.Array, sharpness: jax.Array) -> jax.Array:
+    """ln(sum exp(s x)) / s over all values: their maximum as s grows."""
+    return jax.scipy.special.logsumexp(sharpness * values) / sharpness
+
+
+def log_figures(
+    spectrum: Spectrum, kp: jax.Array, kd: jax.Array, names: tuple[str, ...], sharpness: jax.Array
+) -> tuple[dict[str, jax.Array], jax.Array]:
+    """Smooth ln of the figures of one member, and whether its loop is stable.
+
+    kp, kd: [N/m], [N s/m], scalars
+    names: static, of the figures wanted
+    sharpness: s of the smooth maximum
+    """
+    real, imaginary = open_loop(spectrum, kp, kd)
+    gain = real**2 + imaginary**2
+    plus = (1.0 + real) ** 2 + imaginary**2
+    found: dict[str, jax.Array] = {}
+    if "sensitivity_peak" in names:
+        found["sensitivity_peak"] = softmax(-0.5 * jnp.log(plus + _TINY), sharpness)
+    if "complementary_peak" in names:
+        ratio = 0.5 * (jnp.log(gain + _TINY) - jnp.log(plus + _TINY))
+        found["complementary_peak"] = softmax(ratio, sharpness)
+    if "disk_margin" in names:
+        minus = (1.0 - real) ** 2 + imaginary**2
+        ratio = 0.5 * (jnp.log(0.25 * minus + _TINY) - jnp.log(plus + _TINY))
+        found["disk_margin"] = -softmax(ratio, sharpness)
+    if "gain_margin" in names:
+        found["gain_margin"] = _log_gain_margin(real, imaginary)
+    if "delay_margin" in names:
+        found["delay_margin"] = _log_delay_margin(spectrum.frequency, real, imaginary, gain)
+    if "noise_gain" in names:
+        found["noise_gain"] = _log_noise_gain(spectrum, gain / (plus + _TINY))
+    if "bandwidth" in names:
+        found["bandwidth"] = _log_bandwidth(spectrum, kp, plus)
+    return found, is_stable(real, imaginary)
+
+
+def _log_gain_margin(real: jax.Array, imaginary: jax.Array) -> jax.Array:
+    """-ln of the largest |L| < 1 on the negative real axis; large where there is none."""
+    there = _on_axis(real, imaginary)
+    passes = ((imaginary[1:] > 0.0) != (imaginary[:-1] > 0.0)) & (there < 0.0) & (there > -1.0)
+    logs = jnp.where(passes, jnp.log(jnp.where(passes, -there, 1.0)), -20.0)
+    return -jnp.max(logs)
+
+
+def _log_delay_margin(
+    w: jax.Array, real: jax.Array, imaginary: jax.Array, gain: jax.Array
+) -> jax.Array:
+    """ln of the smallest (phase mod 2 pi) / w over the gain crossovers."""
+    level = 0.5 * jnp.log(gain + _TINY)
+    passes = (level[1:] > 0.0) != (level[:-1] > 0.0)
+    step = level[:-1] - level[1:]
+    part = jnp.where(passes, level[:-1] / jnp.where(passes, step, 1.0), 0.5)
+
+    def between(values: jax.Array) -> jax.Array:
+        return values[:-1] + part * (values[1:] - values[:-1])
+
+    angle = jnp.arctan2(-between(imaginary), -between(real))
+    phase = jnp.where(angle < 0.0, angle + 2.0 * jnp.pi, angle)
+    delays = jnp.log(phase + _TINY) - between(jnp.log(w))
+    return jnp.min(jnp.where(passes, delays, 20.0))
+
+
+def _log_noise_gain(spectrum: Spectrum, square: jax.Array) -> jax.Array:
+    """ln of `jaxact.tuning.noise.noise_gain` from |T|^2 on the table."""
+    w = spectrum.frequency
+    top = jnp.pi / spectrum.period
+    force = (spectrum.mass * w * w) ** 2 * square
+    inside = jnp.clip((jnp.minimum(w[1:], top) - w[:-1]) / jnp.maximum(w[1:] - w[:-1], _TINY), 0, 1)
+    area = jnp.sum(0.5 * (force[1:] + force[:-1]) * (w[1:] - w[:-1]) * inside)
+    return 0.5 * jnp.log(spectrum.period / (12.0 * jnp.pi) * area + _TINY)
+
+
+def _log_bandwidth(spectrum: Spectrum, kp: jax.Array, plus: jax.Array) -> jax.Array:
+    """ln of the first frequency with |kp Gp / (1 + L)| < 1/sqrt(2), interpolated."""
+    size = jnp.sum(spectrum.position**2, axis=0)
+    excess = jnp.log(kp) + 0.5 * (jnp.log(size + _TINY) - jnp.log(plus + _TINY) + jnp.log(2.0))
+    below = excess < 0.0
+    first = jnp.clip(jnp.argmax(below), 1, below.shape[0] - 1)
+    before, after = excess[first - 1], excess[first]
+    part = before / jnp.where(before == after, 1.0, before - after)
+    logs = jnp.log(spectrum.frequency)
+    return logs[first - 1] + jnp.clip(part, 0.0, 1.0) * (logs[first] - logs[first - 1])

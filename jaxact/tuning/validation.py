@@ -1,0 +1,345 @@
+"""Gains of a robot held against nonlinear rollouts with everything its drives have.
+
+Noise, quantisation, limits, contacts and a push, in every posture and with every member of an
+ensemble of drives: the same rollouts and the same verdicts as those of a sweep.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.compilation.programs import Program
+from jaxact.errors import UserError
+from jaxact.loops import robots
+from jaxact.loops.robots import Scene
+from jaxact.loops.samples import Samples, explicit
+from jaxact.loops.specification import Setting, Specification
+from jaxact.parameters import check, known
+from jaxact.robots import posture as _posture
+from jaxact.simulation import engines as _engines
+from jaxact.simulation import kernel, outside, plans, spectra
+from jaxact.simulation import metrics as _metrics
+from jaxact.simulation import rollout as _rollout
+from jaxact.simulation import starts as _starts
+from jaxact.simulation import verdicts as _verdicts
+from jaxact.simulation.metrics import Metrics
+from jaxact.simulation.plans import Plan
+from jaxact.status import Verdict
+
+Columns = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What the rollouts of p postures with n members each ended as; m joints.
+
+    situations: names of the postures
+    joints: names of the joints
+    verdict: codes of `jaxact.status.Verdict`, shape (p, n); a robot that falls is unstable
+    growth_rate: of small perturbations of the linearised loops [1/s], shape (p, n)
+    excursion: largest distance of each joint from its setpoint [rad or m], shape (p, n, m)
+    fallen: whether a floating robot had turned over or sunk in the end, shape (p, n)
+    reasons: a sentence for each, p rows of n
+    engines: that simulated each posture, "mjx", "mujoco" or "warp"
+    """
+
+    situations: tuple[str, ...]
+    joints: tuple[str, ...]
+    verdict: np.ndarray
+    growth_rate: np.ndarray
+    excursion: np.ndarray
+    fallen: np.ndarray
+    reasons: tuple[tuple[str, ...], ...]
+    engines: tuple[str, ...]
+
+    @property
+    def stable(self) -> np.ndarray:
+        """Which rollouts came to rest, shape (p, n)."""
+        return self.verdict == Verdict.STABLE
+
+    @property
+    def all_stable(self) -> bool:
+        """Whether all did."""
+        return bool(self.stable.all())
+
+    @property
+    def worst(self) -> tuple[str, int, str]:
+        """Posture, number of the member and reason of the rollout that went worst.
+
+        By its verdict, then by the growth rate.
+        """
+        order = np.lexsort((self.growth_rate.ravel(), self.verdict.ravel()))
+        row, column = np.unravel_index(order[-1], self.verdict.shape)
+        return self.situations[row], int(column), self.reasons[row][column]
+
+
+def validate(
+    situations: Mapping[str, Specification],
+    kp: np.ndarray,
+    kd: np.ndarray,
+    members: Columns,
+    *,
+    engine: str | None = None,
+) -> Validation:
+    """Simulate gains in every posture with every member.
+
+    The same gains scaled, or other ones, compile nothing anew.
+
+    situations: specifications with a plant by name of the posture; what they say of gains and of
+        what the members differ in does not matter. `jaxact.tuning.exposure.exposed` completes them.
+    kp, kd: of the joints in the order of the first posture's robot, which the others have as well,
+        shape (m,) [N m/rad or N/m], [N m s/rad or N s/m]
+    members: values of the parameters in which they differ by key (see `jaxact.parameters`;
+        `actuator` holds names of presets), shape (n,) each; none: one member
+    engine: "mjx", "mujoco", "warp" or "auto"; None: the specification's own
+
+    Raises UserError for postures with other joints, for values out of their bounds, and for a robot
+    that cannot be simulated.
+    """
+    if not situations:
+        raise UserError("validation: needs a posture at least")
+    scenes = {name: _scene(one, name) for name, one in situations.items()}
+    joints = next(iter(scenes.values())).labels
+    columns = checked_members(members)
+    for name, scene in scenes.items():
+        if sorted(scene.labels) != sorted(joints):
+            raise UserError(
+                f"{name}: drives other joints than {next(iter(situations))}; postures of one "
+                f"robot have the same: {', '.join(joints)}"
+            )
+    rows, engines = [], []
+    for name, one in situations.items():
+        asked = with_gains(one, scenes[name], joints, kp, kd, columns)
+        asked = _engines.resolved(replace(asked, engine=engine or one.engine, devices=1))
+        order = [scenes[name].labels.index(joint) for joint in joints]
+        rows.append(_posture_row(asked, scenes[name], columns, order, joints))
+        engines.append(asked.engine)
+    verdict, growth, excursion, fallen = (
+        np.stack([row[place] for row in rows]) for place in range(4)
+    )
+    reasons = tuple(row[4] for row in rows)
+    return Validation(
+        tuple(situations), joints, verdict, growth, excursion, fallen, reasons, tuple(engines)
+    )
+
+
+def _scene(specification: Specification, name: str) -> Scene:
+    if specification.plant is None:
+        raise UserError(f"{name}: only a robot is validated; give one below [plant]")
+    return robots.scene(specification.plant)
+
+
+def checked_members(members: Columns) -> dict[str, np.ndarray]:
+    """The members' values, shape (n,) each; a column that changes nothing where there is none.
+
+    Raises UserError for columns of different length, and for what is no parameter or out of bounds.
+    """
+    columns = {key: np.atleast_1d(np.asarray(values)) for key, values in members.items()}
+    if len({values.shape for values in columns.values()}) > 1:
+        raise UserError("validation: every parameter of the members needs a value for each member")
+    for key, values in columns.items():
+        if key == "actuator":
+            continue
+        if not known(key):
+            raise UserError(f"{key}: no parameter that members can differ in")
+        for value in values:
+            check(key, float(value))
+    return columns or {"feedforward": np.zeros(1)}
+
+
+def with_gains(
+    specification: Specification,
+    scene: Scene,
+    joints: tuple[str, ...],
+    kp: np.ndarray,
+    kd: np.ndarray,
+    columns: Columns,
+) -> Specification:
+    """A specification with gains for every joint, and nothing varied but what the columns hold.
+
+    specification: with a plant
+    scene: its robot
+    joints: names of joints
+    kp, kd: of these joints, shape (m,)
+    columns: of samples; what they hold is part of the specification, at its first value
+
+    Raises UserError for a name that means several joints, and for gains out of their bounds.
+    """
+    kept: dict[str, float | str] = {
+        key: value
+        for key, value in specification.parameters.items()
+        if key.partition("@")[0] not in ("kp", "kd", "gain_scale") and key != "actuator"
+    }
+    if "actuator" in specification.parameters and "actuator" not in columns:
+        kept = {"actuator": specification.parameters["actuator"], **kept}
+    kept |= {key: float(values[0]) for key, values in columns.items() if key != "actuator"}
+    for name, gains in (("kp", kp), ("kd", kd)):
+        for joint, gain in zip(joints, np.asarray(gains, float), strict=True):
+            key = f"{name}@{re.escape(joint)}"
+            if robots.matched(scene, key).sum() > 1:
+                raise UserError(f"joint '{joint}': an actuator of another joint has the same name")
+            kept[key] = check(key, float(gain))
+    return replace(specification, parameters=kept, axes=(), sampling=None)
+
+
+def _posture_row(
+    asked: Specification,
+    scene: Scene,
+    columns: Columns,
+    order: list[int],
+    joints: tuple[str, ...],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Verdicts, growth rates, excursions, falls and reasons of one posture; joints in `order`."""
+    samples = explicit(asked, dict(columns))
+    number = len(samples)
+    verdict, growth = np.zeros(number, np.int8), np.zeros(number)
+    excursion, fallen = np.zeros((number, len(joints))), np.zeros(number, bool)
+    reasons = [""] * number
+    for group in plans.groups(asked, samples):
+        # Pushed as they are, these robots need no other starts.
+        plan = replace(group, case=replace(group.case, starts=()))
+        for batch, count in plans.batches(plan, samples):
+            # Linearised in C for either engine, which takes no compilation of MJX.
+            in_c = replace(plan, case=replace(plan.case, engine="mujoco"))
+            rates = spectra.growth_batch(in_c, asked, samples, batch)
+            result, farthest, qpos = _simulated(plan, asked, samples, batch, rates)
+            for place, sample in enumerate(batch[:count]):
+                end = qpos[place]
+                growth[sample] = rates[place]
+                excursion[sample] = farthest[place][order]
+                fallen[sample] = _posture.fallen(scene.robot, end)
+                code = Verdict(int(result["verdict"][place]))
+                if fallen[sample] and code != Verdict.INVALID:
+                    code = Verdict.UNSTABLE
+                verdict[sample] = code
+                amplitude = float(result["limit_cycle_amplitude"][place])
+                reasons[sample] = _reason(
+                    code, rates[place], bool(fallen[sample]), amplitude
+                ) + _farthest(excursion[sample], joints)
+    return verdict, growth, excursion, fallen, tuple(reasons)
+
+
+def _reason(verdict: Verdict, growth_rate: float, fallen: bool, amplitude: float) -> str:
+    """What happened, in words."""
+    if verdict == Verdict.INVALID:
+        return "the simulation produced values that are not numbers"
+    grows = growth_rate >= 0.0
+    small = (
+        f"small perturbations grow at {growth_rate:.3g} 1/s"
+        if grows
+        else f"small perturbations decay at {-growth_rate:.3g} 1/s"
+    )
+    if verdict == Verdict.STABLE:
+        return f"comes to rest; {small}"
+    if fallen:
+        return f"falls; {small}"
+    if verdict == Verdict.UNSTABLE:
+        return f"motion grows; {small}"
+    return f"keeps moving by +-{amplitude:.2g}; {small}"
+
+
+def _farthest(excursion: np.ndarray, joints: tuple[str, ...]) -> str:
+    if not np.isfinite(excursion).all():
+        return ""
+    worst = int(np.argmax(excursion))
+    return f"; {joints[worst]} is off by up to {excursion[worst]:.2g}"
+
+
+def _simulated(
+    plan: Plan, asked: Specification, samples: Samples, numbers: np.ndarray, growth: np.ndarray
+) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+    """Metrics of a batch, largest distances from the setpoint (n, m), and final configurations."""
+    simulate = _in_c if plan.case.engine == "mujoco" else _in_mjx
+    double = asked.precision == "float64"
+    with jax.enable_x64(True) if double else nullcontext():
+        result, farthest, qpos = simulate(plan, asked, samples.take(numbers), numbers, growth)
+        rows = {name: np.asarray(getattr(result, name)) for name in Metrics.__dataclass_fields__}
+        return rows, np.asarray(farthest, float), np.asarray(qpos, float)
+
+
+def _in_c(plan: Plan, asked: Specification, values: Columns, numbers, growth):
+    farthest = _Farthest()
+    result = outside.metrics(
+        plan.case, asked.setting, values, growth, asked.seed, numbers, watch=farthest.watch
+    )
+    qpos = farthest.end()
+    return result, farthest.distance, qpos
+
+
+class _Farthest:
+    """Watches simulations in C: the largest distances from the setpoint at the control ticks."""
+
+    def watch(self, simulations, _coefficients):
+        """An observer of these simulations, see `jaxact.simulation.batch_rollout.evaluate`."""
+        self._simulations, self._setpoint, self.distance = simulations, None, 0.0
+
+        def observe(place, state, _force):
+            if place == 0:
+                self._look()
+                self._setpoint = state.setpoint.position
+
+        return observe
+
+    def _look(self) -> None:
+        """Take in where a control period has led."""
+        if self._setpoint is not None:
+            off = np.abs(self._simulations.measure()[:, 0] - np.asarray(self._setpoint))
+            # What is not a number does not replace what came before.
+            self.distance = np.fmax(self.distance, off)
+
+    def end(self) -> np.ndarray:
+        """Final configurations, the last period taken in."""
+        self._look()
+        return self._simulations.configuration()
+
+
+def _in_mjx(plan: Plan, asked: Specification, values: Columns, numbers, growth):
+    double = asked.precision == "float64"
+    dtype = np.float64 if double else np.float32
+    simulate = _compiled(plan.case, asked.setting, double)
+    inputs = {name: jnp.asarray(value, dtype) for name, value in values.items()}
+    seed = jnp.full(len(numbers), asked.seed, jnp.uint32)
+    numbers = jnp.asarray(numbers, jnp.uint32)
+    return simulate(inputs, jnp.asarray(growth, dtype), seed, numbers)
+
+
+@functools.lru_cache(maxsize=8)
+def _compiled(case: kernel.Case, setting: Setting, double: bool) -> Program:
+    """A batch of rollouts in MJX; `double`: the precision that JAX has at this moment."""
+
+    def make() -> Callable:
+        """The function, traced only where its program is not kept."""
+        template = kernel.template_of(case, setting, "metrics")
+
+        def one(values, growth_rate, seed, number):
+            """Metrics, largest distances and final configuration of one sample."""
+            key = jax.random.fold_in(jax.random.key(seed), number)
+            prepared, state, setpoint = kernel.start(case, template, values)
+            start, _ = prepared.plant.measure(state.plant)
+            end, running, envelopes = _rollout.run(
+                prepared, case.drive, case.rollout, state, setpoint, key,
+                setpoints=kernel.setpoints(template, values, case.rollout.ticks),
+            )  # fmt: skip
+            reference = _metrics.reference(start, setpoint.position)
+            drive = prepared.drive.drive
+            rest = _starts.rest_amplitude(case.drive, values, drive, robot=True)
+            size = jnp.maximum(jnp.abs(start), jnp.abs(setpoint.position))
+            result, _ = _metrics.finish(
+                running, envelopes, reference, growth_rate,
+                period=drive.control_period, ticks=case.rollout.ticks, counted=case.rollout.ticks,
+                scale=_verdicts.scale(drive, size, rest, linear_plant=False),
+            )  # fmt: skip
+            result = jax.tree.map(lambda leaf: jnp.nanmax(leaf) if leaf.ndim else leaf, result)
+            return result, running.farthest, end.plant.qpos
+
+        return jax.vmap(one)
+
+    return Program(make, ("excursions", case, setting, double))

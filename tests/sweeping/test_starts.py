@@ -1,0 +1,115 @@
+"""From where loops that are not linear are judged: robots with friction, and at rest."""
+
+import json
+
+import mujoco
+import numpy as np
+import pytest
+from quickly import compiled_quickly as compiled_quickly
+
+from jaxact.cli import simulate
+from jaxact.loops import reading
+from jaxact.loops.samples import expand
+from jaxact.simulation import execute, plans
+from jaxact.status import Verdict
+
+HINGE = """
+<mujoco>
+  <option timestep="0.0005" gravity="0 0 0"/>
+  <worldbody><body>
+    <joint name="hinge" axis="0 1 0" armature="0.02" frictionloss="{friction}"/>
+    <geom type="sphere" size="0.02" mass="0.001" contype="0" conaffinity="0"/>
+  </body></worldbody>
+  <actuator><motor joint="hinge" forcerange="-5 5"/></actuator>
+</mujoco>
+"""
+PERIOD, KP, WN, ZETA = 1e-3, 80.0, 110.0, 0.9
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("hinge")
+    for name, friction in (("rough", 0.3), ("smooth", 0.0)):
+        (place / f"{name}.xml").write_text(HINGE.format(friction=friction))
+    return place
+
+
+def _asked(folder, model, *, kd, engine="mujoco", more="", axes="gain_scale = [1.0]"):
+    path = folder / "loop.toml"
+    path.write_text(
+        f'engine = "{engine}"\nprecision = "float64"\nduration = 2.0\n[plant]\n'
+        f'model = "{model}.xml"\n[parameters]\nkp = {KP}\nkd = {kd}\nwn = {WN}\nzeta = {ZETA}\n'
+        f"{more}\n[axes]\n{axes}\n"
+    )
+    return reading.load(path)
+
+
+def _run(asked):
+    return execute.run(asked, expand(asked))
+
+
+def _in_c(folder, kd, kick, seconds=2.0):
+    """The rough hinge and its drive written out: positions at the ticks after a kick [rad/s]."""
+    model = mujoco.MjModel.from_xml_path(str(folder / "rough.xml"))
+    data, step = mujoco.MjData(model), 1e-5
+    data.qvel[0] = kick
+    force = rate = 0.0
+    positions = []
+    for _ in range(round(seconds / PERIOD)):
+        command = -KP * data.qpos[0] - kd * data.qvel[0]
+        for _ in range(round(PERIOD / model.opt.timestep)):
+            mean = 0.0
+            for _ in range(round(model.opt.timestep / step)):
+                rate += step * (WN * WN * (command - force) - 2.0 * ZETA * WN * rate)
+                force += step * rate
+                mean += force * step / model.opt.timestep
+            data.ctrl[0] = np.clip(mean, -5.0, 5.0)
+            mujoco.mj_step(model, data)
+        positions.append(data.qpos[0])
+    return np.array(positions)
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "mjx"])
+def test_a_hinge_with_friction_shakes_as_in_c_although_nothing_disturbs_it(folder, engine):
+    asked = _asked(folder, "rough", kd=2.0, engine=engine)
+    assert plans.groups(asked, expand(asked))[0].case.starts == ("slide",)
+    found = _run(asked)
+    last = _in_c(folder, 2.0, 2.0)[1500:]
+    rising = np.flatnonzero((last[:-1] < 0.0) & (last[1:] >= 0.0))
+    frequency = 2.0 * np.pi * (len(rising) - 1) / ((rising[-1] - rising[0]) * PERIOD)
+    assert found["growth_rate"][0] > 0.0
+    assert found["verdict"][0] == Verdict.LIMIT_CYCLE
+    assert found["limit_cycle_amplitude"][0] == pytest.approx(0.5 * np.ptp(last), rel=0.05)
+    assert found["limit_cycle_frequency"][0] == pytest.approx(frequency, rel=0.05)
+
+
+def test_a_hinge_with_friction_that_decays_when_it_moves_is_stable(folder):
+    found = _run(_asked(folder, "rough", kd=2.0, axes="gain_scale = [0.05, 0.5]"))
+    assert (found["growth_rate"] < 0.0).all() and (found["verdict"] == Verdict.STABLE).all()
+
+
+def test_a_robot_that_nothing_disturbs_is_kicked(folder):
+    asked = _asked(folder, "smooth", kd=2.0)
+    assert plans.groups(asked, expand(asked))[0].case.starts == ("kick",)
+    found = _run(asked)
+    assert found["growth_rate"][0] > 0.0 and found["verdict"][0] == Verdict.LIMIT_CYCLE
+    moved = _asked(folder, "smooth", kd=2.0, more="setpoint = 0.1")
+    assert plans.groups(moved, expand(moved))[0].case.starts == ()
+
+
+def test_linear_loops_have_no_other_start():
+    asked = reading.parse("[parameters]\nposition_noise = 1e-4\n[axes]\nkp = [100.0, 400.0]\n")
+    assert plans.groups(asked, expand(asked))[0].case.starts == ()
+
+
+def test_simulate_says_what_came_of_each_start(tmp_path, capsys):
+    loop = simulate.Parameters(position_resolution=1e-3, control_rate=200.0, wn=110.0)
+    where = {"out": tmp_path / "loop.png", "duration": 2.0}
+    simulate.main(loop, velocity="differenced", **where)
+    assert "From 4 starts: " in capsys.readouterr().out
+    simulate.main(loop, velocity="differenced", json=True, **where)
+    document = json.loads(capsys.readouterr().out)
+    names = [start["start"] for start in document["starts"]]
+    assert names == ["own", "on", "between", "near"]
+    worst = max(document["starts"], key=lambda start: start["verdict"] == "limit cycle")
+    assert document["verdict"] == worst["verdict"] == "limit cycle"

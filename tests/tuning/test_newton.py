@@ -1,0 +1,65 @@
+"""Sequential quadratic programming, where the optimum is known in closed form or to SciPy."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from jaxact.tuning.newton import newton
+from jaxact.tuning.polish import MET, Rows
+
+Q = np.array([[2.0, 0.3, 0.0], [0.3, 1.0, -0.4], [0.0, -0.4, 3.0]])
+SIDE = np.array([1.0, -0.5, 0.2])
+BOUND = 10.0 * np.ones(3)
+
+
+def _rows(value, slope):
+    """An ellipsoid and a half-space, with some value."""
+
+    def of(points):
+        (x,) = points
+        excess = np.array([0.5 * x @ Q @ x - 1.0, SIDE @ x - 0.4, -np.inf])
+        slopes = np.stack([Q @ x, SIDE, np.zeros(3)])
+        return Rows(np.array([[value(x)]]), slope(x)[None, None], excess[None], slopes[None],
+                    np.ones(1, bool))  # fmt: skip
+
+    return of
+
+
+def _curvature(x, weights):
+    return weights[0] * Q
+
+
+@pytest.mark.parametrize("start", [np.zeros(3), np.array([0.2, -0.3, 0.1])])
+def test_a_straight_value_ends_on_the_ellipsoid_to_the_last_digits(start):
+    along = np.array([-1.0, 2.0, 0.7])
+    found = newton(_rows(lambda x: along @ x, lambda x: along), _curvature, start, -BOUND, BOUND)
+    best = np.linalg.solve(Q, along)
+    best *= np.sqrt(2.0 / (best @ Q @ best))
+    assert SIDE @ best < 0.4 and found.violation[0] <= MET
+    np.testing.assert_allclose(found.x[0], best, atol=1e-5)
+    assert found.value[0] == pytest.approx(along @ best, abs=1e-9)
+
+
+def test_a_curved_value_is_learnt_on_the_way():
+    centre = np.array([1.0, 0.4, -0.2])
+
+    def value(x):
+        return -np.sum((x - centre) ** 2) - 0.1 * np.sum(x**4)
+
+    def slope(x):
+        return -2.0 * (x - centre) - 0.4 * x**3
+
+    found = newton(_rows(value, slope), _curvature, np.zeros(3), -BOUND, BOUND)
+    limits = [{"type": "ineq", "fun": lambda x: 1.0 - 0.5 * x @ Q @ x},
+              {"type": "ineq", "fun": lambda x: 0.4 - SIDE @ x}]  # fmt: skip
+    best = minimize(lambda x: -value(x), np.zeros(3), constraints=limits, tol=1e-12)
+    assert found.violation[0] <= MET
+    assert found.value[0] == pytest.approx(-best.fun, abs=1e-6)
+
+
+def test_bounds_are_never_left():
+    along = np.array([1.0, 0.0, 0.0])
+    high = np.array([0.1, 0.2, 0.2])
+    found = newton(_rows(lambda x: along @ x, lambda x: along), _curvature, np.zeros(3),
+                   -high, high)  # fmt: skip
+    assert found.value[0] == pytest.approx(0.1, abs=1e-9) and np.all(np.abs(found.x[0]) <= high)
