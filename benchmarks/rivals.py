@@ -20,11 +20,11 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxact.drive import step as drive
 from jaxact.drive.step import Coefficients
 from jaxact.loops import loop
+from jaxact.loops.conversion import drive_of
 from jaxact.loops.loop import Loop
 from jaxact.loops.samples import Samples
 from jaxact.plants import Mass
 from jaxact.plants.mjx import plant as mjx
-from jaxact.simulation import kernel
 
 _OUTPUTS = 31
 
@@ -37,7 +37,7 @@ def c_loop(samples: Samples, ticks: int) -> Callable[[], float] | None:
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         return None
-    drives = kernel.drive_of(samples.values)
+    drives = drive_of(samples.values)
     options = drive.options(drives)
     source = Path(__file__).with_name("mass_loop.c")
     folder = Path(tempfile.mkdtemp(prefix="jaxact-benchmark-"))
@@ -82,7 +82,7 @@ def _inputs(samples: Samples, options: drive.DriveOptions) -> np.ndarray:
     """Rows of the C loop's inputs, in its order."""
 
     def coefficients(values: dict[str, jax.Array]) -> tuple[Any, Coefficients]:
-        closed = Loop(Mass(values["mass"]), kernel.drive_of(values))
+        closed = Loop(Mass(values["mass"]), drive_of(values))
         prepared = loop.prepare(closed, options)
         return prepared.plant, prepared.drive
 

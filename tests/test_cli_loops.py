@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact.cli._loops import loop_name
 from jaxact.cli.main import main
 from jaxact.loops import reading
+from jaxact.verbs.naming import loop_name
 
 CASES = {
     case["name"]: case

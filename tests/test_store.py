@@ -130,7 +130,7 @@ def test_netcdf_has_the_same_content(results, tmp_path):
     assert back["delay"].attrs["units"] == "s"
     assert back["verdict"].attrs["flag_meanings"] == results["verdict"].attrs["flag_meanings"]
     back.close()
-    with pytest.raises(UserError, match="--overwrite"):
+    with pytest.raises(UserError, match="`overwrite`"):
         opening.to_netcdf(results, path)
     opening.to_netcdf(results, path, overwrite=True)
     with pytest.raises(UserError, match="does not exist"):
@@ -141,7 +141,7 @@ def test_netcdf_has_the_same_content(results, tmp_path):
 def test_an_existing_store_is_replaced_only_when_asked(results, tmp_path):
     path = tmp_path / "out" / "sweep.zarr"
     _write(results, path)
-    with pytest.raises(UserError, match="--overwrite"):
+    with pytest.raises(UserError, match="`overwrite`"):
         _write(results, path)
     _write(results.isel(kd=[0]), path, overwrite=True)
     assert opening.open_result(tmp_path / "out").sizes["kd"] == 1

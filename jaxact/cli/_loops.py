@@ -20,15 +20,15 @@ from jaxact.loops.axes import MOST_SAMPLES
 from jaxact.loops.checks import check_history
 from jaxact.loops.samples import Samples, expand
 from jaxact.loops.specification import Specification
-from jaxact.parameters import PARAMETERS, PRESETS, canonical, check, check_actuator, of
+from jaxact.parameters import PARAMETERS, PRESETS, canonical, check, check_actuator
+from jaxact.verbs import naming
+from jaxact.verbs.naming import loop_name
 
 # What the stability of a linear loop depends on.
 LINEAR = (
     "kp", "kd", "mass", "wn", "zeta", "delay", "measurement_delay", "output_delay",
     "velocity_filter",
 )  # fmt: skip
-# Delays within the loop: only their sum counts.
-DELAYS = ("delay", "measurement_delay", "output_delay")
 # Default of a number that was not given; told from any number by being this very object. A type
 # with None in it would make tyro's complaint about a mistyped number unreadable.
 UNSET = float("nan")
@@ -242,24 +242,8 @@ def expanded(specification: Specification) -> Loops:
     if len(samples) > MOST_SAMPLES:
         raise UserError(f"axes: make {len(samples):,} loops; allowed here: up to {MOST_SAMPLES:,}")
     values = {name: np.asarray(array, dtype=float) for name, array in samples.values.items()}
-    columns = []
-    for name, place in samples.coords.items():
-        hidden = name in ("sample", "feedforward") or (
-            name in ("wn", "zeta") and "actuator" in samples.coords
-        )
-        if hidden and not (name == "feedforward" and len(place.values) > 1):
-            continue
-        sizes = [
-            n if dim in place.dims else 1
-            for dim, n in zip(samples.dims, samples.shape, strict=True)
-        ]
-        spread = np.broadcast_to(place.values.reshape(sizes), samples.shape)
-        columns.append([_word(name, value) for value in spread.ravel()])
     said = frozenset((*specification.parameters, *samples.coords))
-    if not columns:
-        labels = (loop_name(specification),) * len(samples)
-    else:
-        labels = tuple(", ".join(words) for words in zip(*columns, strict=True))
+    labels = naming.labels(samples) or (loop_name(specification),) * len(samples)
     return Loops(values, labels, said, specification.velocity, (specification, samples))
 
 
@@ -282,59 +266,6 @@ def say_what_is_left_out(loops: Loops) -> None:
         _warnings.warn(f"linear loops are without {', '.join(left_out)}: left out here")
 
 
-def _word(name: str, value: Any) -> str:
-    from jaxact.plotting.wording import quantity
-
-    if name == "actuator":
-        return quantity(str(value))
-    return f"{name.replace('_', ' ')} {quantity(value, of(name).unit)}"
-
-
 def without_preset(preset: Any) -> dict[str, float]:
     """wn and zeta of a preset, nothing for None: so that one of the two can be given otherwise."""
     return {} if preset is None else dict(zip(("wn", "zeta"), PRESETS[preset], strict=True))
-
-
-def common_words(values: Mapping[str, float]) -> list[str]:
-    """The actuator and the delay, where several loops have them in common.
-
-    values: that they have in common, by short name
-    """
-    from jaxact.plotting.wording import quantity
-
-    words = []
-    if "wn" in values and ("zeta" in values or np.isinf(values["wn"])):
-        words.append(_actuator_name(values["wn"], values.get("zeta", 1.0)))
-    if all(name in values for name in DELAYS):
-        words.append(f"delay {quantity(sum(values[name] for name in DELAYS), 's')}")
-    return words
-
-
-def _actuator_name(wn: float, zeta: float) -> str:
-    from jaxact.plotting.wording import quantity
-
-    if np.isinf(wn):
-        return "ideal actuator"
-    if np.isnan(wn * zeta):
-        return "actuators as each joint has them"
-    known = {preset: name for name, preset in PRESETS.items()}.get((wn, zeta))
-    if known is not None:
-        return quantity(known)
-    return f"wn {quantity(wn, 'rad/s')}, ζ {zeta:g}"
-
-
-def loop_name(specification: Specification, values: Mapping[str, float] | None = None) -> str:
-    """A single loop is called by its actuator and its delay: `HyQ, delay 1 ms`.
-
-    What a robot's model says of each joint has no value here.
-    """
-    from jaxact.plotting.wording import quantity
-
-    own = specification.nominal if values is None else values
-    actuator = _actuator_name(own["wn"], own["zeta"])
-    cutoff = own["velocity_filter"]
-    words = f", velocity filter {quantity(cutoff, 'rad/s')}" if np.isfinite(cutoff) else ""
-    delay = sum(own[name] for name in DELAYS)
-    if np.isnan(delay):
-        return f"{actuator}, delays as each joint has them{words}"
-    return f"{actuator}, delay {quantity(delay, 's')}{words}"

@@ -13,6 +13,7 @@ from tyro.conf import arg
 from jaxact.cli import _loops
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops.checks import OF_VELOCITY, check_velocity
+from jaxact.verbs import naming
 
 # Which loops: every option takes several values, and all combinations are drawn.
 Linear = _loops.options((*_loops.LINEAR, "control_rate"), several=True)
@@ -127,7 +128,7 @@ def footer(loops: _loops.Loops, velocity: str) -> str:
         if _common(own[name]):
             words.append(f"{name} {own[name][0]:g} {unit}")
     if len(loops) > 1:  # a single one is named by its actuator and its delay
-        words += _loops.common_words({name: v[0] for name, v in own.items() if _common(v)})
+        words += naming.common_words({name: v[0] for name, v in own.items() if _common(v)})
     cutoff = own["velocity_filter"]
     how = [] if velocity != "differenced" else ["differenced"]
     if _common(cutoff) and np.isfinite(cutoff[0]):

@@ -5,13 +5,15 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping
-from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxact.cli._loops import Loops
 from jaxact.errors import UserError
+from jaxact.loops import conversion
+from jaxact.verbs.margins import of_values
 
 if TYPE_CHECKING:
     from jaxact.compilation.programs import Program
@@ -21,81 +23,19 @@ MOST_CURVES = 12
 _POINTS = 4000
 # Frequencies reach at most this far above the lowest one of a picture.
 _DECADES = 1e6
-# Numbers of loops and delays in control periods are rounded up to multiples of these: a program
-# that is kept then serves the next command too, and computing takes far less than compiling.
-_FEW, _MANY = 16, 64
-_STEPS = 16
 
 
 def margins(loops: Loops) -> dict[str, np.ndarray]:
-    """All margins of every loop in continuous time, phase margins in degrees; shape (n,) each.
-
-    With `spectral_abscissa`, the real part of the rightmost root [1/s].
-    """
-    import jax
-
-    with jax.enable_x64(True):
-        found, root = _compiled()(_joint_loop(_filled_up(loops.values, len(loops))))
-        arrays = _arrays(found, len(loops))
-        arrays["spectral_abscissa"] = np.asarray(root).real[: len(loops)]
-    return _in_degrees(arrays)
+    """All margins of every loop in continuous time, see `jaxact.verbs.margins.of_values`."""
+    return of_values(loops.values, None)
 
 
 def sampled_margins(loops: Loops, velocity: str) -> dict[str, np.ndarray]:
     """The same of every loop as sampled at its control rate.
 
     velocity: "sampled" or "differenced"
-
-    `spectral_abscissa` is log(spectral radius) / T, to be compared with the continuous one.
     """
-    import jax
-
-    from jaxact.analysis.sampled.period_map import delay_steps
-
-    values = loops.values
-    steps = delay_steps(_total_delay(values), 1.0 / values["control_rate"])
-    # Long delays take long to compute, so that one loop is not to wait for others.
-    filled = _filled_up(values, len(loops)) if steps <= _STEPS else values
-    with jax.enable_x64(True):
-        found = _compiled_sampled(_rounded_up(steps, _STEPS))(_sampled_loop(filled, velocity))
-        arrays = _arrays(found, len(loops))
-    with np.errstate(divide="ignore"):
-        arrays["spectral_abscissa"] = np.log(arrays["spectral_radius"]) * values["control_rate"]
-    return _in_degrees(arrays)
-
-
-def _rounded_up(number: int, unit: int) -> int:
-    """To a multiple of the unit, which is at least 1 unit."""
-    return unit * max(1, -(-number // unit))
-
-
-def _filled_up(values: Mapping[str, np.ndarray], number: int) -> dict[str, np.ndarray]:
-    """Parameters of the loops, the last of which is repeated up to a round number of loops."""
-    more = _rounded_up(number, _FEW if number <= _FEW else _MANY) - number
-    return {name: np.pad(array, (0, more), "edge") for name, array in values.items()}
-
-
-def _arrays(found: Any, number: int) -> dict[str, np.ndarray]:
-    """The figures of the first loops, by name; shape (number,) each."""
-    return {one.name: np.asarray(getattr(found, one.name))[:number] for one in fields(found)}
-
-
-@functools.cache
-def _compiled() -> Program:
-    from jaxact.analysis.joint.margins import margins as margins_of
-    from jaxact.analysis.joint.roots import rightmost_root
-    from jaxact.compilation.programs import Program
-
-    return Program(lambda: lambda loop: (margins_of(loop), rightmost_root(loop)), "margins, root")
-
-
-@functools.cache
-def _compiled_sampled(steps: int) -> Program:
-    from jaxact.analysis.sampled.margins import sampled_margins as margins_of
-    from jaxact.compilation.programs import Program
-
-    function = functools.partial(margins_of, max_delay_steps=steps)
-    return Program(lambda: function, ("sampled margins", steps))
+    return of_values(loops.values, velocity)
 
 
 @functools.cache
@@ -144,7 +84,9 @@ def responses(loops: Loops, *, sampled: bool, velocity: str) -> list[LoopRespons
 def _groups(loops: Loops) -> list[list[int]]:
     """Loops that differ in their control rate only, together: one loop in continuous time."""
     names = ("kp", "kd", "mass", "wn", "zeta", "velocity_filter")
-    rows = zip(*(loops.values[name] for name in names), _total_delay(loops.values), strict=True)
+    rows = zip(
+        *(loops.values[name] for name in names), conversion.total_delay(loops.values), strict=True
+    )
     groups: dict[tuple[float, ...], list[int]] = {}
     for index, row in enumerate(rows):
         groups.setdefault(tuple(map(float, row)), []).append(index)
@@ -157,50 +99,11 @@ def _label(label: str, kind: str) -> str:
     return ", ".join([*words, kind] if kind else words) or "continuous time"
 
 
-def _in_degrees(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return arrays | {"phase_margin": np.degrees(arrays["phase_margin"])}
-
-
-def _total_delay(values: Mapping[str, Any]) -> Any:
-    return values["delay"] + values["measurement_delay"] + values["output_delay"]
-
-
-def _joint_loop(values: Mapping[str, Any]) -> Any:
-    """The linear loops in continuous time; to be called where float64 is on."""
-    import jax.numpy as jnp
-
-    from jaxact.analysis.joint.frequency import JointLoop
-
-    names = ("kp", "kd", "mass", "wn", "zeta")
-    cutoff = values["velocity_filter"]
-    return JointLoop(
-        *(jnp.asarray(values[name]) for name in names),
-        jnp.asarray(_total_delay(values)),
-        velocity_filter=jnp.asarray(cutoff) if np.isfinite(cutoff).any() else None,
-    )
-
-
-def _sampled_loop(values: Mapping[str, Any], velocity: str) -> Any:
-    """The linear sampled loops; to be called where float64 is on."""
-    import jax.numpy as jnp
-
-    from jaxact.analysis.sampled.period_map import SampledLoop
-
-    names = ("kp", "kd", "mass", "wn", "zeta")
-    return SampledLoop(
-        *(jnp.asarray(values[name]) for name in names),
-        delay=jnp.asarray(_total_delay(values)),
-        control_period=jnp.asarray(1.0 / values["control_rate"]),
-        velocity_filter=jnp.asarray(values["velocity_filter"]),
-        velocity=velocity,
-    )
-
-
 def _frequencies(values: Mapping[str, float]) -> np.ndarray:
     """From well below the crossover to well above whatever turns the phase [rad/s], shape (n,)."""
     stiff = math.sqrt(abs(values["kp"]) / values["mass"])
     damped = abs(values["kd"]) / values["mass"]
-    delay = _total_delay(values)
+    delay = conversion.total_delay(values)
     scales = [stiff, damped, 3.0 / delay if delay > 0 else 0.0]
     scales.append(values["wn"] if math.isfinite(values["wn"]) else 0.0)
     high = 10.0 ** math.ceil(math.log10(3.0 * max(*scales, 1e-6)))
@@ -222,7 +125,7 @@ def _continuous(
     values = loops.one(index)
     w = _frequencies(values)
     with jax.enable_x64(True):
-        open_loop, turned = _compiled_response()(_joint_loop(values), w)
+        open_loop, turned = _compiled_response()(conversion.continuous(values), w)
     return LoopResponse(
         label=_label(loops.labels[index], "continuous time" if named else ""),
         frequency=w,
@@ -244,7 +147,7 @@ def _sampled(loops: Loops, found: dict[str, np.ndarray], index: int, velocity: s
     # One program serves all rates: what is above half of it is computed there, and left out.
     w = np.append(np.minimum(_frequencies(values), nyquist), nyquist)
     with jax.enable_x64(True):
-        found_there = _compiled_sampled_response()(_sampled_loop(values, velocity), w)
+        found_there = _compiled_sampled_response()(conversion.sampled(values, velocity), w)
     shown = np.append(w[:-1] < nyquist, True)
     w, open_loop = w[shown], np.asarray(found_there)[shown]
     turned = np.degrees(np.unwrap(np.angle(open_loop)))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import UseAppendAction, arg
 
-from jaxact.cli import _loops, _mounting, _progress, _robot_tables, _warnings
+from jaxact.cli import _loops, _mounting, _progress, _warnings
 from jaxact.errors import UserError, nearest, shown
 
 if TYPE_CHECKING:
@@ -122,6 +122,7 @@ def show(options: Options, given: dict[str, Any], velocity: str, *, json: bool) 
 
     from jaxact.loops.samples import expand
     from jaxact.robot_margins import stiction, whole_robot
+    from jaxact.verbs import robot_tables
 
     samples = expand(specification)
     with _progress.phases(quiet=json) as phase:
@@ -130,14 +131,14 @@ def show(options: Options, given: dict[str, Any], velocity: str, *, json: bool) 
         phase("looking for what dry friction holds")
         held = stiction.each(specification, samples, found)
     _warnings.overload(specification)
-    printed = _robot_tables.as_json if json else _robot_tables.as_text
+    printed = robot_tables.as_json if json else robot_tables.as_text
     rows = zip(labels, found, held, strict=True)
     print("\n".join(printed(specification, *row) for row in rows))
     if options.out is not None:
         from jaxact.plotting.look import write
         from jaxact.plotting.robot import whole_robot as picture
 
-        title = f"{_robot_tables.title(specification)}: all joints at once"
+        title = f"{robot_tables.title(specification)}: all joints at once"
         figure = picture(found[0].curves, found[0].margins, title=title)
         write(figure, options.out, title="jaxact: margins of a robot")
         if not json:

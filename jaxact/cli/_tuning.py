@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxact.cli import _loops
-from jaxact.cli.margins import ALWAYS, MARGINS, plain
+from jaxact.verbs.margin_tables import ALWAYS, MARGINS, plain
 
 if TYPE_CHECKING:
     from jaxact.tuning.run import Tuned
@@ -97,8 +97,8 @@ def table(document: dict[str, Any], unit: str) -> str:
     from rich.console import Console
     from rich.table import Table
 
-    from jaxact.cli.margins import UNITS
     from jaxact.plotting.wording import quantity
+    from jaxact.verbs.margin_tables import UNITS
 
     shown = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     shown.add_column("")

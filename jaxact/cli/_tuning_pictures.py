@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxact.cli import _loops
 from jaxact.plotting.wording import quantity
+from jaxact.verbs import naming
 
 if TYPE_CHECKING:
     from jaxact.plotting.convergence import Missed
@@ -152,5 +153,5 @@ def _nominal(loops: _loops.Loops, tuned: Tuned) -> Ensemble:
     from jaxact.tuning.ensemble import ensemble
 
     own = loops.one(0)
-    delay = sum(own[name] for name in _loops.DELAYS)
+    delay = sum(own[name] for name in naming.DELAYS)
     return ensemble(own["mass"], own["wn"], own["zeta"], delay, sampling=tuned.members.sampling)

@@ -14,16 +14,13 @@ def warn(text: str) -> None:
     print(f"jaxact: warning: {text}", file=sys.stderr)
 
 
-# Accelerations of a posture at rest are smaller [rad/s^2 or m/s^2].
-RESIDUAL = 1e-2
-
-
 def posture(specification: Specification) -> None:
     """Warn of a robot whose joints are too weak for its posture, or that creeps; else nothing."""
     if specification.plant is None:
         return
     overload(specification)
     from jaxact.loops import robots
+    from jaxact.verbs.robot_tables import RESIDUAL
 
     found = robots.scene(specification.plant).posture
     if found.settled and found.residual > RESIDUAL:

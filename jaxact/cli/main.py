@@ -59,8 +59,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0: done. 2: a mistake in what was given, told in one line on standard error, nothing written.
     130: interrupted with Ctrl-C. 143: terminated. 129: its terminal has gone.
     """
+    given = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        return _run(list(sys.argv[1:] if arguments is None else arguments))
+        return _run(given)
     except (KeyboardInterrupt, Terminated) as stop:
         _signals.over()
         _say(str(stop) or _signals.farewell())
@@ -70,17 +71,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _signals.over()
             _say(_signals.farewell())
             return _signals.code()
-        return _explained(error)
+        return _explained(error, given[0] if given else "")
 
 
-def _explained(error: Exception) -> int:
+def _explained(error: Exception, verb: str) -> int:
     """Say in a line what a user can mend, and return the exit code; raises what is none of that."""
     import errno
 
     from jaxact.errors import UserError
 
     if isinstance(error, UserError):
-        print(f"jaxact: {_one_line(error)}", file=sys.stderr)
+        print(f"jaxact: {_one_line(error, verb)}", file=sys.stderr)
         return USAGE_ERROR
     if isinstance(error, BrokenPipeError):
         # the reader of our output (`| head`) has gone; keep Python from complaining at exit
@@ -152,9 +153,32 @@ examples:
   jaxact simulate --actuator starleth --delay 0.005"""
 
 
-def _one_line(error: UserError) -> str:
+def _one_line(error: UserError, verb: str) -> str:
+    """The message in one line; an option's name in backquotes, as libraries say it, with dashes."""
+    import re
+
     line = " ".join(str(error).split())
+    names = _option_names(verb)
+
+    def typed(name: re.Match[str]) -> str:
+        return "--" + name[1].replace("_", "-") if name[1] in names else name[0]
+
+    line = re.sub(r"`([a-z_]+)`", typed, line)
     return "".join(letter if letter.isprintable() else "?" for letter in line)
+
+
+def _option_names(verb: str) -> set[str]:
+    """Names of a verb's options; nothing of a verb that there is not."""
+    import dataclasses
+    import inspect
+
+    if verb not in VERBS:
+        return set()
+    names = set()
+    for name, parameter in inspect.signature(_verb(verb)).parameters.items():
+        grouped = dataclasses.is_dataclass(parameter.default)
+        names |= {f.name for f in dataclasses.fields(parameter.default)} if grouped else {name}
+    return names
 
 
 def entry() -> NoReturn:

@@ -16,26 +16,10 @@ from tyro.conf import OmitArgPrefixes, arg
 from jaxact.cli import _files, _loops, _robot_margins
 from jaxact.cli._pictures import Linear, LoopsFile, Velocity, chosen_loops
 from jaxact.errors import UserError
+from jaxact.verbs.margin_tables import ALWAYS, MARGINS, UNITS, Figures, masked, plain, tables
 
-# Names of the output, in order. Margins mean nothing for an unstable loop, the others always do.
-ALWAYS = ("stable", "unstable_roots", "log_gain_to_boundary", "spectral_abscissa")
-MARGINS = (
-    "gain_margin", "gain_reduction_margin", "phase_crossover", "phase_margin", "gain_crossover",
-    "delay_margin", "sensitivity_peak", "sensitivity_peak_frequency", "complementary_peak",
-    "complementary_peak_frequency", "modulus_margin", "disk_margin",
-)  # fmt: skip
-UNITS = {
-    "stable": "1", "unstable_roots": "1", "log_gain_to_boundary": "1", "spectral_abscissa": "1/s",
-    "gain_margin": "1", "gain_reduction_margin": "1", "phase_crossover": "rad/s",
-    "phase_margin": "degree", "gain_crossover": "rad/s", "delay_margin": "s",
-    "sensitivity_peak": "1", "sensitivity_peak_frequency": "rad/s", "complementary_peak": "1",
-    "complementary_peak_frequency": "rad/s", "modulus_margin": "1", "disk_margin": "1",
-}  # fmt: skip
-_MOST_COLUMNS = 4
 # Parameters of the linear loop that identify it in files.
 _PARAMETERS = (*_loops.LINEAR, "control_rate")
-
-Figures = dict[str, np.ndarray]
 
 
 def main(
@@ -118,24 +102,13 @@ def main(
         with at_once.destination(store, overwrite=overwrite) as partial:
             grid = loops is not None and chosen.source is not None
             at_once.write((_grid if grid else _dataset)(chosen, found), partial)
-    print(_json_lines(chosen, found) if json else _tables(chosen, found))
+    print(
+        _json_lines(chosen, found)
+        if json
+        else tables(chosen.labels, chosen.values["control_rate"], found)
+    )
     if not json and (csv or store):
         print("wrote " + ", ".join(str(path) for path in (csv, store) if path is not None))
-
-
-def plain(name: str, figures: Mapping[str, np.ndarray], index: int) -> Any:
-    """One figure of one loop as JSON has it: null where it means nothing, "inf" for infinity."""
-    value = figures[name][index].item()
-    if name == "stable":
-        return bool(value)
-    if name == "unstable_roots":
-        return int(value)
-    meaningless = name in MARGINS and not figures["stable"][index]
-    if meaningless or math.isnan(value):
-        return None
-    if math.isinf(value):
-        return "inf" if value > 0 else "-inf"
-    return value
 
 
 def _json_lines(chosen: _loops.Loops, found: Mapping[str, Figures]) -> str:
@@ -179,7 +152,7 @@ def _dataset(chosen: _loops.Loops, found: Mapping[str, Figures]) -> Any:
     from jaxact.parameters import PARAMETERS
 
     arrays = {
-        f"{prefix}{name}": ("loop", _masked(name, figures), {"units": UNITS[name]})
+        f"{prefix}{name}": ("loop", masked(name, figures), {"units": UNITS[name]})
         for prefix, figures in found.items()
         for name in (*ALWAYS, *MARGINS)
     }
@@ -200,7 +173,7 @@ def _grid(chosen: _loops.Loops, found: Mapping[str, Figures]) -> Any:
     sampled = "sampled_" in found
     last = found["sampled_" if sampled else ""]
     figures = {
-        f"{prefix}{name}": (_masked(name, figures), UNITS[name])
+        f"{prefix}{name}": (masked(name, figures), UNITS[name])
         for prefix, figures in found.items()
         for name in (*ALWAYS, *MARGINS)
     }
@@ -209,121 +182,3 @@ def _grid(chosen: _loops.Loops, found: Mapping[str, Figures]) -> Any:
         kind=margins_store.SAMPLED if sampled else margins_store.CONTINUOUS,
         growth_rate=last["spectral_abscissa"], stable=last["stable"],
     )  # fmt: skip
-
-
-def _masked(name: str, figures: Figures) -> np.ndarray:
-    values = np.asarray(figures[name])
-    return np.where(figures["stable"], values, np.nan) if name in MARGINS else values
-
-
-def _tables(chosen: _loops.Loops, found: Mapping[str, Figures]) -> str:
-    """A column for each of a few loops, a line for each of many."""
-    from rich.console import Console
-
-    columns = len(chosen) * len(found)
-    table = _tall(chosen, found) if columns <= _MOST_COLUMNS else _wide(chosen, found)
-    console = Console(width=30 + 26 * max(columns, 4), highlight=False)
-    with console.capture() as captured:
-        console.print(table)
-    return "\n".join(line.rstrip() for line in captured.get().rstrip().splitlines())
-
-
-def _tall(chosen: _loops.Loops, found: Mapping[str, Figures]) -> Any:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("")
-    cells = []
-    for index, label in enumerate(chosen.labels):
-        for prefix, figures in found.items():
-            kind = f"\n{'sampled' if prefix else 'continuous'}" if len(found) > 1 else ""
-            table.add_column(f"{label}{kind}", justify="right")
-            cells.append(_column(figures, index, float(chosen.values["control_rate"][index]),
-                                 periods=len(found) > 1))  # fmt: skip
-    for name in cells[0]:
-        if any(cell[name] for cell in cells):
-            table.add_row(name, *(cell[name] or "-" for cell in cells))
-    return table
-
-
-def _column(figures: Figures, index: int, rate: float, *, periods: bool) -> dict[str, str]:
-    """One loop's figures in words, by what they are called; "" where one means nothing."""
-    from jaxact.plotting.wording import quantity
-
-    def value(name: str) -> float:
-        meaningless = name in MARGINS and not figures["stable"][index]
-        return math.nan if meaningless else float(figures[name][index])
-
-    def text(name: str, units: str = "") -> str:
-        return "" if math.isnan(value(name)) else quantity(value(name), units)
-
-    def at(name: str) -> str:
-        return f" at {text(name, 'rad/s')}" if math.isfinite(value(name)) else ""
-
-    gain, reduction, disk = (
-        value("gain_margin"),
-        value("gain_reduction_margin"),
-        value("disk_margin"),
-    )
-    decibel = f" ({20.0 * math.log10(gain):.1f} dB)" if math.isfinite(gain) else ""
-    phase = value("phase_margin")
-    delay = value("delay_margin")
-    return {
-        "stable": "yes" if figures["stable"][index] else "NO",
-        "unstable roots": f"{int(figures['unstable_roots'][index])}",
-        "gain margin": ""
-        if math.isnan(gain)
-        else text("gain_margin") + decibel + at("phase_crossover"),
-        "gain reduction margin": text("gain_reduction_margin") if reduction > 0 else "",
-        "phase margin": "" if math.isnan(phase) else f"{phase:.4g}°{at('gain_crossover')}",
-        "delay margin": text("delay_margin", "s"),
-        "  in control periods": f"{delay * rate:.4g}" if periods and not math.isnan(delay) else "",
-        "Ms (peak of |S|)": text("sensitivity_peak") + at("sensitivity_peak_frequency"),
-        "Mt (peak of |T|)": text("complementary_peak") + at("complementary_peak_frequency"),
-        "modulus margin": text("modulus_margin"),
-        "disk margin": text("disk_margin"),
-        "  guarantees gains": _gain_range(disk),
-        "  guarantees phase": "" if math.isnan(disk) else f"±{_phase_range(disk):.3g}°",
-        "rightmost root": text("spectral_abscissa", "1/s"),
-        "log gain to boundary": text("log_gain_to_boundary"),
-    }
-
-
-def _gain_range(disk: float) -> str:
-    """Gains that a balanced disk margin guarantees: (2 - a)/(2 + a) to (2 + a)/(2 - a)."""
-    if math.isnan(disk):
-        return ""
-    high = (2.0 + disk) / (2.0 - disk) if disk < 2.0 else math.inf
-    return f"×{max((2.0 - disk) / (2.0 + disk), 0.0):.3g} to ×{high:.3g}"
-
-
-def _phase_range(disk: float) -> float:
-    """Phase that it guarantees: 2 arctan(a / 2) [deg]."""
-    return 2.0 * math.degrees(math.atan(0.5 * disk))
-
-
-def _wide(chosen: _loops.Loops, found: Mapping[str, Figures]) -> Any:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    heads = ("loop", "gain margin", "phase margin [°]", "delay margin [ms]", "Ms", "Mt",
-             "disk margin", "unstable roots", "log gain to boundary")  # fmt: skip
-    for head in heads:
-        table.add_column(head, justify="left" if head == "loop" else "right")
-    for index, label in enumerate(chosen.labels):
-        for prefix, figures in found.items():
-            name = f"{label}, sampled" if prefix else label
-            scaled = figures | {"delay_margin": 1e3 * figures["delay_margin"]}
-            names = ("gain_margin", "phase_margin", "delay_margin", "sensitivity_peak",
-                     "complementary_peak", "disk_margin", "unstable_roots",
-                     "log_gain_to_boundary")  # fmt: skip
-            table.add_row(name, *(_short(plain(item, scaled, index)) for item in names))
-    return table
-
-
-def _short(value: Any) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.4g}" if isinstance(value, float) else str(value).replace("inf", "∞")

@@ -14,6 +14,7 @@ from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 from jaxact.cli import _files, _loops, _mounting, _single, _starts, _warnings, _xla
 from jaxact.errors import UserError
 from jaxact.parameters import PARAMETERS
+from jaxact.verbs import naming
 
 if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
@@ -224,7 +225,7 @@ def _write(
     name = f"{run.joints[joint].name}: " if len(run.joints) > 1 else ""
     figure = trajectory(
         _joint(run, joint),
-        title=name + _loops.loop_name(specification, run.values),
+        title=name + naming.loop_name(specification, run.values),
         footer=caption.loop(run.values, run.results, dataclasses.asdict(specification)),
         units=("rad", "N m") if run.rotary[joint] else ("m", "N"),
         resolution=run.values["position_resolution"],
@@ -263,7 +264,7 @@ def _plain(values: dict[str, float]) -> dict[str, float | str | None]:
 
 
 def _as_object(held: Stiction | None) -> dict[str, Any] | None:
-    from jaxact.cli._robot_tables import as_object
+    from jaxact.verbs.robot_tables import as_object
 
     return None if held is None else as_object(held)
 

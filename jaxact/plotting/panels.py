@@ -113,7 +113,7 @@ def arrange(
             _known(name, swept, "axis")
     for name in facet:
         if name in drawn:
-            raise UserError(f"facet '{name}' was drawn at random; use it as --x or --y")
+            raise UserError(f"facet '{name}' was drawn at random; use it as `x` or `y`")
         _known(name, gridded, "facet")
     many = [name for name, values in swept.items() if len(_distinct(values)) > 1]
     kind = _kind(kind, bool(drawn), many, y)
@@ -214,21 +214,21 @@ def _select(dataset: xr.Dataset, select: Mapping[str, str]) -> xr.Dataset:
     for name, given in select.items():
         swept = _gridded(dataset)
         if name in _drawn(dataset):
-            raise UserError(f"--select {name}: it was drawn at random, so it has no values to pick")
+            raise UserError(f"`select` {name}: it was drawn at random, so it has no values to pick")
         _known(name, swept, "axis to select")
         values = swept[name].values
         if values.dtype.kind in "OSUT":
             names = [str(v) for v in values]
             if given not in names:
-                raise UserError(f"--select {name}: no '{given}' here; {nearest(given, names)}")
+                raise UserError(f"`select` {name}: no '{given}' here; {nearest(given, names)}")
             index = names.index(given)
         else:
             try:
                 number = float(given)
             except ValueError:
-                raise UserError(f"--select {name}: '{given}' is not a number") from None
+                raise UserError(f"`select` {name}: '{given}' is not a number") from None
             if math.isnan(number):
-                raise UserError(f"--select {name}: '{given}' is not a number")
+                raise UserError(f"`select` {name}: '{given}' is not a number")
             hit = np.flatnonzero(values == number)
             index = int(hit[0]) if hit.size else int(np.nanargmin(np.abs(values - number)))
         dataset = dataset.isel({name: [index]})
@@ -271,7 +271,7 @@ def _axes(
         x = queue.pop(0)
     if y is None and kind != "lines":
         if not queue:
-            raise UserError(f"a {kind} needs two swept parameters; use --kind lines")
+            raise UserError(f"a {kind} needs two swept parameters; use `kind` lines")
         y = queue.pop(0)
     if kind == "lines" and y is None:
         short = [n for n in free if n != x and len(_distinct(swept[n])) <= MOST_SERIES]
@@ -287,7 +287,7 @@ def _axes(
         count = len(_distinct(swept[y]))
         raise UserError(
             f"axis '{y}' has {count} values: too many curves (at most {MOST_SERIES}); "
-            "draw a map, or pick one with --select"
+            "draw a map, or pick one with `select`"
         )
     return x, y
 
@@ -302,20 +302,20 @@ def _facets(
         if name in used:
             raise UserError(f"'{name}' is an axis already; choose another facet")
     if len(set(facet)) != len(facet):
-        raise UserError("--facet names the same parameter twice")
+        raise UserError("`facet` names the same parameter twice")
     facets = [name for name in facet if name in rest] + [n for n in rest if n not in facet]
     if len(facets) > 2:
         surplus = ", ".join(facets[2:])
         raise UserError(
             f"the sweep has more axes than panels can show ({surplus}); "
-            f"keep one value with --select {facets[-1]}=VALUE"
+            f"keep one value with `select` {facets[-1]}=VALUE"
         )
     sizes = {name: len(_distinct(swept[name])) for name in facets}
     count, largest = math.prod(sizes.values()), max(sizes, key=lambda n: sizes[n], default="")
     if count > MOST_PANELS:
         raise UserError(
             f"facets {' x '.join(facets)} make {count} panels (at most {MOST_PANELS}); "
-            f"keep one value with --select {largest}=VALUE"
+            f"keep one value with `select` {largest}=VALUE"
         )
     return facets
 

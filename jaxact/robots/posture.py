@@ -137,8 +137,8 @@ def settled(robot: Robot) -> Posture:
         return replace(there, settled=True)
     raise UserError(
         f"{robot.path.name}: {complaints[0]}; give a keyframe that stands by itself, "
-        'posture = "keyframe" to start from it as it is, or --base fixed (base = "fixed") to put '
-        "it on a stand"
+        'posture = "keyframe" to start from it as it is, or `base` fixed to put it on a '
+        "stand"
     )
 
 

@@ -1,6 +1,6 @@
 """From flat parameter values to the metrics of loops: what one tile of a sweep computes.
 
-The flat names of `jaxact.parameters` become a closed loop here and nowhere else.
+A robot's parameters become those of its joints here, and with `jaxact.loops.conversion` a loop.
 """
 
 from __future__ import annotations
@@ -14,12 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.drive.actuator import Actuator
-from jaxact.drive.controller import Controller, Setpoint
-from jaxact.drive.sensor import Sensor
+from jaxact.drive.controller import Setpoint
 from jaxact.drive.step import Drive, DriveOptions
 from jaxact.loops import loop as _loop
 from jaxact.loops import template as _template
+from jaxact.loops.conversion import drive_of
 from jaxact.loops.loop import Loop, LoopState, Prepared
 from jaxact.loops.specification import Setting
 from jaxact.loops.template import Template
@@ -67,43 +66,6 @@ class Case:
     step: float = 0.0
     growth: GrowthOptions = field(default_factory=GrowthOptions)
     starts: tuple[str, ...] = ()
-
-
-def drive_of(values: Values) -> Drive:
-    """The drive with these parameters, by their short names; scalars or arrays alike."""
-    return Drive(
-        controller=Controller(
-            kp=values["kp"],
-            kd=values["kd"],
-            feedforward=values["feedforward"],
-            command_resolution=values["command_resolution"],
-            setpoint_delay=values["setpoint_delay"],
-        ),
-        actuator=Actuator(
-            natural_frequency=values["wn"],
-            damping_ratio=values["zeta"],
-            delay=values["delay"],
-            force_limit=values["force_limit"],
-            force_rate_limit=values["force_rate_limit"],
-            stall_force=values["stall_force"],
-            no_load_speed=values["no_load_speed"],
-        ),
-        sensor=Sensor(
-            delay=values["measurement_delay"],
-            position_resolution=values["position_resolution"],
-            velocity_resolution=values["velocity_resolution"],
-            position_noise=values["position_noise"],
-            velocity_noise=values["velocity_noise"],
-            position_bias=values["position_bias"],
-            velocity_bias=values["velocity_bias"],
-            position_bias_walk=values["position_bias_walk"],
-            velocity_bias_walk=values["velocity_bias_walk"],
-            velocity_filter=values["velocity_filter"],
-        ),
-        output_delay=values["output_delay"],
-        control_period=1.0 / values["control_rate"],
-        policy_period=1.0 / values["policy_rate"],
-    )
 
 
 def template_of(case: Case, setting: Setting, stage: str) -> Template:

@@ -22,6 +22,7 @@ from jaxact.drive import step as _drive
 from jaxact.drive.controller import Setpoint
 from jaxact.drive.step import Coefficients
 from jaxact.loops import robots
+from jaxact.loops.conversion import drive_of
 from jaxact.loops.robots import Scene
 from jaxact.loops.specification import Setting
 from jaxact.loops.template import Template
@@ -280,7 +281,7 @@ def _prepare(case: Case, setting: Setting) -> Program:
 
     def one(values: Mapping[str, jax.Array], seed: jax.Array, number: jax.Array):
         resolved = kernel.resolved(made, values)
-        drive = kernel.drive_of(resolved)
+        drive = drive_of(resolved)
         trembling = _starts.rest_amplitude(case.drive, resolved, drive, robot=True)
         if case.starts:
             given = _starts.given(case.starts, resolved, drive, _starts.friction(made))

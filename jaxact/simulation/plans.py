@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxact.drive import step as _drive
 from jaxact.errors import UserError
+from jaxact.loops.conversion import drive_of
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Motion, Specification
 from jaxact.parameters import ROBOT_ONLY, base
@@ -182,7 +183,7 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
     fastest = float(np.max(rates))
     robot = specification.plant is not None
     options = _drive.options(
-        kernel.drive_of(kernel.occurring(specification.setting, values)),
+        drive_of(kernel.occurring(specification.setting, values)),
         substeps=count,
         differenced=specification.velocity == "differenced",
     )

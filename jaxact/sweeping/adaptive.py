@@ -49,14 +49,14 @@ Rows = dict[str, np.ndarray]
 def check(specification: Specification) -> list[Axis]:
     """The axes that are refined; raises UserError for a specification without a border to find."""
     if specification.sampling is not None:
-        raise UserError("--adaptive: refines a grid; remove the section [sampling]")
+        raise UserError("`adaptive`: refines a grid; remove the section [sampling]")
     ranges = [axis for axis in specification.axes if axis.listed is None]
     if not ranges:
-        raise UserError("--adaptive: no axis is a range { min, max, num } that could be refined")
+        raise UserError("`adaptive`: no axis is a range { min, max, num } that could be refined")
     if len(ranges) > _MOST_AXES:
         names = ", ".join(axis.name for axis in ranges)
         raise UserError(
-            f"--adaptive: {names} are ranges; up to {_MOST_AXES} can be refined, write the others"
+            f"`adaptive`: {names} are ranges; up to {_MOST_AXES} can be refined, write the others"
             " as lists"
         )
     return ranges
@@ -75,7 +75,7 @@ def lattice(specification: Specification, width: float) -> Lattice:
     cases = math.prod(len(axis) for axis in specification.axes if axis.listed is not None)
     found = Lattice(cases, tuple(len(axis) - 1 for axis in ranges), halvings)
     if math.prod(found.shape) * cases >= 2**62:
-        raise UserError(f"--width {width:g}: is too fine for these ranges; give a larger one")
+        raise UserError(f"`width` {width:g}: is too fine for these ranges; give a larger one")
     return found
 
 
@@ -146,7 +146,7 @@ def refine(
         points, first = refinement.ask(), sum(map(len, asked))
         if first + len(points) > MOST_SAMPLES:
             raise UserError(
-                f"--width {width:g}: the border is so ragged that {first + len(points):,} loops do"
+                f"`width` {width:g}: the border is so ragged that {first + len(points):,} loops do"
                 " not suffice; give a larger width, or a smaller range"
             )
         found = None if known is None else known.rows(first, len(points))
@@ -191,7 +191,7 @@ def _source(
 def _existing(target: Place) -> Store:
     store = progress.existing(target)
     if store is None:
-        raise UserError(f"{target.name}: does not say how it is cut up; --overwrite begins anew")
+        raise UserError(f"{target.name}: does not say how it is cut up; `overwrite` begins anew")
     return store
 
 

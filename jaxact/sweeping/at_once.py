@@ -67,10 +67,10 @@ def _refuse_existing(path: Path, overwrite: bool) -> None:
         return
     if not _store.is_ours(Folder(path)) or path.is_symlink():
         raise UserError(
-            f"{path}: exists and is no result of a sweep, so it stays; give another --out"
+            f"{path}: exists and is no result of a sweep, so it stays; give another `out`"
         )
     if not overwrite:
-        raise UserError(f"{path}: exists; give another --out, or --overwrite to replace it")
+        raise UserError(f"{path}: exists; give another `out`, or `overwrite` to replace it")
 
 
 def _make_folders(folder: Path) -> list[Path]:

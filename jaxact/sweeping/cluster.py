@@ -103,7 +103,7 @@ def attached(address: str | None) -> Iterator[Cluster]:
     try:
         import ray
     except ImportError as error:
-        raise UserError(f"--workers ray: {error}; install jaxact[ray]") from None
+        raise UserError(f"`workers` ray: {error}; install jaxact[ray]") from None
     variables = {name: os.environ[name] for name in _ENVIRONMENT if name in os.environ}
     try:
         ray.init(
@@ -114,7 +114,7 @@ def attached(address: str | None) -> Iterator[Cluster]:
             include_dashboard=None if address else False,
         )
     except (ConnectionError, ValueError, RuntimeError) as error:
-        raise UserError(f"--address {address}: no Ray cluster there ({error})") from None
+        raise UserError(f"`address` {address}: no Ray cluster there ({error})") from None
     try:
         there = ray.cluster_resources()
         graphics = int(there.get("GPU", 0)) if os.environ.get("JAX_PLATFORMS") != "cpu" else 0
@@ -141,8 +141,8 @@ def _explained(ray: Any) -> Iterator[None]:
     except ray.exceptions.RayError as error:
         words = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise UserError(
-            f"--workers ray: workers were lost {_RETRIES + 1} times over one chunk ({words}); what"
-            " is done is kept, continue with --resume"
+            f"`workers` ray: workers were lost {_RETRIES + 1} times over one chunk ({words}); what"
+            " is done is kept, continue with `resume`"
         ) from None
 
 

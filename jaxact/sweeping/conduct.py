@@ -120,7 +120,7 @@ def _refuse_existing(folder: Place, how: How) -> None:
     if begun and not adaptive.are_rounds(rounds):
         if how.width is not None:
             raise UserError(
-                f"{rounds.name}: exists and is nothing of a sweep, so it stays; give another --out"
+                f"{rounds.name}: exists and is nothing of a sweep, so it stays; give another `out`"
             )
         begun = False
     if not there and not begun:
@@ -128,13 +128,13 @@ def _refuse_existing(folder: Place, how: How) -> None:
     name = target.name if there else rounds.name
     if not how.resume and not how.overwrite:
         raise UserError(
-            f"{name}: exists; continue it with --resume, replace it with --overwrite, or give"
-            " another --out"
+            f"{name}: exists; continue it with `resume`, replace it with `overwrite`, or give"
+            " another `out`"
         )
     if how.resume and not there and how.width is None:
         raise UserError(
-            f"{name}: is of a sweep that was begun with --adaptive; continue it with that, give"
-            " another --out, or --overwrite to begin anew"
+            f"{name}: is of a sweep that was begun with `adaptive`; continue it with that, give"
+            " another `out`, or `overwrite` to begin anew"
         )
 
 
@@ -149,7 +149,7 @@ def _is_there(target: Place) -> bool:
         return True
     if foreign or target.entries():
         raise UserError(
-            f"{target.name}: exists and is no result of a sweep, so it stays; give another --out"
+            f"{target.name}: exists and is no result of a sweep, so it stays; give another `out`"
         )
     return False
 
@@ -195,5 +195,5 @@ def _full(target: Place, error: OSError) -> str:
     done = len(progress.times(target.entries()))
     return (
         f"{target.name}: cannot be written ({reason}); {done} of {len(store.layout)} chunks are"
-        " kept: make room, then continue with --resume"
+        " kept: make room, then continue with `resume`"
     )

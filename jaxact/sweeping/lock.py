@@ -136,5 +136,5 @@ def _words(owner: dict[str, Any]) -> str:
 def _refusal(path: object, owner: dict[str, Any]) -> str:
     return (
         f"{path}: {_words(owner)} is filling this folder; wait for it, end it, or give another"
-        " --out (if it is gone for certain, remove this file)"
+        " `out` (if it is gone for certain, remove this file)"
     )

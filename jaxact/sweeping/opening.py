@@ -154,7 +154,7 @@ def check_netcdf(path: Path, *, overwrite: bool = False) -> None:
     if path.is_dir():
         raise UserError(f"{path}: is a folder; name a file in it")
     if path.exists() and not overwrite:
-        raise UserError(f"{path}: exists; give another name, or --overwrite to replace it")
+        raise UserError(f"{path}: exists; give another name, or `overwrite` to replace it")
     if not path.parent.is_dir():
         raise UserError(f"{path}: the folder {path.parent} does not exist; create it first")
 

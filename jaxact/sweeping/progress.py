@@ -229,7 +229,7 @@ def demand_equal(there: Mapping[str, object], here: Mapping[str, object], name: 
         shown = "; ".join(differing[:6]) + ("; ..." if len(differing) > 6 else "")
         raise UserError(
             f"{name}: was begun with another specification: {shown}; go back to that, give another"
-            " --out, or --overwrite to begin anew"
+            " `out`, or `overwrite` to begin anew"
         )
 
 

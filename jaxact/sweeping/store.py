@@ -344,4 +344,4 @@ def parameter(results: xr.Dataset, name: str) -> xr.DataArray:
 
 def unwritable(where: str | Path, error: OSError) -> str:
     """What to say of a place that cannot be written."""
-    return f"{where}: cannot be written ({error.strerror or error}); give another place with --out"
+    return f"{where}: cannot be written ({error.strerror or error}); give another place with `out`"

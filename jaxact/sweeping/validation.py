@@ -110,7 +110,7 @@ def recompute(target: Place, number: int, seed: int) -> Again:
 def _existing(target: Place) -> Store:
     store = progress.existing(target)
     if store is None:
-        raise UserError(f"{target.name}: does not say how it is cut up; --resume mends it")
+        raise UserError(f"{target.name}: does not say how it is cut up; `resume` mends it")
     return store
 
 
@@ -120,7 +120,7 @@ def _described(target: Place) -> tuple[Specification, Samples, Samples]:
     try:
         specification = reading.parse(str(attributes["specification_toml"]))
     except KeyError:
-        raise UserError(f"{target.name}: its description is lost; --resume mends it") from None
+        raise UserError(f"{target.name}: its description is lost; `resume` mends it") from None
     grid = expand(specification)
     if "adaptive" not in attributes:
         return specification, grid, grid

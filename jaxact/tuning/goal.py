@@ -132,14 +132,14 @@ def check(goal: Goal) -> Goal:
         if not least <= value < math.inf:
             raise UserError(f"{_option(name)} {value:g}: must be finite and {words}")
     if goal.min_kp > goal.max_kp:
-        raise UserError(f"--min-kp {goal.min_kp:g} is above --max-kp {goal.max_kp:g}")
+        raise UserError(f"`min_kp` {goal.min_kp:g} is above `max_kp` {goal.max_kp:g}")
     if goal.objective == "disk-margin" and goal.min_kp == 0.0:
         raise UserError(
             "the disk margin is largest for gains that do nothing; say how stiff the joint must be "
-            "with --min-kp"
+            "with `min_kp`"
         )
     if goal.objective == "tracking" and len(goal.reference) < 2:
-        raise UserError("tracking needs a file of setpoints: --objective tracking:FILE")
+        raise UserError("tracking needs a file of setpoints: `objective` tracking:FILE")
     return goal
 
 

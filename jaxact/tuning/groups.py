@@ -71,27 +71,27 @@ def group(patterns: Sequence[str], names: Sequence[tuple[str, str]]) -> Groups:
     if not patterns:
         return Groups(joints, np.arange(len(joints)), joints)
     if len(set(patterns)) < len(patterns):
-        raise UserError("--groups: the same pattern is given twice")
+        raise UserError("`groups`: the same pattern is given twice")
     members = np.full(len(joints), -1)
     for number, pattern in enumerate(patterns):
         found = _matching(pattern, names)
         if not found.size:
             raise UserError(
-                f"--groups {shown(pattern)}: matches no driven joint; they are {', '.join(joints)}"
+                f"`groups` {shown(pattern)}: matches no driven joint; they are {', '.join(joints)}"
             )
         taken = found[members[found] >= 0]
         if taken.size:
             other = patterns[int(members[taken[0]])]
             raise UserError(
-                f"--groups: joint '{joints[taken[0]]}' matches both {shown(other)} and "
+                f"`groups`: joint '{joints[taken[0]]}' matches both {shown(other)} and "
                 f"{shown(pattern)}; a joint belongs to one group"
             )
         members[found] = number
     left = [joint for joint, own in zip(joints, members, strict=True) if own < 0]
     if left:
         raise UserError(
-            f"--groups: joint '{left[0]}' is in no group; add a pattern for it, or leave it "
-            "undriven with --joints"
+            f"`groups`: joint '{left[0]}' is in no group; add a pattern for it, or leave it "
+            "undriven with `joints`"
         )
     return Groups(tuple(patterns), members, joints)
 
@@ -99,10 +99,10 @@ def group(patterns: Sequence[str], names: Sequence[tuple[str, str]]) -> Groups:
 def _matching(pattern: str, names: Sequence[tuple[str, str]]) -> np.ndarray:
     """Numbers of the joints that a pattern matches."""
     if not pattern:
-        raise UserError("--groups: a pattern is empty; write NAME,NAME,...")
+        raise UserError("`groups`: a pattern is empty; write NAME,NAME,...")
     try:
         expression = re.compile(pattern)
     except re.error as error:
-        raise UserError(f"--groups {shown(pattern)}: is no regular expression ({error})") from None
+        raise UserError(f"`groups` {shown(pattern)}: is no regular expression ({error})") from None
     hits = [any(expression.search(name) for name in pair) for pair in names]
     return np.flatnonzero(hits)

@@ -25,7 +25,7 @@ def peaks(number: int, lowest: float = LOWEST, highest: float = HIGHEST) -> np.n
     Raises UserError for fewer than two.
     """
     if not 2 <= number <= MOST:
-        raise UserError(f"--pareto {number}: give between 2 and {MOST} points")
+        raise UserError(f"`pareto` {number}: give between 2 and {MOST} points")
     return 1.0 / np.linspace(1.0 / lowest, 1.0 / highest, number)
 
 

@@ -178,15 +178,15 @@ def _instead(name: str, goal: Goal) -> str:
         # (2 + a) / (2 - a) of a balanced disk margin a
         disk = 2.0 * (factor - 1.0) / (factor + 1.0)
         return (
-            f"--min-disk-margin {disk:.4g} leaves a factor of {factor:g} on the gains of every "
+            f"`min_disk_margin` {disk:.4g} leaves a factor of {factor:g} on the gains of every "
             "joint by its own"
         )
     if name == "min_delay_margin":
         return (
-            f"--uncertainty output_delay=0..{goal.min_delay_margin:g} makes all bounds hold with "
+            f"`uncertainty` output_delay=0..{goal.min_delay_margin:g} makes all bounds hold with "
             "so much more delay"
         )
-    return "--max-kp and --max-peak keep the noise down, and --validate simulates it"
+    return "`max_kp` and `max_peak` keep the noise down, and `validate` simulates it"
 
 
 def _checked(wish: Wish | None, groups: Groups, *, verify: bool) -> Wish | None:
@@ -195,10 +195,10 @@ def _checked(wish: Wish | None, groups: Groups, *, verify: bool) -> Wish | None:
         robot_tracking.check(wish, len(groups))
         wish = wish if wish.weight > 0.0 else None
     if wish is not None and verify:
-        raise UserError("--verify: knows of no --tracking-weight")
+        raise UserError("`verify`: knows of no `tracking_weight`")
     if verify and len(groups) > robot_brute.MOST_GROUPS:
         raise UserError(
-            f"--verify: tries {2 * len(groups)} gains against each other, which takes too long; "
+            f"`verify`: tries {2 * len(groups)} gains against each other, which takes too long; "
             f"group the joints, {robot_brute.MOST_GROUPS} groups at most"
         )
     return wish
@@ -219,11 +219,11 @@ def _check(
             raise UserError(f"--{option}: is for a single joint; of a robot {_instead(name, goal)}")
     if goal.risk != "worst":
         raise UserError(
-            f"--risk {goal.risk}: of a robot every loop counts, worst; leave out what need not "
-            "hold by a narrower --uncertainty"
+            f"`risk` {goal.risk}: of a robot every loop counts, worst; leave out what need not "
+            "hold by a narrower `uncertainty`"
         )
     if goal.objective == "stiffness" and not goal.active:
-        raise UserError("nothing limits the gains; give --max-peak or --min-disk-margin")
+        raise UserError("nothing limits the gains; give `max_peak` or `min_disk_margin`")
     for one in situations:
         joints = tuple(name for name, _ in one.names)
         if one.spans != situations[0].spans:

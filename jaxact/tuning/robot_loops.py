@@ -26,6 +26,7 @@ from jaxact.compilation.programs import Program
 from jaxact.drive.step import Drive
 from jaxact.errors import UserError
 from jaxact.loops import robots
+from jaxact.loops.conversion import drive_of
 from jaxact.loops.samples import explicit
 from jaxact.loops.specification import Setting, Specification
 from jaxact.loops.template import Template
@@ -163,7 +164,7 @@ def _with_gains(specification: Specification) -> tuple[Specification, bool]:
 
 
 def _drive(template: Template, values: Mapping[str, float]) -> Drive:
-    return kernel.drive_of(
+    return drive_of(
         kernel.resolved(template, {key: jnp.asarray(value) for key, value in values.items()})
     )
 
@@ -189,28 +190,28 @@ def _ends(
             of_model = np.unique(brought[span.name])
             if span.factor and of_model.size > 1:
                 raise UserError(
-                    f"--uncertainty {span.name}: the model's joints differ in it; give "
+                    f"`uncertainty` {span.name}: the model's joints differ in it; give "
                     f"--{span.name.replace('_', '-')}"
                 )
             own[span.name] = float(of_model[0])
         if span.factor and not np.isfinite(list(own.values())).all():
             raise UserError(
-                f"--uncertainty {span.name}: the actuator is ideal, its {span.name} cannot vary by "
-                "a factor; give --wn and --zeta or an --actuator"
+                f"`uncertainty` {span.name}: the actuator is ideal, its {span.name} cannot vary by "
+                "a factor; give `wn` and `zeta` or an `actuator`"
             )
         if span.factor and not any(own.values()):
             raise UserError(
-                f"--uncertainty {span.name}: is 0, which no factor changes; write both ends in its "
+                f"`uncertainty` {span.name}: is 0, which no factor changes; write both ends in its "
                 "unit, without x"
             )
         if not span.factor and len(own) > 1:
             raise UserError(
-                f"--uncertainty {span.name}: joints differ in it; write the ends as factors, 0.8x"
+                f"`uncertainty` {span.name}: joints differ in it; write the ends as factors, 0.8x"
             )
         scales = {key: value if span.factor else 1.0 for key, value in own.items()}
         for key, scale in scales.items():
             low, high = (
-                in_bounds(key, end * scale, f"--uncertainty {span.name}: {key}")
+                in_bounds(key, end * scale, f"`uncertainty` {span.name}: {key}")
                 for end in (span.low, span.high)
             )
             rows.append((key, place, low, high))

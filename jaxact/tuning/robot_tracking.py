@@ -65,11 +65,11 @@ def check(wish: Wish, groups: int) -> str:
     Raises UserError for a weight or a mode that makes no sense.
     """
     if not (wish.weight >= 0.0 and math.isfinite(wish.weight)):
-        raise UserError(f"--tracking-weight {wish.weight:g}: give a positive number, 0 for none")
+        raise UserError(f"`tracking_weight` {wish.weight:g}: give a positive number, 0 for none")
     try:
         return chosen(wish.derivative, 2 * groups)
     except UserError as mistake:
-        raise UserError(f"--derivative: {mistake}") from None
+        raise UserError(f"`derivative`: {mistake}") from None
 
 
 def tracking(

@@ -76,21 +76,21 @@ def read_spans(text: str) -> tuple[Span, ...]:
         name, equals, ends = part.partition("=")
         first, dots, last = ends.partition("..")
         if not equals or not dots:
-            raise UserError(f"--uncertainty {shown(part)}: write it as NAME=LOW..HIGH")
+            raise UserError(f"`uncertainty` {shown(part)}: write it as NAME=LOW..HIGH")
         if name in _REFUSED:
-            raise UserError(f"--uncertainty {name}: {_REFUSED[name]}")
+            raise UserError(f"`uncertainty` {name}: {_REFUSED[name]}")
         if name not in VARIED:
-            raise UserError(f"--uncertainty {shown(name)}; {nearest(name, VARIED)}")
+            raise UserError(f"`uncertainty` {shown(name)}; {nearest(name, VARIED)}")
         if name in (span.name for span in spans):
-            raise UserError(f"--uncertainty {name} is given twice")
+            raise UserError(f"`uncertainty` {name} is given twice")
         factors = [name in _FACTORS or end.strip().endswith("x") for end in (first, last)]
         if factors[0] != factors[1]:
-            raise UserError(f"--uncertainty {part}: write both ends as factors, or none")
+            raise UserError(f"`uncertainty` {part}: write both ends as factors, or none")
         low, high = _number(first, part), _number(last, part)
         if low > high:
-            raise UserError(f"--uncertainty {part}: the lower end is above the upper")
+            raise UserError(f"`uncertainty` {part}: the lower end is above the upper")
         if low < 0.0 or (name in _FACTORS and low == 0.0):
-            raise UserError(f"--uncertainty {part}: must be positive")
+            raise UserError(f"`uncertainty` {part}: must be positive")
         spans.append(Span(name, low, high, factors[0]))
     return tuple(spans)
 
@@ -101,7 +101,7 @@ def _number(text: str, part: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise UserError(f"--uncertainty {shown(part)}: {shown(text)} is no number")
+        raise UserError(f"`uncertainty` {shown(part)}: {shown(text)} is no number")
     return value
 
 

@@ -166,7 +166,7 @@ def _check(cases: Sequence[Case], given: Sequence[tuple[float, float]] | None, s
         if unlimited or not np.all(joint.time_scale(case) > 0.0):
             raise UserError(
                 "nothing limits the gains; give an actuator, a delay, a control rate, a constraint "
-                "or --max-kp"
+                "or `max_kp`"
             )
     if starts < 0 or (starts == 0 and given is None):
         raise UserError(f"{starts} starts: give at least one, or gains to start from")

@@ -83,16 +83,16 @@ def read_box(text: str, nominal: Ensemble) -> Box:
         word, equals, span = part.strip().partition("=")
         first, dots, last = span.partition("..")
         if not equals or not dots:
-            raise UserError(f"--uncertainty {shown(part.strip())}: write it as NAME=LOW..HIGH")
+            raise UserError(f"`uncertainty` {shown(part.strip())}: write it as NAME=LOW..HIGH")
         if word not in _SHORT:
-            raise UserError(f"--uncertainty {shown(word)}; {nearest(word, _SHORT)}")
+            raise UserError(f"`uncertainty` {shown(word)}; {nearest(word, _SHORT)}")
         name = _SHORT[word]
         if name in low:
-            raise UserError(f"--uncertainty {word} is given twice")
+            raise UserError(f"`uncertainty` {word} is given twice")
         own = float(getattr(nominal, name)[0])
         low[name], high[name] = (_end(end, word, own, part.strip()) for end in (first, last))
         if low[name] > high[name]:
-            raise UserError(f"--uncertainty {part.strip()}: the lower end is above the upper")
+            raise UserError(f"`uncertainty` {part.strip()}: the lower end is above the upper")
     box = Box(nominal, low, high)
     corners = box.corners()
     ensemble(*(getattr(corners, name) for name in PARAMETERS))
@@ -106,11 +106,11 @@ def _end(text: str, word: str, own: float, part: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise UserError(f"--uncertainty {shown(part)}: {shown(text)} is no number")
+        raise UserError(f"`uncertainty` {shown(part)}: {shown(text)} is no number")
     if factor and not math.isfinite(own):
         raise UserError(
-            f"--uncertainty {part}: the actuator is ideal, its {word} cannot vary by a factor; "
-            "give --wn and --zeta or an --actuator"
+            f"`uncertainty` {part}: the actuator is ideal, its {word} cannot vary by a factor; "
+            "give `wn` and `zeta` or an `actuator`"
         )
     return value * own if factor else value
 

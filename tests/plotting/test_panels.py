@@ -114,7 +114,7 @@ def test_more_axes_than_panels_can_show():
     samples = expand(specification)
     flat = {"growth_rate": np.zeros(len(samples)), "verdict": np.zeros(len(samples), np.int8)}
     results = dataset_of(specification, samples, flat)
-    with pytest.raises(UserError, match="--select mass=VALUE"):
+    with pytest.raises(UserError, match="`select` mass=VALUE"):
         arrange(results)
     assert len(arrange(results, select={"mass": "0.7"}).panels) == 4
 

@@ -149,7 +149,7 @@ def test_sizes_are_read(text, size):
 
 @pytest.mark.parametrize("text", ["", "much", "-3G", "3X", "0", "nan", "1e9"])
 def test_what_is_no_size_is_refused(text):
-    with pytest.raises(UserError, match="--memory"):
+    with pytest.raises(UserError, match="`memory`"):
         memory.read_size(text)
 
 

@@ -104,7 +104,7 @@ def test_resume_begins_where_there_is_nothing_and_keeps_what_is_complete(tmp_pat
 
 def test_what_is_there_is_neither_continued_nor_replaced_unasked(tmp_path, whole):
     _begun(tmp_path)
-    with pytest.raises(UserError, match=r"--resume.*--overwrite"):
+    with pytest.raises(UserError, match=r"`resume`.*`overwrite`"):
         _run(tmp_path)
     _run(tmp_path, overwrite=True)
     assert contents(tmp_path) == whole
@@ -210,7 +210,7 @@ def test_lost_metadata_is_written_again(lost, tmp_path, whole):
 
 def test_results_that_are_damaged_or_unfinished_are_not_drawn(tmp_path):
     _begun(tmp_path)
-    with pytest.raises(UserError, match="--resume"):
+    with pytest.raises(UserError, match="resume"):
         opening.open_result(tmp_path)
     assert np.isnan(
         opening.open_result(tmp_path, unfinished=True)["growth_rate"].values[-1, -1, -1]
@@ -303,7 +303,7 @@ def test_a_full_disk_keeps_what_is_done(room, mounted, whole):
             while True:
                 filler.write(b"x" * 4096)
         filler.truncate(filler.tell() - room)
-    with pytest.raises(UserError, match=r"No space left.*2 of 12 chunks are kept.*--resume"):
+    with pytest.raises(UserError, match=r"No space left.*2 of 12 chunks are kept.*`resume`"):
         _run(mounted / "out", resume=True)
     assert _states(mounted / "out").count(State.DONE) == done
     assert not list(mounted.rglob("*.partial"))
@@ -337,7 +337,7 @@ def test_a_url_holds_a_store_as_a_folder_does(tmp_path, whole):
 
     with pytest.raises(KeyboardInterrupt):
         filled(4)
-    with pytest.raises(UserError, match="--resume"):
+    with pytest.raises(UserError, match="resume"):
         filled(None)
     filled(None, resume=True)
     opened = opening.open_result(url).load()

@@ -225,7 +225,7 @@ def test_goals_that_make_no_sense(goal, said):
     "text", ["wn", "wn=1", "speed=1..2", "wn=2..1", "wn=a..b", "delay=-1..0", "wn=1..2,wn=1..2"]
 )
 def test_boxes_that_make_no_sense(text):
-    with pytest.raises(UserError, match="--uncertainty|member"):
+    with pytest.raises(UserError, match="uncertainty|member"):
         read_box(text, STARLETH)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact.cli._warnings import RESIDUAL
+from jaxact.plotting.wording import quantity
 
 if TYPE_CHECKING:
     from jaxact.analysis.robot.changes import Change
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # Joints of a mode that are named.
 _MOST_NAMED = 6
+# Accelerations of a posture at rest are smaller [rad/s^2 or m/s^2].
+RESIDUAL = 1e-2
 _WIDTH = 118
 
 
@@ -213,8 +215,6 @@ def _change(change: Change, form: str, names: tuple[str, ...]) -> str:
 
 
 def _whole_rows(found: WholeRobot) -> list[tuple[str, str]]:
-    from jaxact.plotting.wording import quantity
-
     whole = found.margins.whole
     assert whole is not None
 

@@ -1,0 +1,210 @@
+"""The drive around any simulator: `jaxact.drive_around`.
+
+    drive = jaxact.drive_around(step, loop, measure=measure, physics_step=0.002, joints=12)
+    state = drive.init(data)                         # data: the simulator's own state
+    state, output = drive.step(state, setpoint)      # one control period
+    data = state.simulator
+
+It is the same step as everywhere: the controller ticks once, then the simulator takes its physics
+steps under the force of the drive, and where a measurement is delayed it is captured in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.drive import options as _options
+from jaxact.drive import sensor as _sensor
+from jaxact.drive import step as _drive
+from jaxact.drive.controller import Setpoint
+from jaxact.drive.options import Drive, DriveOptions
+from jaxact.drive.step import Force
+from jaxact.errors import UserError
+from jaxact.loops import loop as _loop
+from jaxact.loops.control_loop import ControlLoop, is_traced
+from jaxact.loops.conversion import drive_of
+from jaxact.loops.loop import Loop, LoopState, Output, Prepared
+from jaxact.plants.linear import hermite
+
+Step = Callable[[Any, jax.Array], Any]
+"""(state of a simulator, joint forces [N or N m], shape (joints,)) -> state a step later."""
+Measure = Callable[[Any], tuple[jax.Array, jax.Array]]
+"""State of a simulator -> joint positions [m or rad] and velocities, shape (joints,) each."""
+
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """Somebody's simulator as a plant; see `jaxact.plants.base.Plant`.
+
+    Attributes:
+        time_step: physics step [s].
+        advance_by: as `Step`.
+        measured: as `Measure`.
+        joints: number of driven joints, None for one without an axis.
+    """
+
+    time_step: jax.Array | float
+    advance_by: Step
+    measured: Measure
+    joints: int | None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the joint quantities."""
+        return () if self.joints is None else (self.joints,)
+
+    def prepare(self, step: jax.Array) -> Simulator:
+        """The same: a simulator's step is its own."""
+        return self
+
+    def measure(self, state: Any) -> tuple[jax.Array, jax.Array]:
+        """Joint positions [m or rad] and velocities [m/s or rad/s]."""
+        return self.measured(state)
+
+    def advance(self, state: Any, force: Force) -> Any:
+        """State one physics step later under the mean force, so that the impulse is exact."""
+        return self.advance_by(state, force.mean)
+
+    def between(
+        self, before: Any, after: Any, force: Force, offset: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """State `offset` [s] into a step: cubic Hermite position, linear velocity."""
+        return hermite(self.measured(before), self.measured(after), offset, self.time_step)
+
+
+@dataclass(frozen=True)
+class DrivenState:
+    """A simulator and its drives between two control periods.
+
+    Attributes:
+        loop: of both.
+        tick: number of control periods so far, int32.
+    """
+
+    loop: LoopState
+    tick: jax.Array
+
+    @property
+    def simulator(self) -> Any:
+        """The simulator's own state."""
+        return self.loop.plant
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A simulator with drives around it; a pytree of the drives' coefficients.
+
+    Attributes:
+        prepared: coefficients, and the simulator.
+        options: static side of the drives.
+    """
+
+    prepared: Prepared
+    options: DriveOptions
+
+    def init(self, state: Any, *, command: jax.Array | float = 0.0) -> DrivenState:
+        """Drives that have held a command for ever, around a simulator in this state.
+
+        Args:
+            state: the simulator's own.
+            command: past command, and the force it gives [N or N m], shape (joints,) or a number.
+        """
+        position, velocity = self.prepared.plant.measure(state)
+        drive = _drive.init(self.prepared.drive, self.options, position, velocity, command=command)
+        return DrivenState(LoopState(state, drive), jnp.zeros((), jnp.int32))
+
+    def step(
+        self, state: DrivenState, setpoint: Setpoint | jax.Array, key: jax.Array | None = None
+    ) -> tuple[DrivenState, Output]:
+        """One control period: the controllers tick, and the simulator takes its physics steps.
+
+        Args:
+            state: from `init` or the step before.
+            setpoint: joint positions [m or rad], shape (joints,), or with velocities and forces.
+            key: random key of this simulator, the same at every step; needed only with noise.
+
+        Returns:
+            The state a control period later, and what happened.
+        """
+        if not isinstance(setpoint, Setpoint):
+            setpoint = Setpoint(jnp.asarray(setpoint))
+        like = self.prepared.drive.drive.controller.kp
+        draws = _sensor.draw(self.options.sensor, key, state.tick, like)
+        loop, (output, _) = _loop.step(self.prepared, self.options, state.loop, setpoint, draws)
+        return DrivenState(loop, state.tick + 1), output
+
+
+jax.tree_util.register_dataclass(
+    Simulator, data_fields=["time_step"], meta_fields=["advance_by", "measured", "joints"]
+)
+jax.tree_util.register_dataclass(
+    DrivenState, data_fields=[f.name for f in fields(DrivenState)], meta_fields=[]
+)
+jax.tree_util.register_dataclass(Driven, data_fields=["prepared"], meta_fields=["options"])
+
+
+def drive_around(
+    step: Step,
+    loop: ControlLoop | Drive,
+    *,
+    measure: Measure,
+    physics_step: float,
+    joints: int | None = None,
+    longest: ControlLoop | Drive | None = None,
+) -> Driven:
+    """Put the drive around a function that advances a simulator by one physics step.
+
+    Everything can be compiled, mapped and differentiated, as far as the simulator can.
+
+    Args:
+        step: (state, forces of shape (joints,)) -> the state one physics step later.
+        loop: gains, actuator, delays, sensing, limits and control rate, of which a value is a
+            number or has the shape (joints,); the plant's own parameters do not count.
+        measure: state -> joint positions [m or rad] and velocities, shape (joints,) each.
+        physics_step: of the simulator [s]; the control period is a multiple of it.
+        joints: number of driven joints, None for a single one whose quantities have no axis.
+        longest: where values of `loop` are traced or change later: a loop with the longest delays
+            and with every part (noise, resolution, limits) that may occur.
+
+    Returns:
+        What begins, and takes control periods; see `Driven`.
+
+    Raises:
+        UserError: the control period is no multiple of the physics step.
+        TypeError: the loop is traced, and `longest` is not given.
+    """
+    if isinstance(loop, ControlLoop) and is_traced(loop) and longest is None:
+        raise TypeError(
+            "values of the loop are traced: give longest, a loop with the longest delays and with "
+            "every part that may occur"
+        )
+    static = loop if longest is None else longest
+    drive, known = _drive_in(loop), _drive_in(static)
+    periods = np.unique(np.asarray(known.control_period, float))
+    ratio = float(periods[0]) / physics_step
+    substeps = round(ratio)
+    if len(periods) > 1 or substeps < 1 or abs(ratio - substeps) > _ROUNDING * ratio:
+        raise UserError(
+            f"control_rate: its period {periods[0]:g} s is no multiple of the physics step "
+            f"{physics_step:g} s; allowed e.g. control_rate = {1 / physics_step:g}"
+        )
+    differenced = isinstance(static, ControlLoop) and static.kind.velocity == "differenced"
+    options = _options.options(known, substeps=substeps, differenced=differenced)
+    plant = Simulator(jnp.asarray(physics_step), step, measure, joints)
+    return Driven(_loop.prepare(Loop(plant, drive), options), options)
+
+
+def _drive_in(loop: ControlLoop | Drive) -> Drive:
+    if isinstance(loop, Drive):
+        return loop
+    values = loop.parameters
+    scale = values["gain_scale"]
+    return drive_of({**values, "kp": scale * values["kp"], "kd": scale * values["kd"]})

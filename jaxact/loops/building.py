@@ -1,0 +1,118 @@
+"""Building loops from the parameters that everybody knows."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import ValidationError
+
+from jaxact.errors import UserError, nearest, shown
+from jaxact.loops.control_loop import ControlLoop, Kind, made, read
+from jaxact.loops.specification import Motion, Plant, Push
+
+Velocity = Literal["sampled", "differenced"]
+_VELOCITIES = ("sampled", "differenced")
+
+
+def joint(
+    *, actuator: str | Sequence[str] | None = None, velocity: Velocity = "sampled",
+    physics_step: float | None = None, **parameters: Any,
+) -> ControlLoop:  # fmt: skip
+    """The loop of one joint: a mass under PD control through an actuator with delays.
+
+        loop = jaxact.joint(mass=0.7, kp=400, kd=20, actuator="starleth", delay=1e-3)
+
+    Args:
+        actuator: preset that sets wn and zeta, "ideal", "hyq" or "starleth"; or several.
+        velocity: that the controller sees, "sampled" or the "differenced" position.
+        physics_step: of the plant [s]; None for the control period.
+        parameters: any parameter of `jaxact parameters` by its short or long name, scalars or
+            arrays that broadcast: kp [N/m], kd [N s/m], mass [kg], wn [rad/s], zeta, delay,
+            measurement_delay, output_delay [s], control_rate [Hz], velocity_filter [rad/s],
+            force_limit [N], position_resolution [m], ... Of a rotary joint read N m, rad, kg m^2.
+            What is not given has the default of the table: the joint of the reference study.
+
+    Returns:
+        The loop, or a batch of loops.
+
+    Raises:
+        UserError: an unknown name, a value out of bounds, shapes that do not broadcast.
+    """
+    kind = Kind(velocity=_velocity(velocity), physics_step=physics_step)
+    return made(read({"actuator": actuator, **parameters}, robot=False), kind)
+
+
+def robot(
+    model: str | os.PathLike[str],
+    *,
+    keyframe: str | None = None,
+    joints: str | Sequence[str] = (".*",),
+    base: Literal["free", "fixed", "held"] = "free",
+    damping: Literal["joint", "drive"] = "joint",
+    friction: Literal["moving", "stuck"] = "moving",
+    posture: Literal["settled", "keyframe"] = "settled",
+    payload_body: str | None = None,
+    actuator: str | Sequence[str] | None = None,
+    velocity: Velocity = "sampled",
+    physics_step: float | None = None,
+    integrator_correction: bool = False,
+    motion: Motion | None = None,
+    push: Push | None = None,
+    **parameters: Any,
+) -> ControlLoop:
+    """The loop of a MuJoCo robot: its model under the drives of its joints.
+
+        stand = jaxact.robot("go1.xml", keyframe="home", base="fixed", delay=2e-3)
+
+    Args:
+        model: MJCF or URDF file.
+        keyframe: posture, None for the model's default.
+        joints: regular expressions; joints or actuators that match in full are driven.
+        base: "free" as the model has it, "fixed" on a stand without contact, "held" where it
+            stands.
+        damping: the joints' own, left in the "joint", or moved into the "drive" as part of kd.
+        friction: dry friction of the linearised robot, see `jaxact.loops.specification.Plant`.
+        posture: brought to rest first ("settled"), or as the "keyframe" has it.
+        payload_body: that carries the payload, None for the heaviest.
+        actuator: preset of all joints that sets wn and zeta.
+        velocity: that the controllers see.
+        physics_step: [s], None for the model's own.
+        integrator_correction: take back MuJoCo's half step of lead.
+        motion, push: of the setpoint, and on a body, in simulations.
+        parameters: as for `jaxact.joint`; gains, limits and delays that are not given are those of
+            the model's own actuators. For some joints, a table of patterns:
+            `kp={".*_knee": 300, ".*_hip": 200}` [N m/rad of hinges].
+
+    Returns:
+        The loop, or a batch of loops. The model is read when something is asked of it.
+
+    Raises:
+        UserError: there is no such file, and as `jaxact.joint`.
+    """
+    path = Path(model)
+    if not path.is_file():
+        raise UserError(f"model = {shown(str(path))}: no such file; give an MJCF or URDF file")
+    patterns = (joints,) if isinstance(joints, str) else tuple(joints)
+    try:
+        plant = Plant(
+            model=path, keyframe=keyframe, posture=posture, joints=patterns,
+            payload_body=payload_body, base=base, damping=damping, friction=friction,
+        )  # fmt: skip
+    except ValidationError as error:
+        raise UserError(_complaint(error)) from None
+    kind = Kind(plant, _velocity(velocity), physics_step, integrator_correction, motion, push)
+    return made(read({"actuator": actuator, **parameters}, robot=True), kind)
+
+
+def _velocity(name: str) -> str:
+    if name not in _VELOCITIES:
+        raise UserError(f"velocity = {shown(name)}; {nearest(name, _VELOCITIES)}")
+    return name
+
+
+def _complaint(error: ValidationError) -> str:
+    first = error.errors(include_url=False)[0]
+    return f"{first['loc'][0]} = {shown(first['input'])}; {first['msg']}"

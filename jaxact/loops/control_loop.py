@@ -1,0 +1,282 @@
+"""The loop: a plant under its drives, by the names that everybody knows; one, or a batch of them.
+
+    loop = joint(mass=0.7, kp=400, kd=20, actuator="starleth", delay=[0, 1e-3, 5e-3])
+    loop.replace(kp=500)    # the same loop with other gains
+    loop[0]                 # one of the batch
+
+Every number is a parameter of `jaxact.parameters`, a scalar or an array; arrays broadcast against
+each other. A loop is a pytree of its numbers: it can be traced, mapped and differentiated.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxact.errors import UserError, nearest, shown
+from jaxact.loops.checks import OF_VELOCITY, check_velocity
+from jaxact.loops.specification import Motion, Plant, Push, Specification
+from jaxact.parameters import (
+    OF_MODEL,
+    PARAMETERS,
+    PRESETS,
+    ROBOT_ONLY,
+    base,
+    canonical,
+    check,
+    check_actuator,
+    known,
+    of,
+)
+
+ACTUATOR = "actuator"
+"""The name under which a preset sets wn and zeta."""
+_PRESET_SETS = ("wn", "zeta")
+# Values of an array that a `repr` shows.
+_SHOWN = 5
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What of a loop is no number; static where JAX traces.
+
+    Attributes:
+        plant: the robot, None for a single joint.
+        velocity: that the controller sees, "sampled" by a sensor or the "differenced" position.
+        physics_step: [s], None for the engine's own.
+        integrator_correction: take back MuJoCo's half step of lead, see `Specification`.
+        motion: of a robot's setpoint, None for a step.
+        push: on a robot, None for none.
+    """
+
+    plant: Plant | None = None
+    velocity: str = "sampled"
+    physics_step: float | None = None
+    integrator_correction: bool = False
+    motion: Motion | None = None
+    push: Push | None = None
+
+
+@dataclass(frozen=True, repr=False)
+class ControlLoop:
+    """A closed control loop, or a batch of them; made by `jaxact.joint` and `jaxact.robot`.
+
+    Every parameter of the table is an attribute, by its short or its long name: `loop.kp` or
+    `loop.stiffness` [N/m, of a rotary joint N m/rad].
+
+    Attributes:
+        values: the parameters that were given, by short name, of a robot also of some joints
+            (`kp@.*_knee`); numbers, or arrays that broadcast to `shape`.
+        kind: what is no number.
+    """
+
+    values: dict[str, Any]
+    kind: Kind = field(default_factory=Kind)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the batch, () of a single loop."""
+        return np.broadcast_shapes(*(np.shape(value) for value in self.values.values()))
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Every parameter by its short name; NaN where a robot's model has a say."""
+        return dict(Specification(plant=self.kind.plant).nominal) | self.values
+
+    def replace(self, **changes: Any) -> ControlLoop:
+        """The same loop with other parameters, or of another kind.
+
+        Args:
+            changes: as for `jaxact.joint`; of a robot also those of `jaxact.robot`.
+
+        Raises:
+            UserError: as there.
+        """
+        own = {f.name: changes.pop(f.name) for f in dataclasses.fields(Kind) if f.name in changes}
+        kind = dataclasses.replace(self.kind, **own)
+        if kind.plant is not None:
+            names = [f.name for f in dataclasses.fields(Plant) if f.name in changes]
+            mounted = {name: changes.pop(name) for name in names}
+            kind = dataclasses.replace(kind, plant=dataclasses.replace(kind.plant, **mounted))
+        return made({**self.values, **read(changes, robot=kind.plant is not None)}, kind)
+
+    def broadcast(self) -> ControlLoop:
+        """The same batch with every value an array of the batch's shape, as `jax.vmap` wants it."""
+        import jax.numpy as jnp
+
+        shape = self.shape
+        given = {name: jnp.broadcast_to(value, shape) for name, value in self.values.items()}
+        return dataclasses.replace(self, values=given)
+
+    def __getitem__(self, index: Any) -> ControlLoop:
+        """Some loops of the batch, as indexing an array of its shape gives them."""
+        shape = self.shape
+        if not shape:
+            raise IndexError("a single loop has no parts; give a parameter several values")
+
+        def part(value: Any) -> Any:
+            if isinstance(value, jax.core.Tracer | jax.Array):
+                import jax.numpy as jnp
+
+                return jnp.broadcast_to(value, shape)[index]
+            return np.broadcast_to(value, shape)[index]
+
+        picked = {name: part(value) if np.ndim(value) else value for name, value in
+                  self.values.items()}  # fmt: skip
+        return dataclasses.replace(self, values=picked)
+
+    def __len__(self) -> int:
+        """Length of the batch along its first axis."""
+        if not self.shape:
+            raise TypeError("a single loop has no length")
+        return self.shape[0]
+
+    def __iter__(self) -> Iterator[ControlLoop]:
+        """The loops of the batch along its first axis."""
+        return (self[number] for number in range(len(self)))
+
+    def __getattr__(self, name: str) -> Any:
+        """A parameter by its short or long name."""
+        short = canonical(name)
+        if name.startswith("_") or short not in PARAMETERS:
+            raise AttributeError(f"a loop has no {name!r}; parameters: {', '.join(PARAMETERS)}")
+        return self.parameters[short]
+
+    def __repr__(self) -> str:
+        """`joint: mass 0.7 kg, kp 400 N/m, ...; 3 loops`."""
+        plant = self.kind.plant
+        # A robot's joints may slide or turn, so that gains have no one unit.
+        units = plant is None
+        parts = [_described(name, value, units=units) for name, value in self.values.items()]
+        parts += [f"velocity {self.kind.velocity}"] * (self.kind.velocity != "sampled")
+        head = "joint" if plant is None else _mounted(plant)
+        number = math.prod(self.shape)
+        several = f"; {number:,} loops of shape {self.shape}" if self.shape else ""
+        return f"<{head}: {', '.join(parts) or 'all parameters at their defaults'}{several}>"
+
+
+jax.tree_util.register_dataclass(ControlLoop, data_fields=["values"], meta_fields=["kind"])
+
+
+def made(values: dict[str, Any], kind: Kind) -> ControlLoop:
+    """A loop whose values fit each other.
+
+    Args:
+        values: from `read`.
+        kind: of the loop.
+
+    Raises:
+        UserError: the shapes of the values do not broadcast, or the velocity of this kind has no
+            such sensor or filter.
+    """
+    loop = ControlLoop(values, kind)
+    try:
+        _ = loop.shape
+    except ValueError:
+        shapes = ", ".join(f"{name} {np.shape(v)}" for name, v in values.items() if np.ndim(v))
+        raise UserError(f"the shapes of the values do not broadcast: {shapes}") from None
+    for name, value in values.items():
+        if base(name) in OF_VELOCITY and not isinstance(value, jax.core.Tracer):
+            own = np.ravel(value).tolist()
+            check_velocity(name, own, name, differenced=kind.velocity == "differenced")
+    return loop
+
+
+def read(given: Mapping[str, Any], *, robot: bool) -> dict[str, Any]:
+    """Parameters by their short names, checked where they are known numbers.
+
+    Args:
+        given: parameter by either name, or `actuator` -> number, array or name; of a robot also
+            a table of patterns of joints -> number.
+        robot: whether the loop is a robot's.
+
+    Raises:
+        UserError: an unknown name, a value out of bounds, or what only a robot has.
+    """
+    values: dict[str, Any] = {}
+    for name, value in given.items():
+        short = canonical(name)
+        if short == ACTUATOR:
+            both = [other for other in given if canonical(other) in _PRESET_SETS]
+            if both and value is not None:
+                raise UserError(f"{both[0]}: the actuator preset sets it already; give one of them")
+            values |= {} if value is None else _preset(value)
+        elif isinstance(value, Mapping):
+            for pattern, own in value.items():
+                values |= {f"{short}@{pattern}": _checked(f"{short}@{pattern}", own, robot=robot)}
+        else:
+            values[short] = _checked(short, value, robot=robot)
+    return values
+
+
+def _preset(value: Any) -> dict[str, Any]:
+    """Wn and zeta of a preset, or of an array of them."""
+    names = np.asarray(value, dtype=object)
+    pairs = np.array([PRESETS[check_actuator(name)] for name in names.ravel().tolist()], float)
+    if not names.ndim:
+        return {"wn": float(pairs[0, 0]), "zeta": float(pairs[0, 1])}
+    return {"wn": pairs[:, 0].reshape(names.shape), "zeta": pairs[:, 1].reshape(names.shape)}
+
+
+def _checked(name: str, value: Any, *, robot: bool) -> Any:
+    """A value within the parameter's bounds; what JAX traces is taken as it is."""
+    if not known(name):
+        if "@" in name and base(name) in PARAMETERS:
+            raise UserError(f"{name}: what follows the @ is no pattern of joints, e.g. kp@.*_knee")
+        raise UserError(f"{name}: unknown parameter; {nearest(name, (*PARAMETERS, ACTUATOR))}")
+    if not robot and ("@" in name or name in ROBOT_ONLY):
+        raise UserError(f"{name}: only a robot has it; make one with jaxact.robot(model, ...)")
+    if isinstance(value, jax.core.Tracer):
+        return value
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise UserError(f"{name} = {shown(value)} is no number or array of numbers") from None
+    if not array.size:
+        raise UserError(f"{name} = {shown(value)} is empty; give at least one value")
+    if np.asarray(value).dtype.kind == "b":
+        check(name, True)
+    worst = (
+        array[np.isnan(array)] if np.isnan(array).any() else np.array([array.min(), array.max()])
+    )
+    for number in worst[:2]:
+        check(name, float(number))
+    if not array.ndim:
+        return float(array)
+    return value if isinstance(value, jax.Array) else array
+
+
+def is_traced(loop: ControlLoop) -> bool:
+    """Whether JAX traces one of the loop's values."""
+    return any(isinstance(value, jax.core.Tracer) for value in loop.values.values())
+
+
+def model_decides(loop: ControlLoop) -> tuple[str, ...]:
+    """Parameters that a robot's model brings and that were not given."""
+    return tuple(name for name in OF_MODEL if loop.kind.plant and name not in loop.values)
+
+
+def _described(name: str, value: Any, *, units: bool) -> str:
+    unit = of(name).unit if units or of(name).unit in ("s", "Hz", "rad/s") else "1"
+    if isinstance(value, jax.core.Tracer):
+        shown_value = "traced"
+    elif not np.ndim(value):
+        shown_value = f"{float(value):g}"
+    else:
+        flat = np.asarray(value, float).ravel()
+        rest = ", ..." if flat.size > _SHOWN else ""
+        shown_value = f"[{', '.join(f'{number:g}' for number in flat[:_SHOWN])}{rest}]"
+    return f"{name} {shown_value}{'' if unit == '1' else f' {unit}'}"
+
+
+def _mounted(plant: Plant) -> str:
+    words = [f"robot {plant.model.name}"]
+    words += [f"keyframe {plant.keyframe}"] if plant.keyframe else []
+    words += [f"base {plant.base}"] if plant.base != "free" else []
+    return ", ".join(words)

@@ -1,0 +1,229 @@
+"""What becomes of a loop: the loop of exact theory, and the specification and samples of a rollout.
+
+The one place where delays are added up and parameters become the fields of another description.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.analysis.joint.frequency import JointLoop
+from jaxact.analysis.sampled.period_map import SampledLoop
+from jaxact.drive.actuator import Actuator
+from jaxact.drive.controller import Controller
+from jaxact.drive.options import Drive
+from jaxact.drive.sensor import Sensor
+from jaxact.errors import UserError
+from jaxact.loops import checks
+from jaxact.loops.axes import Axis
+from jaxact.loops.control_loop import ACTUATOR, ControlLoop, is_traced
+from jaxact.loops.samples import Coordinate, Samples
+from jaxact.loops.specification import Specification
+from jaxact.parameters import PRESETS, of
+
+# An axis that varies nothing: a specification must have one.
+_NO_AXIS = Axis("feedforward", listed=(0.0,))
+# Rates must each fit the physics step; of what else varies the ends say enough.
+_EACH_COUNTS = ("control_rate", "policy_rate")
+_LOOP = {"long_name": "loop", "units": "1", "description": "Number of the loop."}
+
+
+def total_delay(values: Mapping[str, Any]) -> Any:
+    """The delay within the loop [s]: of command, measurement and output together.
+
+    Args:
+        values: parameters by short name, numbers or arrays.
+    """
+    return values["delay"] + values["measurement_delay"] + values["output_delay"]
+
+
+def drive_of(values: Mapping[str, Any]) -> Drive:
+    """The drive with these parameters, by their short names; scalars or arrays alike."""
+    return Drive(
+        controller=Controller(
+            kp=values["kp"],
+            kd=values["kd"],
+            feedforward=values["feedforward"],
+            command_resolution=values["command_resolution"],
+            setpoint_delay=values["setpoint_delay"],
+        ),
+        actuator=Actuator(
+            natural_frequency=values["wn"],
+            damping_ratio=values["zeta"],
+            delay=values["delay"],
+            force_limit=values["force_limit"],
+            force_rate_limit=values["force_rate_limit"],
+            stall_force=values["stall_force"],
+            no_load_speed=values["no_load_speed"],
+        ),
+        sensor=Sensor(
+            delay=values["measurement_delay"],
+            position_resolution=values["position_resolution"],
+            velocity_resolution=values["velocity_resolution"],
+            position_noise=values["position_noise"],
+            velocity_noise=values["velocity_noise"],
+            position_bias=values["position_bias"],
+            velocity_bias=values["velocity_bias"],
+            position_bias_walk=values["position_bias_walk"],
+            velocity_bias_walk=values["velocity_bias_walk"],
+            velocity_filter=values["velocity_filter"],
+        ),
+        output_delay=values["output_delay"],
+        control_period=1.0 / values["control_rate"],
+        policy_period=1.0 / values["policy_rate"],
+    )
+
+
+def continuous(values: Mapping[str, Any]) -> JointLoop:
+    """The linear loop in continuous time, in the precision that JAX has at this moment.
+
+    Args:
+        values: parameters by short name, numbers or arrays that broadcast; may be traced.
+    """
+    cutoff = values["velocity_filter"]
+    unfiltered = not isinstance(cutoff, jax.core.Tracer) and bool(np.isinf(cutoff).all())
+    return JointLoop(
+        kp=values["gain_scale"] * jnp.asarray(values["kp"], float),
+        kd=values["gain_scale"] * jnp.asarray(values["kd"], float),
+        mass=jnp.asarray(values["mass"], float),
+        natural_frequency=jnp.asarray(values["wn"], float),
+        damping_ratio=jnp.asarray(values["zeta"], float),
+        delay=jnp.asarray(total_delay(values), float),
+        velocity_filter=None if unfiltered else jnp.asarray(cutoff, float),
+    )
+
+
+def sampled(values: Mapping[str, Any], velocity: str) -> SampledLoop:
+    """The linear loop as its controller samples it, in the precision of this moment.
+
+    Args:
+        values: as for `continuous`.
+        velocity: that the controller sees, "sampled" or "differenced".
+    """
+    own = continuous(values)
+    return SampledLoop(
+        kp=own.kp,
+        kd=own.kd,
+        mass=own.mass,
+        natural_frequency=own.natural_frequency,
+        damping_ratio=own.damping_ratio,
+        delay=own.delay,
+        control_period=1.0 / jnp.asarray(values["control_rate"], float),
+        velocity_filter=jnp.asarray(values["velocity_filter"], float),
+        velocity=velocity,
+    )
+
+
+def specification(loop: ControlLoop, **options: Any) -> Specification:
+    """The checked specification of a loop; of a batch, its varied parameters are axes of their
+    ends.
+
+    Args:
+        loop: not traced.
+        options: of the specification: engine, duration, precision, seed, tile, devices, ...
+
+    Raises:
+        UserError: values or options that do not fit each other.
+        TypeError: the loop is traced.
+    """
+    if is_traced(loop):
+        raise TypeError("a simulation of this kind cannot be traced; call it outside jit and grad")
+    fixed = {name: float(v) for name, v in loop.values.items() if not np.ndim(v)}
+    axes = tuple(_axis(name, np.asarray(v)) for name, v in loop.values.items() if np.ndim(v))
+    kind = {f.name: getattr(loop.kind, f.name) for f in dataclasses.fields(loop.kind)}
+    options.setdefault("engine", "mass" if loop.kind.plant is None else "auto")
+    made = Specification(**kind, **options, parameters=fixed, axes=axes or (_NO_AXIS,))
+    checks.check(made)
+    return made
+
+
+def _axis(name: str, values: np.ndarray) -> Axis:
+    each = np.unique(values)
+    if name not in _EACH_COUNTS:
+        each = np.unique(each[[0, -1]])
+    return Axis(name, listed=tuple(each.tolist()))
+
+
+def samples(loop: ControlLoop) -> Samples:
+    """The loops of a batch as the samples of a sweep, a single loop as one sample.
+
+    A dimension along which a single parameter varies has its name, as that of presets is
+    `actuator`; any other is `loop`, numbered where there are several.
+
+    Args:
+        loop: not traced.
+    """
+    shape = loop.shape or (1,)
+    rank = len(shape)
+    arrays = {
+        name: np.asarray(value, float).reshape((1,) * (rank - np.ndim(value)) + np.shape(value))
+        for name, value in loop.values.items()
+    }
+    dims, coords = _dimensions(arrays, shape)
+    nominal = Specification(plant=loop.kind.plant).nominal
+    along = {name: np.full((1,) * rank, value, float) for name, value in nominal.items()} | arrays
+    return Samples(along, dims, shape, coords)
+
+
+def _dimensions(
+    arrays: Mapping[str, np.ndarray], shape: tuple[int, ...]
+) -> tuple[tuple[str, ...], dict[str, Coordinate]]:
+    """Names of the dimensions, and coordinates of what varies along each."""
+    varied = {name: [a for a, size in enumerate(array.shape) if size > 1] for name, array in
+              arrays.items() if array.size > 1}  # fmt: skip
+    preset = preset_axis(arrays)
+    preset = None if preset is None else preset.ravel()
+    dims: list[str] = []
+    for axis in range(len(shape)):
+        along = [name for name, axes in varied.items() if axes == [axis]]
+        if preset is not None and sorted(along) == ["wn", "zeta"]:
+            along = [ACTUATOR]
+        alone = len(along) == 1 and not any(axis in axes for name, axes in varied.items()
+                                            if len(axes) > 1)  # fmt: skip
+        dims.append(along[0] if alone else "loop" if len(shape) == 1 else f"loop_{axis}")
+    coords = {}
+    for name, axes in varied.items():
+        own = tuple(dims[axis] for axis in axes)
+        values = arrays[name].reshape([shape[axis] for axis in axes])
+        coords[name] = Coordinate(own, values, of(name).attributes)
+    for axis, dim in enumerate(dims):
+        if dim == ACTUATOR and preset is not None:
+            coords[dim] = Coordinate((dim,), preset, {"long_name": "actuator"})
+        elif dim not in coords:
+            coords[dim] = Coordinate((dim,), np.arange(shape[axis]), _LOOP)
+    return tuple(dims), coords
+
+
+def preset_axis(arrays: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """Names of the presets that several wn and zeta are all of, in their shape; else None.
+
+    Args:
+        arrays: parameters by short name.
+    """
+    if not {"wn", "zeta"} <= set(arrays) or arrays["wn"].size < 2:
+        return None
+    if arrays["wn"].shape != arrays["zeta"].shape:
+        return None
+    pairs = list(zip(arrays["wn"].ravel().tolist(), arrays["zeta"].ravel().tolist(), strict=True))
+    names = {pair: name for name, pair in PRESETS.items()}
+    if any(pair not in names for pair in pairs):
+        return None
+    found = np.array([names[pair] for pair in pairs], dtype=object)
+    return found.reshape(arrays["wn"].shape)
+
+
+def one(loop: ControlLoop) -> dict[str, float]:
+    """The parameters of a single loop as numbers.
+
+    Raises:
+        UserError: it is a batch.
+    """
+    if loop.shape:
+        raise UserError(f"this is for a single loop, not for a batch of {loop.shape}; index it")
+    return {name: float(value) for name, value in loop.parameters.items()}

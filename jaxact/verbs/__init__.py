@@ -1,0 +1,1 @@
+"""What a person asks of a loop: margins, boundary, simulation, sweep and tuning."""

@@ -1,0 +1,62 @@
+"""`jaxact.boundary`: the exact stability boundary of a joint's loop in the plane of its gains."""
+
+from __future__ import annotations
+
+from jaxact.analysis.boundary.boundary import (
+    BoundaryCurve,
+    continuous_boundary,
+    sampled_boundary,
+)
+from jaxact.errors import UserError
+from jaxact.loops import conversion
+from jaxact.loops.control_loop import ControlLoop
+
+Window = tuple[float, float]
+
+# The window where none is given: so far around the loop's own gains, to either side.
+_AROUND = 100.0
+
+
+def boundary(
+    loop: ControlLoop, *, kp: Window | None = None, kd: Window | None = None, sampled: bool = False
+) -> list[BoundaryCurve]:
+    """All curves of gains at which a root of the loop is marginal, the D-partition.
+
+        for curve in jaxact.boundary(jaxact.joint(actuator="hyq", delay=1e-3)):
+            axes.plot(curve.kp, curve.kd)
+
+    Args:
+        loop: a single joint's; what its gains are matters for the default window only.
+        kp, kd: (low, high) of the window of gains [N/m], [N s/m]; where low > 0 it is sampled
+            evenly in its logarithm. None: a hundredth to a hundred times the loop's own.
+        sampled: of the loop as its controller samples it, else of the one in continuous time.
+
+    Returns:
+        The curves; `separates` of each says whether it bounds the stable region.
+
+    Raises:
+        UserError: a batch of loops, a robot, or an empty window.
+    """
+    if loop.kind.plant is not None:
+        raise UserError("the boundary in closed form is that of a joint; sweep a robot's gains")
+    conversion.specification(loop)  # what does not fit is said here
+    own = conversion.one(loop)
+    ranges = {"kp_range": _window("kp", kp, own["kp"]), "kd_range": _window("kd", kd, own["kd"])}
+    plant = own["mass"], own["wn"], own["zeta"], conversion.total_delay(own)
+    if not sampled:
+        return continuous_boundary(*plant, velocity_filter=own["velocity_filter"], **ranges)
+    return sampled_boundary(
+        *plant, 1.0 / own["control_rate"], velocity=loop.kind.velocity,
+        velocity_filter=own["velocity_filter"], **ranges,
+    )  # fmt: skip
+
+
+def _window(name: str, given: Window | None, own: float) -> Window:
+    if given is None:
+        if not own > 0.0:
+            raise UserError(f"{name} = {own:g}: give the window of {name} as (low, high)")
+        return own / _AROUND, own * _AROUND
+    low, high = map(float, given)
+    if not (-float("inf") < low < high < float("inf")):
+        raise UserError(f"{name} = {given}: a window is (low, high), both finite, low < high")
+    return low, high

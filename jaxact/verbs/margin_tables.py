@@ -1,0 +1,205 @@
+"""The margins of a joint's loops as a table, as plain values, and as a dataset."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxact.loops import conversion
+from jaxact.loops.control_loop import ControlLoop
+from jaxact.plotting.wording import quantity
+from jaxact.verbs import naming
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+# Names of the output, in order. Margins mean nothing for an unstable loop, the others always do.
+ALWAYS = ("stable", "unstable_roots", "log_gain_to_boundary", "spectral_abscissa")
+MARGINS = (
+    "gain_margin", "gain_reduction_margin", "phase_crossover", "phase_margin", "gain_crossover",
+    "delay_margin", "sensitivity_peak", "sensitivity_peak_frequency", "complementary_peak",
+    "complementary_peak_frequency", "modulus_margin", "disk_margin",
+)  # fmt: skip
+UNITS = {
+    "stable": "1", "unstable_roots": "1", "log_gain_to_boundary": "1", "spectral_abscissa": "1/s",
+    "gain_margin": "1", "gain_reduction_margin": "1", "phase_crossover": "rad/s",
+    "phase_margin": "degree", "gain_crossover": "rad/s", "delay_margin": "s",
+    "sensitivity_peak": "1", "sensitivity_peak_frequency": "rad/s", "complementary_peak": "1",
+    "complementary_peak_frequency": "rad/s", "modulus_margin": "1", "disk_margin": "1",
+}  # fmt: skip
+NAMES = (*ALWAYS, *MARGINS)
+"""All figures."""
+_MOST_COLUMNS = 4
+
+Figures = Mapping[str, np.ndarray]
+"""Figures of loops by name, shape (n,) each; phase margins in degrees."""
+
+
+def text(loop: ControlLoop, found: Mapping[str, Figures]) -> str:
+    """The table of a loop's margins, or of a batch's.
+
+    Args:
+        loop: what they are of.
+        found: by the prefix of their names, "" or "sampled_".
+    """
+    samples = conversion.samples(loop)
+    own = conversion.specification(loop)
+    labels = naming.labels(samples) or (naming.loop_name(own),) * len(samples)
+    return tables(labels, samples.values["control_rate"], found)
+
+
+def dataset(loop: ControlLoop, figures: Figures) -> xr.Dataset:
+    """The figures as variables with units over the dimensions of the batch.
+
+    Args:
+        loop: what they are of.
+        figures: by name, shape (n,) each.
+    """
+    import xarray as xr
+
+    samples = conversion.samples(loop)
+    shape = samples.shape if loop.shape else ()
+    dims = samples.dims if loop.shape else ()
+    variables = {
+        name: (dims, masked(name, figures).reshape(shape), {"units": UNITS[name]}) for name in NAMES
+    }
+    coords = {
+        name: (place.dims, place.values, place.attributes) for name, place in samples.coords.items()
+    }
+    return xr.Dataset(variables, coords if loop.shape else {})
+
+
+def plain(name: str, figures: Mapping[str, np.ndarray], index: int) -> Any:
+    """One figure of one loop as JSON has it: null where it means nothing, "inf" for infinity."""
+    value = figures[name][index].item()
+    if name == "stable":
+        return bool(value)
+    if name == "unstable_roots":
+        return int(value)
+    meaningless = name in MARGINS and not figures["stable"][index]
+    if meaningless or math.isnan(value):
+        return None
+    if math.isinf(value):
+        return "inf" if value > 0 else "-inf"
+    return value
+
+
+def masked(name: str, figures: Figures) -> np.ndarray:
+    """A figure, NaN where it means nothing because the loop is unstable."""
+    values = np.asarray(figures[name])
+    return np.where(figures["stable"], values, np.nan) if name in MARGINS else values
+
+
+def tables(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Figures]) -> str:
+    """A column for each of a few loops, a line for each of many."""
+    from rich.console import Console
+
+    columns = len(labels) * len(found)
+    table = _tall(labels, rates, found) if columns <= _MOST_COLUMNS else _wide(labels, found)
+    console = Console(width=30 + 26 * max(columns, 4), highlight=False)
+    with console.capture() as captured:
+        console.print(table)
+    return "\n".join(line.rstrip() for line in captured.get().rstrip().splitlines())
+
+
+def _tall(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Figures]) -> Any:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("")
+    cells = []
+    for index, label in enumerate(labels):
+        for prefix, figures in found.items():
+            kind = f"\n{'sampled' if prefix else 'continuous'}" if len(found) > 1 else ""
+            table.add_column(f"{label}{kind}", justify="right")
+            cells.append(_column(figures, index, float(rates[index]),
+                                 periods=len(found) > 1))  # fmt: skip
+    for name in cells[0]:
+        if any(cell[name] for cell in cells):
+            table.add_row(name, *(cell[name] or "-" for cell in cells))
+    return table
+
+
+def _column(figures: Figures, index: int, rate: float, *, periods: bool) -> dict[str, str]:
+    """One loop's figures in words, by what they are called; "" where one means nothing."""
+
+    def value(name: str) -> float:
+        meaningless = name in MARGINS and not figures["stable"][index]
+        return math.nan if meaningless else float(figures[name][index])
+
+    def text(name: str, units: str = "") -> str:
+        return "" if math.isnan(value(name)) else quantity(value(name), units)
+
+    def at(name: str) -> str:
+        return f" at {text(name, 'rad/s')}" if math.isfinite(value(name)) else ""
+
+    gain, reduction, disk = (
+        value("gain_margin"),
+        value("gain_reduction_margin"),
+        value("disk_margin"),
+    )
+    decibel = f" ({20.0 * math.log10(gain):.1f} dB)" if math.isfinite(gain) else ""
+    phase = value("phase_margin")
+    delay = value("delay_margin")
+    return {
+        "stable": "yes" if figures["stable"][index] else "NO",
+        "unstable roots": f"{int(figures['unstable_roots'][index])}",
+        "gain margin": ""
+        if math.isnan(gain)
+        else text("gain_margin") + decibel + at("phase_crossover"),
+        "gain reduction margin": text("gain_reduction_margin") if reduction > 0 else "",
+        "phase margin": "" if math.isnan(phase) else f"{phase:.4g}°{at('gain_crossover')}",
+        "delay margin": text("delay_margin", "s"),
+        "  in control periods": f"{delay * rate:.4g}" if periods and not math.isnan(delay) else "",
+        "Ms (peak of |S|)": text("sensitivity_peak") + at("sensitivity_peak_frequency"),
+        "Mt (peak of |T|)": text("complementary_peak") + at("complementary_peak_frequency"),
+        "modulus margin": text("modulus_margin"),
+        "disk margin": text("disk_margin"),
+        "  guarantees gains": _gain_range(disk),
+        "  guarantees phase": "" if math.isnan(disk) else f"±{_phase_range(disk):.3g}°",
+        "rightmost root": text("spectral_abscissa", "1/s"),
+        "log gain to boundary": text("log_gain_to_boundary"),
+    }
+
+
+def _gain_range(disk: float) -> str:
+    """Gains that a balanced disk margin guarantees: (2 - a)/(2 + a) to (2 + a)/(2 - a)."""
+    if math.isnan(disk):
+        return ""
+    high = (2.0 + disk) / (2.0 - disk) if disk < 2.0 else math.inf
+    return f"×{max((2.0 - disk) / (2.0 + disk), 0.0):.3g} to ×{high:.3g}"
+
+
+def _phase_range(disk: float) -> float:
+    """Phase that it guarantees: 2 arctan(a / 2) [deg]."""
+    return 2.0 * math.degrees(math.atan(0.5 * disk))
+
+
+def _wide(labels: Sequence[str], found: Mapping[str, Figures]) -> Any:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    heads = ("loop", "gain margin", "phase margin [°]", "delay margin [ms]", "Ms", "Mt",
+             "disk margin", "unstable roots", "log gain to boundary")  # fmt: skip
+    for head in heads:
+        table.add_column(head, justify="left" if head == "loop" else "right")
+    for index, label in enumerate(labels):
+        for prefix, figures in found.items():
+            name = f"{label}, sampled" if prefix else label
+            scaled = figures | {"delay_margin": 1e3 * figures["delay_margin"]}
+            names = ("gain_margin", "phase_margin", "delay_margin", "sensitivity_peak",
+                     "complementary_peak", "disk_margin", "unstable_roots",
+                     "log_gain_to_boundary")  # fmt: skip
+            table.add_row(name, *(_short(plain(item, scaled, index)) for item in names))
+    return table
+
+
+def _short(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value).replace("inf", "∞")

@@ -1,0 +1,265 @@
+"""`jaxact.margins`: all stability margins of a loop, exact, batched and differentiable."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from jaxact.analysis.joint.margins import Margins
+from jaxact.analysis.joint.margins import margins as _continuous_margins
+from jaxact.analysis.joint.roots import rightmost_root
+from jaxact.analysis.sampled.margins import SampledMargins
+from jaxact.analysis.sampled.margins import sampled_margins as _sampled_margins
+from jaxact.analysis.sampled.period_map import delay_steps
+from jaxact.compilation.programs import Program
+from jaxact.errors import UserError
+from jaxact.loops import conversion
+from jaxact.loops.control_loop import ControlLoop, is_traced
+from jaxact.verbs import margin_tables
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from jaxact.verbs.margins_of_robot import RobotLoopMargins
+
+# Numbers of loops and delays in control periods are rounded up to multiples of these: a program
+# that is kept then serves the next call too, and computing takes far less than compiling.
+_FEW, _MANY = 16, 64
+_STEPS = 16
+
+
+@dataclass(frozen=True, repr=False)
+class LoopMargins:
+    """Margins of a joint's loops; each figure is an attribute, an array of the batch's shape.
+
+    `stable`, `unstable_roots`, `gain_margin`, `phase_margin` [rad], `delay_margin` [s],
+    `sensitivity_peak`, `disk_margin`, ...: all of `jaxact.analysis.joint.margins.Margins`, or of
+    the sampled loop those of `jaxact.analysis.sampled.margins.SampledMargins`. NaN where the loop
+    is unstable. A pytree of arrays.
+
+    Attributes:
+        loop: what they are of.
+        figures: the margins as they are computed.
+    """
+
+    loop: ControlLoop
+    figures: Margins | SampledMargins
+
+    def __getattr__(self, name: str) -> Any:
+        """A figure by its name."""
+        if name.startswith("_") or name not in {f.name for f in fields(Margins)} | {
+            "spectral_radius", "more_crossovers"
+        }:  # fmt: skip
+            raise AttributeError(f"margins have no {name!r}; {', '.join(margin_tables.NAMES)}")
+        return getattr(self.figures, name)
+
+    @property
+    def sampled(self) -> bool:
+        """Whether they are of the sampled loop."""
+        return isinstance(self.figures, SampledMargins)
+
+    @property
+    def growth_rate(self) -> np.ndarray:
+        """Exponential rate of a small perturbation [1/s], negative: stable; of the batch's shape.
+
+        In continuous time the real part of the rightmost root, of the sampled loop the logarithm
+        of the spectral radius over the control period.
+        """
+        found = computed(self.loop, sampled=self.sampled)
+        return found["spectral_abscissa"].reshape(self.loop.shape)
+
+    def to_xarray(self) -> xr.Dataset:
+        """All figures as variables with units, over the batch's dimensions."""
+        return margin_tables.dataset(self.loop, computed(self.loop, sampled=self.sampled))
+
+    def to_pandas(self) -> pd.DataFrame:
+        """All figures, one loop a row, beside what tells the loops apart."""
+        found = self.to_xarray().to_dataframe()
+        return found.reset_index() if self.loop.shape else found
+
+    def __repr__(self) -> str:
+        """The table of the command line."""
+        if is_traced(self.loop) or any(isinstance(leaf, jax.core.Tracer) for leaf in
+                                       jax.tree.leaves(self.figures)):  # fmt: skip
+            return f"<margins of {self.loop!r}>"
+        found = {"sampled_" if self.sampled else "": computed(self.loop, sampled=self.sampled)}
+        return margin_tables.text(self.loop, found)
+
+
+jax.tree_util.register_dataclass(LoopMargins, data_fields=["loop", "figures"], meta_fields=[])
+
+
+@dataclass(frozen=True, repr=False)
+class BothMargins:
+    """Margins in continuous time and of the sampled loop, side by side; a pytree of arrays.
+
+    Attributes:
+        continuous, sampled: as `LoopMargins`.
+    """
+
+    continuous: LoopMargins
+    sampled: LoopMargins
+
+    def __repr__(self) -> str:
+        """The table of the command line."""
+        loop = self.continuous.loop
+        found = {"": computed(loop, sampled=False), "sampled_": computed(loop, sampled=True)}
+        return margin_tables.text(loop, found)
+
+
+jax.tree_util.register_dataclass(BothMargins, data_fields=["continuous", "sampled"], meta_fields=[])
+
+
+def margins(
+    loop: ControlLoop, *, sampled: bool | str = False, max_delay_steps: int | None = None
+) -> LoopMargins | BothMargins | RobotLoopMargins:
+    """All stability margins of a loop or a batch of loops.
+
+        jaxact.margins(jaxact.joint(actuator="starleth", delay=[0, 1e-3, 5e-3])).delay_margin
+
+    Exact for any delay. Computed in float64 whatever JAX's own precision is; where the caller
+    traces (jit, vmap, grad) in the caller's precision, and differentiable by every parameter.
+
+    Args:
+        loop: from `jaxact.joint` or `jaxact.robot`. A robot is linearised at its posture and judged
+            as its controllers sample it.
+        sampled: of a joint: False for the loop in continuous time, True for the loop as its
+            controller samples it at `control_rate`, "both" for both side by side.
+        max_delay_steps: most whole control periods of delay; needed only where the delay or the
+            control rate of a sampled loop is traced.
+
+    Returns:
+        The margins; printed, they are the command line's table.
+
+    Raises:
+        UserError: parameters that do not fit each other; of a robot also what its model lacks.
+        TypeError: a traced delay of a sampled loop without `max_delay_steps`, or a traced robot.
+    """
+    if loop.kind.plant is not None:
+        from jaxact.verbs import margins_of_robot
+
+        return margins_of_robot.margins_of_robot(loop)
+    if sampled not in (False, True, "both"):
+        raise UserError(f"sampled = {sampled!r}; allowed: False, True, 'both'")
+    if sampled == "both":
+        return BothMargins(_one(loop, False, None), _one(loop, True, max_delay_steps))
+    return _one(loop, bool(sampled), max_delay_steps)
+
+
+def _one(loop: ControlLoop, sampled: bool, steps: int | None) -> LoopMargins:
+    if is_traced(loop):
+        return LoopMargins(loop, _traced(loop, sampled, steps))
+    conversion.specification(loop)  # what does not fit is said here
+    number = max(1, math.prod(loop.shape))
+    values = _flat(loop)
+    with jax.enable_x64(True):
+        found = _sampled(values, loop.kind.velocity) if sampled else _continuous(values)[0]
+        kind = SampledMargins if sampled else Margins
+        rows = {f.name: np.asarray(getattr(found, f.name))[:number] for f in fields(kind)}
+        figures = kind(**{name: row.reshape(loop.shape)[()] for name, row in rows.items()})
+    return LoopMargins(loop, figures)
+
+
+def _traced(loop: ControlLoop, sampled: bool, steps: int | None) -> Margins | SampledMargins:
+    values = loop.parameters
+    if not sampled:
+        return _continuous_margins(conversion.continuous(values))
+    if steps is None:
+        delay, rate = conversion.total_delay(values), values["control_rate"]
+        if any(isinstance(value, jax.core.Tracer) for value in (delay, rate)):
+            raise TypeError(
+                "the delay or the control rate of a sampled loop is traced: give max_delay_steps, "
+                "the most whole control periods that the delay may have"
+            )
+        steps = delay_steps(np.asarray(delay), 1.0 / np.asarray(rate))
+    return _sampled_margins(conversion.sampled(values, loop.kind.velocity), max_delay_steps=steps)
+
+
+def computed(loop: ControlLoop, *, sampled: bool) -> dict[str, np.ndarray]:
+    """All figures of a batch by name, phase margins in degrees, shape (n,) each; see
+    `of_values`."""
+    return of_values(_flat(loop), loop.kind.velocity if sampled else None)
+
+
+def of_values(values: Mapping[str, np.ndarray], velocity: str | None) -> dict[str, np.ndarray]:
+    """All figures of loops by name, phase margins in degrees, in float64; shape (n,) each.
+
+    With `spectral_abscissa` [1/s]: the real part of the rightmost root, or log(spectral radius) /
+    T.
+
+    Args:
+        values: every parameter of every loop by its short name, shape (n,) each.
+        velocity: of the sampled loops, "sampled" or "differenced"; None for continuous time.
+    """
+    number = len(values["kp"])
+    with jax.enable_x64(True):
+        if velocity is None:
+            found, root = _continuous(values)
+            arrays = _arrays(found, number)
+            arrays["spectral_abscissa"] = np.asarray(root).real[:number]
+        else:
+            arrays = _arrays(_sampled(values, velocity), number)
+            with np.errstate(divide="ignore"):
+                rate = np.log(arrays["spectral_radius"]) * values["control_rate"]
+            arrays["spectral_abscissa"] = rate
+    return arrays | {"phase_margin": np.degrees(arrays["phase_margin"])}
+
+
+def _flat(loop: ControlLoop) -> dict[str, np.ndarray]:
+    """Every parameter of every loop, shape (n,) each."""
+    shape = loop.shape
+    return {
+        name: np.broadcast_to(np.asarray(value, float), shape).reshape(-1)
+        for name, value in loop.parameters.items()
+    }
+
+
+def _continuous(values: Mapping[str, np.ndarray]) -> tuple[Margins, jax.Array]:
+    """Margins and rightmost roots of loops and some more; to be called where float64 is on."""
+    return _program()(conversion.continuous(_filled_up(values)))
+
+
+def _sampled(values: Mapping[str, np.ndarray], velocity: str) -> SampledMargins:
+    """Margins of sampled loops and perhaps some more; to be called where float64 is on."""
+    steps = delay_steps(conversion.total_delay(values), 1.0 / values["control_rate"])
+    # Long delays take long to compute, so that one loop is not to wait for others.
+    filled = _filled_up(values) if steps <= _STEPS else values
+    return _sampled_program(_rounded_up(steps, _STEPS))(conversion.sampled(filled, velocity))
+
+
+def _filled_up(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Parameters of the loops, the last of which is repeated up to a round number of loops."""
+    number = len(values["kp"])
+    more = _rounded_up(number, _FEW if number <= _FEW else _MANY) - number
+    return {name: np.pad(array, (0, more), "edge") for name, array in values.items()}
+
+
+def _rounded_up(number: int, unit: int) -> int:
+    """To a multiple of the unit, which is at least 1 unit."""
+    return unit * max(1, -(-number // unit))
+
+
+def _arrays(found: Any, number: int) -> dict[str, np.ndarray]:
+    """The figures of the first loops, by name; shape (number,) each."""
+    return {one.name: np.asarray(getattr(found, one.name))[:number] for one in fields(found)}
+
+
+@functools.cache
+def _program() -> Program:
+    def function(loop: Any) -> Any:
+        return _continuous_margins(loop), rightmost_root(loop)
+
+    return Program(lambda: function, "margins, root")
+
+
+@functools.cache
+def _sampled_program(steps: int) -> Program:
+    function = functools.partial(_sampled_margins, max_delay_steps=steps)
+    return Program(lambda: function, ("sampled margins", steps))

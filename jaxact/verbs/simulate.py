@@ -1,0 +1,130 @@
+"""`jaxact.simulate`: loops over time, with every physics step kept, and their metrics."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxact.errors import UserError
+from jaxact.loops import conversion
+from jaxact.loops.control_loop import ControlLoop
+from jaxact.simulation import engines, single
+from jaxact.status import Verdict
+from jaxact.sweeping.store import VARIABLES, joint_units
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from jaxact.simulation.single import Joint, Single
+
+# Signals of a trajectory, with the unit of a slide and of a hinge, and their names in words.
+_SIGNALS = {
+    "setpoint": ("m", "rad", "setpoint"),
+    "position": ("m", "rad", "position"),
+    "velocity": ("m/s", "rad/s", "velocity"),
+    "command": ("N", "N m", "command of the controller"),
+    "delayed_command": ("N", "N m", "command as it reaches the actuator"),
+    "force": ("N", "N m", "force on the plant"),
+}
+
+
+def simulate(
+    loop: ControlLoop,
+    setpoint: Any = None,
+    duration: float = 1.0,
+    *,
+    engine: str | None = None,
+    precision: str | None = None,
+    seed: int = 0,
+) -> xr.Dataset:
+    """Simulate a loop, or the loops of a small batch, and keep their trajectories.
+
+        run = jaxact.simulate(jaxact.joint(actuator="starleth", delay=5e-3), setpoint=0.1)
+        run.position.plot()
+
+    Args:
+        loop: from `jaxact.joint` or `jaxact.robot`; loops of a batch need the same physics step.
+        setpoint: height of the step at time 0 [m or rad], or amplitude of a robot's motion, a
+            number or an array that broadcasts; None for the loop's own.
+        duration: simulated time [s].
+        engine: of a joint "mass" (exact, the default) or "mjx"; of a robot "mujoco", "mjx", "warp"
+            or "auto" (the default), the one expected to be the fastest.
+        precision: "float64" (the default; of "warp" "float32") or "float32".
+        seed: of noise.
+
+    Returns:
+        A dataset over the batch's dimensions: `position`, `velocity`, `setpoint`, `command`,
+        `delayed_command` and `force` over `time` [s], of a robot also over `joint`; and the metrics
+        of a sweep, `verdict` among them (see its `flag_meanings`). Units are attributes.
+
+    Raises:
+        UserError: parameters that do not fit each other, or a robot that cannot be simulated.
+        TypeError: the loop is traced.
+    """
+    if setpoint is not None:
+        loop = loop.replace(setpoint=setpoint)
+    options: dict[str, Any] = {"duration": float(duration), "seed": seed}
+    if engine is not None:
+        options["engine"] = engine
+    options["precision"] = precision or ("float32" if engine == "warp" else "float64")
+    asked = engines.resolved(conversion.specification(loop, **options))
+    return _dataset(loop, single.simulate_all(asked, conversion.samples(loop)))
+
+
+def _dataset(loop: ControlLoop, runs: list[Single]) -> xr.Dataset:
+    import xarray as xr
+
+    samples = conversion.samples(loop)
+    shape = loop.shape
+    dims = samples.dims if shape else ()
+    time = np.asarray(runs[0].trajectory.time)
+    if any(not np.array_equal(time, run.trajectory.time) for run in runs):
+        raise UserError(
+            "control_rate: loops with different steps have trajectories of different lengths;"
+            " simulate them one by one"
+        )
+    joints = runs[0].joints
+    many = loop.kind.plant is not None
+    own = (*dims, "time", "joint") if many else (*dims, "time")
+    variables: dict[str, Any] = {}
+    for name, (slide, hinge, words) in _SIGNALS.items():
+        rows = np.stack([np.asarray(getattr(run.trajectory, name)) for run in runs])
+        rows = rows if many else rows[..., 0]
+        about = {"units": _unit(slide, hinge, joints), "long_name": words}
+        variables[name] = (own, rows.reshape((*shape, *rows.shape[1:])), about)
+    variables |= _metrics(runs, dims, shape)
+    coords: dict[str, Any] = {"time": ("time", time, {"units": "s"})}
+    if many:
+        coords["joint"] = [joint.name for joint in joints]
+    if shape:
+        coords |= {
+            name: (place.dims, place.values, place.attributes)
+            for name, place in samples.coords.items()
+        }
+    return xr.Dataset(variables, coords)
+
+
+def _metrics(runs: list[Single], dims: tuple[str, ...], shape: tuple[int, ...]) -> dict[str, Any]:
+    rotary = runs[0].rotary
+    found = {}
+    for name in (name for name in VARIABLES if name in runs[0].results):
+        about = VARIABLES[name]
+        values = np.array([run.results[name] for run in runs])
+        attributes: dict[str, Any] = {
+            "units": joint_units(about.units, rotary), "long_name": about.long_name,
+            "description": about.description,
+        }  # fmt: skip
+        if name == "verdict":
+            values = values.astype(np.int8)
+            attributes["flag_values"] = [int(verdict) for verdict in Verdict]
+            attributes["flag_meanings"] = " ".join(
+                verdict.label.replace(" ", "_") for verdict in Verdict
+            )
+        found[name] = (dims, values.reshape(shape), attributes)
+    return found
+
+
+def _unit(slide: str, hinge: str, joints: tuple[Joint, ...]) -> str:
+    kinds = {joint.rotary for joint in joints}
+    return f"{hinge} or {slide}" if len(kinds) > 1 else hinge if True in kinds else slide

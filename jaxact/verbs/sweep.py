@@ -1,0 +1,241 @@
+"""`jaxact.sweep`: thousands to millions of loops over a grid or a sample of their parameters."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxact.errors import UserError
+from jaxact.loops import checks, reading
+from jaxact.loops.axes import Axis, read_axis
+from jaxact.loops.control_loop import ControlLoop, is_traced
+from jaxact.loops.conversion import preset_axis
+from jaxact.loops.samples import expand
+from jaxact.loops.specification import Sampling, Specification
+from jaxact.parameters import PARAMETERS, canonical, known
+from jaxact.sweeping import conduct, opening, place, planning, throughput
+from jaxact.sweeping import memory as _memory
+from jaxact.sweeping.conduct import How
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Moved = Callable[[int, int], None]
+"""Called with the number of loops done and in all."""
+# Relative width to which the boundary is refined where none is given.
+_WIDTH = 1e-3
+
+
+def log(low: float, high: float, num: int | None = None) -> dict[str, Any]:
+    """A range of `num` values, evenly spaced in their logarithm; to be drawn from without `num`.
+
+    Args:
+        low, high: ends, included; above 0.
+        num: number of values.
+    """
+    return _range(low, high, num, "log")
+
+
+def linear(low: float, high: float, num: int | None = None) -> dict[str, Any]:
+    """A range of `num` evenly spaced values; to be drawn from without `num`.
+
+    Args:
+        low, high: ends, included.
+        num: number of values.
+    """
+    return _range(low, high, num, "linear")
+
+
+def _range(low: float, high: float, num: int | None, spacing: str) -> dict[str, Any]:
+    number = {} if num is None else {"num": num}
+    return {"min": low, "max": high, **number, "spacing": spacing}
+
+
+def sweep(
+    loop: ControlLoop | Specification | str | os.PathLike[str],
+    *,
+    out: str | os.PathLike[str] | None = None,
+    engine: str | None = None,
+    duration: float | None = None,
+    precision: str | None = None,
+    seed: int | None = None,
+    tile: int | None = None,
+    devices: int | None = None,
+    sampling: str | None = None,
+    number: int | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    adaptive: bool = False,
+    width: float | None = None,
+    memory: str | None = None,
+    progress: bool | Moved = True,
+    **axes: Any,
+) -> xr.Dataset:
+    """Simulate every loop of a grid or a sample of parameters.
+
+        maps = jaxact.sweep(loop, kp=jaxact.log(10, 1e5, 64), kd=jaxact.log(0.1, 2e3, 64))
+
+    Args:
+        loop: from `jaxact.joint` or `jaxact.robot`; parameters of it that have several values, each
+            along one dimension, are axes too. Or a specification, read, or a path to one.
+        out: folder or URL to keep the results in, chunk by chunk; None to keep them in memory only.
+        engine: "mass" or "mjx" of a joint, "mjx", "mujoco", "warp" or "auto" of a robot.
+        duration: simulated time [s], 2 where nothing is given.
+        precision: "float32" (the default) or "float64", of the rollouts.
+        seed: of noise and of sampling.
+        tile, devices: loops simulated at once, and local devices used; None: chosen.
+        sampling: "sobol" or "latin-hypercube" draws `number` points from ranges without `num`.
+        number: of points drawn.
+        resume: continue what is in `out`.
+        overwrite: replace it.
+        adaptive: refine around the stability boundary only, from the grid given.
+        width: relative width to which it does, 0.001 where none is given.
+        memory: most to take, e.g. "4G"; None: a quarter of what is free.
+        progress: show a bar on a terminal and in a notebook; or a function that is called with the
+            numbers of loops done and in all.
+        axes: parameter, by either name, or `actuator` -> what it is varied over: a list, an array,
+            or a range from `jaxact.log` or `jaxact.linear`.
+
+    Returns:
+        The results as the command line keeps them: growth rate, verdict and metrics over the axes,
+        with units, the specification and versions; in memory, or read lazily from `out`.
+
+    Raises:
+        UserError: parameters that do not fit each other, and as `jaxact.sweeping.conduct.sweep`.
+        TypeError: the loop is traced.
+    """
+    options = {"engine": engine, "duration": duration, "precision": precision, "seed": seed,
+               "tile": tile, "devices": devices}  # fmt: skip
+    given = {name: value for name, value in options.items() if value is not None}
+    drawn = None
+    if sampling is not None or number is not None:
+        drawn = Sampling(sampling or "sobol", number or 1024)  # type: ignore[arg-type]
+    asked = _asked(loop, axes, given, drawn)
+    if width is not None and not adaptive:
+        raise UserError(f"width = {width:g}: is for adaptive = True")
+    if out is None and (resume or overwrite):
+        raise UserError("resume and overwrite are for results that are kept; give out")
+    how = How(resume=resume, overwrite=overwrite, width=(width or _WIDTH) if adaptive else None)
+    budget = None if memory is None else _memory.read_size(memory)
+    how = dataclasses.replace(how, planner=functools.partial(planning.plan, budget=budget))
+    if asked.engine == "auto":
+        asked = dataclasses.replace(asked, engine=throughput.fastest(asked, expand(asked)))
+    with _shown(progress) as moved:
+        how = dataclasses.replace(how, moved=moved)
+        if out is not None:
+            return opening.opened(conduct.sweep(asked, place.at(os.fspath(out)), how).place)
+        with tempfile.TemporaryDirectory(prefix="jaxact-") as folder:
+            filled = conduct.sweep(asked, place.at(Path(folder) / "results"), how)
+            return opening.loaded(opening.opened(filled.place))
+
+
+def _asked(
+    loop: ControlLoop | Specification | str | os.PathLike[str],
+    axes: Mapping[str, Any],
+    options: dict[str, Any],
+    sampling: Sampling | None,
+) -> Specification:
+    """The checked specification of a sweep."""
+    if isinstance(loop, ControlLoop):
+        return _of_loop(loop, axes, options, sampling)
+    own = loop if isinstance(loop, Specification) else reading.load(Path(loop))
+    drawn = own.sampling if sampling is None else sampling
+    varied = {axis.name: axis for axis in own.axes} | _read(axes, drawn)
+    changed = dataclasses.replace(own, **options, axes=tuple(varied.values()), sampling=drawn)
+    checks.check(changed)
+    return changed
+
+
+def _of_loop(
+    loop: ControlLoop, axes: Mapping[str, Any], options: dict[str, Any], sampling: Sampling | None
+) -> Specification:
+    if is_traced(loop):
+        raise TypeError("a sweep cannot be traced; call it outside jit and grad")
+    named = _read(axes, sampling)
+    replaced = {"wn", "zeta"} if "actuator" in named else set()
+    values = {name: v for name, v in loop.values.items() if name not in replaced}
+    fixed = {name: float(value) for name, value in values.items() if not np.ndim(value)}
+    varied = _own_axes({n: np.asarray(v, float) for n, v in values.items() if np.ndim(v)}, named)
+    kind = {f.name: getattr(loop.kind, f.name) for f in dataclasses.fields(loop.kind)}
+    options.setdefault("engine", "mass" if loop.kind.plant is None else "auto")
+    made = Specification(
+        **kind, **options, parameters=fixed, axes=tuple((varied | named).values()),
+        sampling=sampling,
+    )  # fmt: skip
+    checks.check(made)
+    return made
+
+
+def _own_axes(arrays: Mapping[str, np.ndarray], named: Mapping[str, Axis]) -> dict[str, Axis]:
+    """Axes of the parameters of which the loop has several values."""
+    free = {name: array for name, array in arrays.items() if name not in named}
+    preset = preset_axis(free)
+    if preset is not None:
+        free = {name: array for name, array in free.items() if name not in ("wn", "zeta")}
+    shapes = [array.shape for array in free.values()] + ([] if preset is None else [preset.shape])
+    together = len(np.broadcast_shapes(*shapes)) if shapes else 0
+    places = [int(np.argmax(np.array(shape))) - len(shape) for shape in shapes]
+    if any(sum(size > 1 for size in shape) > 1 for shape in shapes) or (
+        together and len(set(places)) < len(places)
+    ):
+        raise UserError(
+            "several parameters of the loop vary along the same dimension; give each as an axis of"
+            " its own, e.g. kp = jaxact.log(10, 1e5, 64)"
+        )
+    found = {} if preset is None else {"actuator": read_axis("actuator", preset.ravel().tolist(),
+                                                             sampled=False)}  # fmt: skip
+    return found | {
+        name: read_axis(name, array.ravel().tolist(), sampled=False) for name, array in free.items()
+    }
+
+
+def _read(axes: Mapping[str, Any], sampling: Sampling | None) -> dict[str, Axis]:
+    """Axes as they are given, by short name."""
+    found = {}
+    for given, value in axes.items():
+        name = canonical(given)
+        if not known(name) and name != "actuator":
+            from jaxact.errors import nearest
+
+            raise UserError(
+                f"{given}: unknown parameter; {nearest(given, (*PARAMETERS, 'actuator'))}"
+            )
+        listed = value if isinstance(value, dict) else _listed(value)
+        ranged = isinstance(value, dict) and "num" not in value
+        found[name] = read_axis(name, listed, sampled=sampling is not None and ranged)
+    return found
+
+
+def _listed(value: Any) -> list[Any]:
+    if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
+        return value if isinstance(value, list) else np.ravel(np.asarray(value)).tolist()
+    return np.ravel(np.asarray(value)).tolist()
+
+
+@contextlib.contextmanager
+def _shown(progress: bool | Moved) -> Iterator[Moved]:
+    """A function that shows how many loops are done, where somebody can see it."""
+    if callable(progress):
+        yield progress
+        return
+    notebook = "ipykernel" in sys.modules
+    if not progress or not (notebook or sys.stderr.isatty()):
+        yield lambda done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    console = Console() if notebook else Console(stderr=True)
+    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as shown:
+        task = shown.add_task("simulating", total=None)
+        yield lambda done, total: shown.update(task, completed=done, total=total)
