@@ -32,6 +32,7 @@ _PUBLIC = {
     "Loop": "jaxact.loops.loop",
     "margins": "jaxact.verbs.margins",
     "Mass": "jaxact.plants.mass",
+    "plot": "jaxact.verbs.plot",
     "open_result": "jaxact.sweeping.opening",
     "robot": "jaxact.loops.building",
     "sampled_boundary": "jaxact.analysis.boundary.boundary",
@@ -50,7 +51,8 @@ __all__ = sorted([*_PUBLIC, "__version__"])
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'jaxact' has no attribute {name!r}")
-    return getattr(importlib.import_module(_PUBLIC[name]), name)
+    module = importlib.import_module(_PUBLIC[name])
+    return getattr(module, name, module)  # `plot` is a module
 
 
 def __dir__() -> list[str]:

@@ -6,7 +6,6 @@ import dataclasses
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,11 +17,11 @@ from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import reading, toml
 from jaxact.loops.axes import MOST_SAMPLES
 from jaxact.loops.checks import check_history
-from jaxact.loops.samples import Samples, expand
+from jaxact.loops.samples import expand
 from jaxact.loops.specification import Specification
 from jaxact.parameters import PARAMETERS, PRESETS, canonical, check, check_actuator
 from jaxact.verbs import naming
-from jaxact.verbs.naming import loop_name
+from jaxact.verbs.naming import Loops, loop_name
 
 # What the stability of a linear loop depends on.
 LINEAR = (
@@ -36,37 +35,6 @@ UNSET_NUMBER = -(10**30)
 UNSET_NAME = "\0"
 # An axis that varies nothing: a specification must have one.
 _NO_AXIS = {"feedforward": [0.0]}
-
-
-@dataclass(frozen=True)
-class Loops:
-    """Loops to work on; n of them.
-
-    values: every parameter of the table by its short name, shape (n,) each
-    labels: what tells them apart, with units, e.g. `HyQ, delay 1 ms`
-    said: parameters that were given, rather than left at their defaults
-    velocity: of the specification that lists them, None where nothing does
-    source: that specification, and its samples
-    """
-
-    values: dict[str, np.ndarray]
-    labels: tuple[str, ...]
-    said: frozenset[str] = frozenset()
-    velocity: str | None = None
-    source: tuple[Specification, Samples] | None = None
-
-    def __len__(self) -> int:
-        """Number of loops."""
-        return len(self.labels)
-
-    @property
-    def samples(self) -> Samples:
-        """The loops as the samples of a sweep."""
-        return Samples(self.values, ("loop",), (len(self),), {})
-
-    def one(self, index: int) -> dict[str, float]:
-        """Parameters of one loop."""
-        return {name: float(array[index]) for name, array in self.values.items()}
 
 
 def _option(name: str, *, several: bool) -> tuple[str, Any, Any]:

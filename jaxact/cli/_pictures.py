@@ -112,7 +112,7 @@ def draw(
     look.check_output(out)
     chosen = chosen_loops(parameters, file, velocity)
 
-    from jaxact.cli._responses import responses
+    from jaxact.verbs.responses import responses
 
     loops = named(chosen.loops)
     drawn = responses(loops, sampled=chosen.sampled, velocity=chosen.velocity)

@@ -26,7 +26,7 @@ def report(tuned: Tuned, loops: _loops.Loops, sampled: bool, velocity: str) -> d
     loops: the nominal loop before (if there is a start) and after
     sampled: margins of the sampled loop
     """
-    from jaxact.cli import _responses
+    from jaxact.verbs import responses as _responses
 
     find = _responses.sampled_margins if sampled else None
     found = _responses.margins(loops) if find is None else find(loops, velocity)
@@ -163,10 +163,11 @@ def write_folder(
 
     nominal: figures of the nominal loop with the gains, as `report` has them
     """
-    from jaxact.cli import _responses, _tuning_pictures
     from jaxact.plotting import look
     from jaxact.plotting.sensitivity import sensitivity
     from jaxact.tuning.result import mjcf_text, toml_text
+    from jaxact.verbs import _tuning_pictures
+    from jaxact.verbs import responses as _responses
 
     (folder / "gains.toml").write_text(toml_text(tuned, command, nominal), encoding="utf-8")
     (folder / "gains.xml").write_text(mjcf_text(tuned, joint), encoding="utf-8")

@@ -91,7 +91,7 @@ def main(
     asked = chosen_loops(parameters, loops, velocity)
     chosen = asked.loops
 
-    from jaxact.cli import _responses
+    from jaxact.verbs import responses as _responses
 
     found = {"": _responses.margins(chosen)}
     if asked.sampled:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -164,9 +163,10 @@ def _draw(
     """The figure, and its small print, about the loops computed where others are shown."""
     from jaxact.plotting import caption, field, lines, scatter, stability_map
     from jaxact.sweeping import agreement, margins_store
+    from jaxact.verbs import map_lines
 
     field.field(results, variable)  # a misspelt name is told before anything is computed
-    boundaries = _boundaries(arrangement)
+    boundaries = map_lines.boundaries(arrangement)
     drawn = any(boundary is not None for boundary in boundaries)
     computed = arrangement.data if computed is None else computed
     exact = margins_store.KIND in results.attrs
@@ -180,7 +180,7 @@ def _draw(
     footer = " ".join(part for part in parts if part)
     heading = results.attrs.get("title", "") if title is None else title
     shared: dict[str, Any] = {"variable": variable, "title": heading, "footer": footer}
-    marked = _nominal(results, arrangement, nominal)
+    marked = map_lines.nominal(results, arrangement, nominal)
     if arrangement.kind == "lines":
         shared["nominal"] = None if marked is None else marked[0]
         return lines.lines(results, arrangement, **shared), footer
@@ -189,48 +189,6 @@ def _draw(
         return scatter.scatter(results, arrangement, **shared), footer
     shared["linearised"] = not agreement.is_plain_mass(results)
     return stability_map.stability_map(results, arrangement, **shared), footer
-
-
-def _boundaries(arrangement: Arrangement) -> list[Any]:
-    """The exact boundary of every panel, over whichever two numbers it shows."""
-    from jaxact.parameters import known, of
-    from jaxact.plotting.stability_map import cell_edges
-    from jaxact.sweeping import exact_lines
-
-    axes = [axis for axis in (arrangement.x, arrangement.y) if axis is not None]
-    drawable = len(axes) == 2 and all(a.scale != "category" and known(a.name) for a in axes)
-    if arrangement.kind == "lines" or not drawable:
-        return [None] * len(arrangement.panels)
-    windows = []
-    for axis in axes:
-        edges, bounds = cell_edges(axis), of(axis.name)
-        ends = max(float(edges[0]), bounds.minimum), min(float(edges[-1]), bounds.maximum)
-        windows.append(exact_lines.Window(axis.name, *ends, axis.scale == "log"))
-    return [exact_lines.exact_lines(panel.data, *windows) for panel in arrangement.panels]
-
-
-def _nominal(
-    results: xr.Dataset, arrangement: Arrangement, given: tuple[float, ...]
-) -> tuple[float, float] | None:
-    """The point to mark: what was given, or the specification's own values; None out of view."""
-    from jaxact.plotting.stability_map import place
-    from jaxact.sweeping import store
-
-    axes = [axis for axis in (arrangement.x, arrangement.y) if axis is not None]
-    if arrangement.kind == "lines":
-        axes = axes[:1]
-    if given and len(given) != len(axes):
-        shown = " ".join(f"{value:g}" for value in given)
-        raise UserError(f"--nominal {shown}: give {' and '.join(axis.name for axis in axes)}")
-    own = store.nominal(results)
-    if not given and any(axis.name not in own for axis in axes):
-        return None
-    point = list(given) or [own[axis.name] for axis in axes]
-    if any(math.isnan(value) for value in point):
-        return None  # a robot's joints have their own
-    if any(place(axis, value) is None for axis, value in zip(axes, point, strict=True)):
-        return None
-    return point[0], point[-1]
 
 
 def _pairs(given: tuple[str, ...]) -> dict[str, str]:

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops.control_loop import ControlLoop, Kind, made, read
+from jaxact.loops.reading import explained
 from jaxact.loops.specification import Motion, Plant, Push
 
 Velocity = Literal["sampled", "differenced"]
@@ -102,7 +103,7 @@ def robot(
             payload_body=payload_body, base=base, damping=damping, friction=friction,
         )  # fmt: skip
     except ValidationError as error:
-        raise UserError(_complaint(error)) from None
+        raise UserError(explained(error)) from None
     kind = Kind(plant, _velocity(velocity), physics_step, integrator_correction, motion, push)
     return made(read({"actuator": actuator, **parameters}, robot=True), kind)
 
@@ -111,8 +112,3 @@ def _velocity(name: str) -> str:
     if name not in _VELOCITIES:
         raise UserError(f"velocity = {shown(name)}; {nearest(name, _VELOCITIES)}")
     return name
-
-
-def _complaint(error: ValidationError) -> str:
-    first = error.errors(include_url=False)[0]
-    return f"{first['loc'][0]} = {shown(first['input'])}; {first['msg']}"

@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from pydantic import ValidationError
 
 from jaxact.analysis.joint.frequency import JointLoop
 from jaxact.analysis.sampled.period_map import SampledLoop
@@ -23,6 +24,7 @@ from jaxact.errors import UserError
 from jaxact.loops import checks
 from jaxact.loops.axes import Axis
 from jaxact.loops.control_loop import ACTUATOR, ControlLoop, is_traced
+from jaxact.loops.reading import explained
 from jaxact.loops.samples import Coordinate, Samples
 from jaxact.loops.specification import Specification
 from jaxact.parameters import PRESETS, of
@@ -138,7 +140,19 @@ def specification(loop: ControlLoop, **options: Any) -> Specification:
     axes = tuple(_axis(name, np.asarray(v)) for name, v in loop.values.items() if np.ndim(v))
     kind = {f.name: getattr(loop.kind, f.name) for f in dataclasses.fields(loop.kind)}
     options.setdefault("engine", "mass" if loop.kind.plant is None else "auto")
-    made = Specification(**kind, **options, parameters=fixed, axes=axes or (_NO_AXIS,))
+    return described(**kind, **options, parameters=fixed, axes=axes or (_NO_AXIS,))
+
+
+def described(**fields: Any) -> Specification:
+    """The checked specification with these fields.
+
+    Raises:
+        UserError: values that do not fit their fields or each other.
+    """
+    try:
+        made = Specification(**fields)
+    except ValidationError as error:
+        raise UserError(explained(error)) from None
     checks.check(made)
     return made
 

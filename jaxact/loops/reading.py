@@ -219,7 +219,7 @@ def _build(document: Mapping[str, Any], folder: Path) -> Specification:
     try:
         return Specification(**options, parameters=parameters, axes=axes, sampling=sampling)
     except ValidationError as error:
-        raise UserError(_explained(error)) from None
+        raise UserError(explained(error)) from None
 
 
 def _known_parameters(section: str, table: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
@@ -263,7 +263,7 @@ def _filled(kind: type, section: str, table: Any, **changed: Any) -> Any:
     try:
         return kind(**{**table, **changed})
     except ValidationError as error:
-        raise UserError(_explained(error, f"{section}.")) from None
+        raise UserError(explained(error, f"{section}.")) from None
 
 
 def _plant(table: Any, folder: Path) -> Plant:
@@ -341,8 +341,12 @@ def _unknown(key: str, known: Iterable[str], prefix: str = "") -> str:
     return f"{prefix}{shown(key)[1:-1]}: unknown key; {nearest(key, known)}"
 
 
-def _explained(error: ValidationError, prefix: str = "") -> str:
-    """The first complaint of pydantic in the words of every other message."""
+def explained(error: ValidationError, prefix: str = "") -> str:
+    """The first complaint of pydantic in the words of every other message.
+
+    error: of a specification or a section of it
+    prefix: of the key that it names
+    """
     first = error.errors(include_url=False)[0]
     key = prefix + str(first["loc"][0])
     said = (

@@ -24,20 +24,31 @@ def bode(responses: Sequence[LoopResponse], *, title: str = "", footer: str = ""
     title, footer: above and below
     """
     with look.look():
-        labels = column([_name(response) for response in responses], 7.4)
+        labels = column([described(response) for response in responses], 7.4)
         paper = sheet(7.4, 5.6, title=title, footer=footer, entries=lines(labels), entry_width=7.4)
         magnitude, phase = paper.figure.subplots(2, 1, sharex=True)
-        for response, label, line in zip(responses, labels, curve_styles(responses), strict=True):
-            magnitude.plot(response.frequency, decibel(response.open_loop), label=label, **line)
-            phase.plot(response.frequency, response.phase, **line)
-            _gain_margin(magnitude, phase, response, line["color"])
-            _phase_margin(magnitude, phase, response, line["color"])
-        _dress(magnitude, phase, responses)
+        draw((magnitude, phase), responses, labels)
         paper.legend(magnitude.get_legend_handles_labels()[0])
     return paper.figure
 
 
-def _name(response: LoopResponse) -> str:
+def draw(axes: Sequence[Axes], responses: Sequence[LoopResponse], labels: Sequence[str]) -> None:
+    """The same on given axes, without a legend.
+
+    axes: of the magnitude and of the phase
+    responses: at least one loop
+    labels: what each is called in a legend
+    """
+    magnitude, phase = axes
+    for response, label, line in zip(responses, labels, curve_styles(responses), strict=True):
+        magnitude.plot(response.frequency, decibel(response.open_loop), label=label, **line)
+        phase.plot(response.frequency, response.phase, **line)
+        _gain_margin(magnitude, phase, response, line["color"])
+        _phase_margin(magnitude, phase, response, line["color"])
+    _dress(magnitude, phase, responses)
+
+
+def described(response: LoopResponse) -> str:
     """`HyQ, 1 ms: gain margin 16.5 (24.3 dB), phase margin 54.8°`."""
     if not response.stable:
         return f"{response.label}: unstable, no margins"

@@ -38,32 +38,45 @@ def nyquist(
     "An introduction to disk margins", 2020).
     """
     with look.look():
-        labels = column([_name(response) for response in responses], 6.6)
+        labels = column([described(response) for response in responses], 6.6)
         small_print = "\n".join(part for part in (footer, _MARKS) if part)
         paper = sheet(
             6.6, 6.2, title=title, footer=small_print, entries=lines(labels), entry_width=6.6
         )
         axes = paper.figure.subplots()
-        circle = Circle((0.0, 0.0), 1.0, fill=False, edgecolor=look.FAINT, linewidth=0.9, zorder=1)
-        axes.add_patch(circle)
-        drawn = list(zip(responses, labels, curve_styles(responses), strict=True))
-        filled = len(responses) <= _MOST_FILLED
-        for response, label, line in drawn:
-            _disk(axes, response, line["color"], filled=filled)
-            curve = response.open_loop
-            axes.plot(curve.real, curve.imag, label=label, **line)
-            _arrow(axes, curve, line["color"], reach)
-            _margins(axes, response, line["color"])
-        _critical_point(axes)
-        axes.axhline(0.0, color=look.GRID, linewidth=0.7, zorder=0)
-        axes.axvline(0.0, color=look.GRID, linewidth=0.7, zorder=0)
-        axes.set_aspect("equal")
-        axes.set_xlim(-reach, 1.25)
-        axes.set_ylim(-0.5 * (reach + 1.25), 0.5 * (reach + 1.25))
-        axes.set_xlabel("Re L(jω)")
-        axes.set_ylabel("Im L(jω)")
+        draw(axes, responses, labels, reach=reach)
         paper.legend(axes.get_legend_handles_labels()[0])
     return paper.figure
+
+
+def draw(
+    axes: Axes, responses: Sequence[LoopResponse], labels: Sequence[str], *, reach: float = 2.6
+) -> None:
+    """The same on given axes, without a legend.
+
+    axes: of the complex plane
+    responses: at least one loop
+    labels: what each is called in a legend
+    reach: as for `nyquist`
+    """
+    circle = Circle((0.0, 0.0), 1.0, fill=False, edgecolor=look.FAINT, linewidth=0.9, zorder=1)
+    axes.add_patch(circle)
+    drawn = list(zip(responses, labels, curve_styles(responses), strict=True))
+    filled = len(responses) <= _MOST_FILLED
+    for response, label, line in drawn:
+        _disk(axes, response, line["color"], filled=filled)
+        curve = response.open_loop
+        axes.plot(curve.real, curve.imag, label=label, **line)
+        _arrow(axes, curve, line["color"], reach)
+        _margins(axes, response, line["color"])
+    _critical_point(axes)
+    axes.axhline(0.0, color=look.GRID, linewidth=0.7, zorder=0)
+    axes.axvline(0.0, color=look.GRID, linewidth=0.7, zorder=0)
+    axes.set_aspect("equal")
+    axes.set_xlim(-reach, 1.25)
+    axes.set_ylim(-0.5 * (reach + 1.25), 0.5 * (reach + 1.25))
+    axes.set_xlabel("Re L(jω)")
+    axes.set_ylabel("Im L(jω)")
 
 
 def disk(disk_margin: float) -> tuple[float, float]:
@@ -72,7 +85,8 @@ def disk(disk_margin: float) -> tuple[float, float]:
     return -(4.0 + square) / (4.0 - square), 4.0 * disk_margin / (4.0 - square)
 
 
-def _name(response: LoopResponse) -> str:
+def described(response: LoopResponse) -> str:
+    """`HyQ, 1 ms: disk margin 0.47, gains ×0.62 to ×1.61, phase ±26°`."""
     margin = response.margin("disk_margin")
     if not response.stable:
         return f"{response.label}: unstable"

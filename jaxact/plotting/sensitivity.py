@@ -20,23 +20,33 @@ def sensitivity(responses: Sequence[LoopResponse], *, title: str = "", footer: s
     title, footer: above and below
     """
     with look.look():
-        labels = column([_name(response) for response in responses], 7.4)
+        labels = column([described(response) for response in responses], 7.4)
         paper = sheet(7.4, 5.6, title=title, footer=footer, entries=lines(labels), entry_width=7.4)
         upper, lower = paper.figure.subplots(2, 1, sharex=True)
-        for response, label, line in zip(responses, labels, curve_styles(responses), strict=True):
-            faint = {} if response.stable else {"alpha": 0.45, "linewidth": 1.0}
-            upper.plot(
-                response.frequency, np.abs(response.sensitivity), label=label, **(line | faint)
-            )
-            lower.plot(response.frequency, np.abs(response.complementary), **(line | faint))
-            _peak(upper, response, "sensitivity_peak", line["color"])
-            _peak(lower, response, "complementary_peak", line["color"])
-        _dress(upper, lower, responses)
+        draw((upper, lower), responses, labels)
         paper.legend(upper.get_legend_handles_labels()[0])
     return paper.figure
 
 
-def _name(response: LoopResponse) -> str:
+def draw(axes: Sequence[Axes], responses: Sequence[LoopResponse], labels: Sequence[str]) -> None:
+    """The same on given axes, without a legend.
+
+    axes: of |S| and of |T|
+    responses: at least one loop
+    labels: what each is called in a legend
+    """
+    upper, lower = axes
+    for response, label, line in zip(responses, labels, curve_styles(responses), strict=True):
+        faint = {} if response.stable else {"alpha": 0.45, "linewidth": 1.0}
+        upper.plot(response.frequency, np.abs(response.sensitivity), label=label, **(line | faint))
+        lower.plot(response.frequency, np.abs(response.complementary), **(line | faint))
+        _peak(upper, response, "sensitivity_peak", line["color"])
+        _peak(lower, response, "complementary_peak", line["color"])
+    _dress(upper, lower, responses)
+
+
+def described(response: LoopResponse) -> str:
+    """`HyQ, 1 ms: Ms 1.2 at 90 rad/s, Mt 1.3 at 30 rad/s`."""
     if not response.stable:
         return f"{response.label}: unstable, its peaks say nothing"
     words = []

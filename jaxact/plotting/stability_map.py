@@ -91,25 +91,46 @@ def stability_map(
             zero_line(arrangement, panel, rate) if linearised else ()
             for panel in arrangement.panels
         ]
-        handles = _legend(arrangement, boundaries, nominal, variable)
+        handles = legend_handles(arrangement, boundaries, nominal, variable)
         if any(zero):
             handles.append(Line2D([], [], color="black", linewidth=1.5, label=LINEARISED[rate]))
         drawn = frame(arrangement, title, footer=footer, entries=len(handles))
         for number, panel in enumerate(arrangement.panels):
-            axes = drawn.grid[panel.row, panel.column]
-            _field(axes, arrangement, panel, shown)
             exact = None if boundaries is None else boundaries[number]
-            # A line that says where the border is needs no staircase of cells beside it.
-            border = exact is None and not zero[number]
-            _verdicts(axes, arrangement, panel, variable, border=border)
-            if exact is not None:
-                draw_boundary(axes, exact)
-            for x, y in zero[number]:
-                axes.plot(x, y, color="black", linewidth=1.5, zorder=4, scalex=False, scaley=False)
-            if nominal is not None:
-                mark_nominal(axes, arrangement, nominal)
+            axes = drawn.grid[panel.row, panel.column]
+            draw(axes, arrangement, panel, shown, exact=exact, zero=zero[number], nominal=nominal)
         finish(drawn, shown, handles)
     return drawn.sheet.figure
+
+
+def draw(
+    axes: Axes,
+    arrangement: Arrangement,
+    panel: Panel,
+    shown: Field,
+    *,
+    exact: ExactLines | None = None,
+    zero: Sequence[tuple[np.ndarray, np.ndarray]] = (),
+    nominal: tuple[float, float] | None = None,
+) -> None:
+    """One panel on given axes, whose scales and labels are left as they are.
+
+    axes: to draw on
+    arrangement, panel: which part of the sweep
+    shown: the variable, of `jaxact.plotting.field.field`
+    exact: boundary, None for none
+    zero: lines (x, y) where a linearised rate is zero
+    nominal: (x, y) of the point to mark
+    """
+    _field(axes, arrangement, panel, shown)
+    # A line that says where the border is needs no staircase of cells beside it.
+    _verdicts(axes, arrangement, panel, shown.variable, border=exact is None and not zero)
+    if exact is not None:
+        draw_boundary(axes, exact)
+    for x, y in zero:
+        axes.plot(x, y, color="black", linewidth=1.5, zorder=4, scalex=False, scaley=False)
+    if nominal is not None:
+        mark_nominal(axes, arrangement, nominal)
 
 
 def frame(arrangement: Arrangement, title: str, *, footer: str = "", entries: int = 0) -> Frame:
@@ -318,12 +339,13 @@ def nominal_handle(arrangement: Arrangement, nominal: tuple[float, float]) -> Ar
     )  # fmt: skip
 
 
-def _legend(
+def legend_handles(
     arrangement: Arrangement,
     boundaries: Sequence[ExactLines | None] | None,
     nominal: tuple[float, float] | None,
     variable: str,
 ) -> list[Artist]:
+    """Entries of the legend of a map; arguments as for `stability_map`."""
     growth = variable in RATES
     present = {int(v) for panel in arrangement.panels for v in np.unique(panel.data["verdict"])}
     handles: list[Artist] = []

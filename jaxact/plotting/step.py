@@ -15,6 +15,9 @@ from jaxact.plotting.dust import spans, widen
 from jaxact.plotting.sheet import column, lines, sheet
 from jaxact.plotting.trajectory import Joint, seconds_or_milliseconds
 
+# Of the panels of position and force, relative to each other.
+HEIGHTS = (1.5, 1.0)
+
 
 @dataclass(frozen=True)
 class StepResponse:
@@ -52,37 +55,57 @@ def step(
         paper = sheet(
             7.4, 5.2, title=title, footer=footer, entries=lines(labels) + 1, entry_width=7.4
         )
-        heights = {"height_ratios": (1.5, 1)}
+        heights = {"height_ratios": HEIGHTS}
         upper, lower = paper.figure.subplots(2, 1, sharex=True, gridspec_kw=heights)
-        longest = max((r.run.time for r in responses), key=lambda time: float(time[-1]))
-        _, label = seconds_or_milliseconds(longest)
-        scale = 1e3 if label == "time [ms]" else 1.0
-        _setpoint(upper, responses[0].run, scale, band)
-        for index, response in enumerate(responses):
-            line = look.style(index) | ({} if response.stable else {"linewidth": 0.9})
-            time = response.run.time * scale
-            upper.plot(time, response.run.position, label=labels[index], zorder=3, **line)
-            lower.plot(time, response.run.force, zorder=3, **line)
-        calm = [r for r in responses if r.stable]
-        if len(calm) < len(responses):
-            _limit(upper, [r.run.position for r in calm] + [responses[0].run.setpoint])
-            _limit(lower, [r.run.force for r in calm] or [responses[0].run.command[:1]])
-        least = spans(
-            longest, [r.run.position for r in calm or responses], responses[0].run.setpoint,
-            [r.run.force for r in calm or responses], unit=units[0],
-        )  # fmt: skip
-        widen(upper, least.position)
-        widen(lower, least.force)
-        upper.set_ylabel(f"position [{units[0]}]")
-        lower.set_ylabel(f"force [{units[1]}]")
-        lower.axhline(0.0, color=look.FAINT, linewidth=0.6, zorder=1)
-        lower.set_xlabel(label)
-        lower.set_xlim(0.0, min(float(longest[-1]), until) * scale)
-        for axes in (upper, lower):
-            axes.grid(visible=True)
+        draw((upper, lower), responses, labels, units=units, band=band, until=until)
         paper.figure.align_ylabels()
         paper.legend(upper.get_legend_handles_labels()[0])
     return paper.figure
+
+
+def draw(
+    axes: Sequence[Axes],
+    responses: Sequence[StepResponse],
+    labels: Sequence[str],
+    *,
+    units: tuple[str, str] = ("m", "N"),
+    band: float = 0.02,
+    until: float = math.inf,
+) -> None:
+    """The same on given axes, without a legend.
+
+    axes: of position and force
+    responses: at least one loop
+    labels: what each is called in a legend
+    units, band, until: as for `step`
+    """
+    upper, lower = axes
+    longest = max((r.run.time for r in responses), key=lambda time: float(time[-1]))
+    _, label = seconds_or_milliseconds(longest)
+    scale = 1e3 if label == "time [ms]" else 1.0
+    _setpoint(upper, responses[0].run, scale, band)
+    for index, response in enumerate(responses):
+        line = look.style(index) | ({} if response.stable else {"linewidth": 0.9})
+        time = response.run.time * scale
+        upper.plot(time, response.run.position, label=labels[index], zorder=3, **line)
+        lower.plot(time, response.run.force, zorder=3, **line)
+    calm = [r for r in responses if r.stable]
+    if len(calm) < len(responses):
+        _limit(upper, [r.run.position for r in calm] + [responses[0].run.setpoint])
+        _limit(lower, [r.run.force for r in calm] or [responses[0].run.command[:1]])
+    least = spans(
+        longest, [r.run.position for r in calm or responses], responses[0].run.setpoint,
+        [r.run.force for r in calm or responses], unit=units[0],
+    )  # fmt: skip
+    widen(upper, least.position)
+    widen(lower, least.force)
+    upper.set_ylabel(f"position [{units[0]}]")
+    lower.set_ylabel(f"force [{units[1]}]")
+    lower.axhline(0.0, color=look.FAINT, linewidth=0.6, zorder=1)
+    lower.set_xlabel(label)
+    lower.set_xlim(0.0, min(float(longest[-1]), until) * scale)
+    for panel in axes:
+        panel.grid(visible=True)
 
 
 def _setpoint(axes: Axes, run: Joint, scale: float, band: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -16,6 +17,8 @@ from jaxact.plotting.sheet import sheet
 
 # A response this many times the step is not drawn any further.
 DIVERGED = 20.0
+# Of the panels of position, velocity and force, relative to each other.
+HEIGHTS = (1.25, 0.85, 1.25)
 # A step that is none, and what serves instead [rad or m].
 _NONE, _STEP = 1e-6, 0.05
 
@@ -57,43 +60,56 @@ def trajectory(
     A motion that diverges is drawn until it is DIVERGED times as large as the step. Axes show at
     least what `jaxact.plotting.dust` says, so that rounding does not look like a motion.
     """
+    with look.look():
+        figure = sheet(7.4, 6.0, title=title, footer=footer).figure
+        panels = figure.subplots(3, 1, sharex=True, gridspec_kw={"height_ratios": HEIGHTS})
+        draw(panels, run, units=units, resolution=resolution)
+        figure.align_ylabels()
+    return figure
+
+
+def draw(
+    axes: Sequence[Axes],
+    run: Joint,
+    *,
+    units: tuple[str, str] = ("m", "N"),
+    resolution: float = 0.0,
+) -> None:
+    """The same on given axes.
+
+    axes: of position, velocity and force
+    run, units, resolution: as for `trajectory`
+    """
     length, force = units
     kept, note = until_divergence(run)
     run = replace(run, **{item.name: getattr(run, item.name)[:kept] for item in fields(run)})
-    with look.look():
-        paper = sheet(7.4, 6.0, title=title, footer=footer)
-        figure = paper.figure
-        top, middle, bottom = figure.subplots(
-            3, 1, sharex=True, gridspec_kw={"height_ratios": (1.25, 0.85, 1.25)}
-        )
-        time, label = seconds_or_milliseconds(run.time)
-        top.plot(time, run.setpoint, "--", color=look.INK, linewidth=1.1, label="setpoint")
-        top.plot(time, run.position, color=look.BLUE, label="position")
-        top.set_ylabel(f"position [{length}]")
-        middle.plot(time, run.velocity, color=look.BLUE)
-        middle.axhline(0.0, color=look.FAINT, linewidth=0.6, zorder=1)
-        middle.set_ylabel(f"velocity [{length}/s]")
-        _forces(bottom, time, run)
-        bottom.set_ylabel(f"force [{force}]")
-        bottom.set_xlabel(label)
-        for axes in (top, bottom):
-            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
-        for axes in (top, middle, bottom):
-            _dress(axes, time)
-        least = spans(
-            run.time, [run.position], run.setpoint, [run.command, run.force],
-            unit=length, resolution=resolution,
+    top, middle, bottom = axes
+    time, label = seconds_or_milliseconds(run.time)
+    top.plot(time, run.setpoint, "--", color=look.INK, linewidth=1.1, label="setpoint")
+    top.plot(time, run.position, color=look.BLUE, label="position")
+    top.set_ylabel(f"position [{length}]")
+    middle.plot(time, run.velocity, color=look.BLUE)
+    middle.axhline(0.0, color=look.FAINT, linewidth=0.6, zorder=1)
+    middle.set_ylabel(f"velocity [{length}/s]")
+    _forces(bottom, time, run)
+    bottom.set_ylabel(f"force [{force}]")
+    bottom.set_xlabel(label)
+    for panel in (top, bottom):
+        panel.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
+    for panel in axes:
+        _dress(panel, time)
+    least = spans(
+        run.time, [run.position], run.setpoint, [run.command, run.force],
+        unit=length, resolution=resolution,
+    )  # fmt: skip
+    for panel, span in ((top, least.position), (middle, least.velocity), (bottom, least.force)):
+        widen(panel, span)
+    note = note or at_rest(run.position, least.position, length)
+    if note:
+        top.text(
+            0.01, 0.93, note, transform=top.transAxes, va="top", fontsize=8,
+            color=look.VERMILION, backgroundcolor="white",
         )  # fmt: skip
-        for axes, span in ((top, least.position), (middle, least.velocity), (bottom, least.force)):
-            widen(axes, span)
-        note = note or at_rest(run.position, least.position, length)
-        if note:
-            top.text(
-                0.01, 0.93, note, transform=top.transAxes, va="top", fontsize=8,
-                color=look.VERMILION, backgroundcolor="white",
-            )  # fmt: skip
-        figure.align_ylabels()
-    return figure
 
 
 def _forces(axes: Axes, time: np.ndarray, run: Joint) -> None:

@@ -45,10 +45,8 @@ def text(loop: ControlLoop, found: Mapping[str, Figures]) -> str:
         loop: what they are of.
         found: by the prefix of their names, "" or "sampled_".
     """
-    samples = conversion.samples(loop)
-    own = conversion.specification(loop)
-    labels = naming.labels(samples) or (naming.loop_name(own),) * len(samples)
-    return tables(labels, samples.values["control_rate"], found)
+    loops = naming.named(loop)
+    return tables(loops.labels, loops.values["control_rate"], found)
 
 
 def dataset(loop: ControlLoop, figures: Figures) -> xr.Dataset:

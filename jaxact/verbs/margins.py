@@ -81,8 +81,10 @@ class LoopMargins:
 
     def to_pandas(self) -> pd.DataFrame:
         """All figures, one loop a row, beside what tells the loops apart."""
-        found = self.to_xarray().to_dataframe()
-        return found.reset_index() if self.loop.shape else found
+        found = self.to_xarray()
+        return (
+            (found if self.loop.shape else found.expand_dims("loop")).to_dataframe().reset_index()
+        )
 
     def __repr__(self) -> str:
         """The table of the command line."""
@@ -168,7 +170,7 @@ def _one(loop: ControlLoop, sampled: bool, steps: int | None) -> LoopMargins:
 
 
 def _traced(loop: ControlLoop, sampled: bool, steps: int | None) -> Margins | SampledMargins:
-    values = loop.parameters
+    values = loop.broadcast().parameters
     if not sampled:
         return _continuous_margins(conversion.continuous(values))
     if steps is None:

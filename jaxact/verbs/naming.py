@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from jaxact.loops import conversion
+from jaxact.loops.control_loop import ControlLoop
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.parameters import PRESETS, of
@@ -14,6 +17,37 @@ from jaxact.plotting.wording import quantity
 
 DELAYS = ("delay", "measurement_delay", "output_delay")
 """Delays within the loop: only their sum counts."""
+
+
+@dataclass(frozen=True)
+class Loops:
+    """Loops to work on; n of them.
+
+    values: every parameter of the table by its short name, shape (n,) each
+    labels: what tells them apart, with units, e.g. `HyQ, delay 1 ms`
+    said: parameters that were given, rather than left at their defaults
+    velocity: of the specification that lists them, None where nothing does
+    source: that specification, and its samples
+    """
+
+    values: dict[str, np.ndarray]
+    labels: tuple[str, ...]
+    said: frozenset[str] = frozenset()
+    velocity: str | None = None
+    source: tuple[Specification, Samples] | None = None
+
+    def __len__(self) -> int:
+        """Number of loops."""
+        return len(self.labels)
+
+    @property
+    def samples(self) -> Samples:
+        """The loops as the samples of a sweep."""
+        return Samples(self.values, ("loop",), (len(self),), {})
+
+    def one(self, index: int) -> dict[str, float]:
+        """Parameters of one loop."""
+        return {name: float(array[index]) for name, array in self.values.items()}
 
 
 def labels(samples: Samples) -> tuple[str, ...]:
@@ -79,3 +113,12 @@ def loop_name(specification: Specification, values: Mapping[str, float] | None =
     if np.isnan(delay):
         return f"{actuator}, delays as each joint has them{words}"
     return f"{actuator}, delay {quantity(delay, 's')}{words}"
+
+
+def named(loop: ControlLoop) -> Loops:
+    """A batch of a joint's loops, each with its name."""
+    samples = conversion.samples(loop)
+    own = conversion.specification(loop)
+    words = labels(samples) or (loop_name(own),) * len(samples)
+    said = frozenset(loop.values)
+    return Loops(dict(samples.values), words, said, loop.kind.velocity)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
+from jaxact.loops.samples import Samples
 from jaxact.simulation import engines, single
 from jaxact.status import Verdict
 from jaxact.sweeping.store import VARIABLES, joint_units
@@ -75,7 +77,7 @@ def simulate(
 def _dataset(loop: ControlLoop, runs: list[Single]) -> xr.Dataset:
     import xarray as xr
 
-    samples = conversion.samples(loop)
+    samples = _renamed(conversion.samples(loop))
     shape = loop.shape
     dims = samples.dims if shape else ()
     time = np.asarray(runs[0].trajectory.time)
@@ -103,6 +105,19 @@ def _dataset(loop: ControlLoop, runs: list[Single]) -> xr.Dataset:
             for name, place in samples.coords.items()
         }
     return xr.Dataset(variables, coords)
+
+
+def _renamed(samples: Samples) -> Samples:
+    """The same without a dimension that has the name of a signal."""
+
+    def name(dim: str) -> str:
+        return f"{dim}_height" if dim in _SIGNALS else dim
+
+    coords = {
+        name(key): dataclasses.replace(place, dims=tuple(name(dim) for dim in place.dims))
+        for key, place in samples.coords.items()
+    }
+    return dataclasses.replace(samples, dims=tuple(map(name, samples.dims)), coords=coords)
 
 
 def _metrics(runs: list[Single], dims: tuple[str, ...], shape: tuple[int, ...]) -> dict[str, Any]:

@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from jaxact.errors import UserError
-from jaxact.loops import checks, reading
+from jaxact.loops import reading
 from jaxact.loops.axes import Axis, read_axis
 from jaxact.loops.control_loop import ControlLoop, is_traced
-from jaxact.loops.conversion import preset_axis
+from jaxact.loops.conversion import described, preset_axis
 from jaxact.loops.samples import expand
 from jaxact.loops.specification import Sampling, Specification
 from jaxact.parameters import PARAMETERS, canonical, known
@@ -116,9 +117,7 @@ def sweep(
     options = {"engine": engine, "duration": duration, "precision": precision, "seed": seed,
                "tile": tile, "devices": devices}  # fmt: skip
     given = {name: value for name, value in options.items() if value is not None}
-    drawn = None
-    if sampling is not None or number is not None:
-        drawn = Sampling(sampling or "sobol", number or 1024)  # type: ignore[arg-type]
+    drawn = None if sampling is None and number is None else _sampling(sampling, number)
     asked = _asked(loop, axes, given, drawn)
     if width is not None and not adaptive:
         raise UserError(f"width = {width:g}: is for adaptive = True")
@@ -138,6 +137,13 @@ def sweep(
             return opening.loaded(opening.opened(filled.place))
 
 
+def _sampling(method: str | None, number: int | None) -> Sampling:
+    try:
+        return Sampling(method or "sobol", 1024 if number is None else number)  # type: ignore[arg-type]
+    except ValidationError as error:
+        raise UserError(reading.explained(error, "sampling.")) from None
+
+
 def _asked(
     loop: ControlLoop | Specification | str | os.PathLike[str],
     axes: Mapping[str, Any],
@@ -150,9 +156,9 @@ def _asked(
     own = loop if isinstance(loop, Specification) else reading.load(Path(loop))
     drawn = own.sampling if sampling is None else sampling
     varied = {axis.name: axis for axis in own.axes} | _read(axes, drawn)
-    changed = dataclasses.replace(own, **options, axes=tuple(varied.values()), sampling=drawn)
-    checks.check(changed)
-    return changed
+    changed = {"axes": tuple(varied.values()), "sampling": drawn, **options}
+    fields = {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}
+    return described(**(fields | changed))
 
 
 def _of_loop(
@@ -167,12 +173,10 @@ def _of_loop(
     varied = _own_axes({n: np.asarray(v, float) for n, v in values.items() if np.ndim(v)}, named)
     kind = {f.name: getattr(loop.kind, f.name) for f in dataclasses.fields(loop.kind)}
     options.setdefault("engine", "mass" if loop.kind.plant is None else "auto")
-    made = Specification(
+    return described(
         **kind, **options, parameters=fixed, axes=tuple((varied | named).values()),
         sampling=sampling,
     )  # fmt: skip
-    checks.check(made)
-    return made
 
 
 def _own_axes(arrays: Mapping[str, np.ndarray], named: Mapping[str, Axis]) -> dict[str, Axis]:

@@ -1,4 +1,4 @@
-"""Margins and frequency responses of loops given on the command line, as NumPy arrays."""
+"""Frequency responses of several loops, each with its name and margins, as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxact.cli._loops import Loops
 from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.verbs.margins import of_values
+from jaxact.verbs.naming import Loops
 
 if TYPE_CHECKING:
     from jaxact.compilation.programs import Program

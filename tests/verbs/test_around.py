@@ -1,0 +1,111 @@
+"""`jaxact.drive_around`: the drive around a simulator that is not ours, against a loop by hand."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxact as jx
+from jaxact.errors import UserError
+
+H = 1e-3  # physics step [s]
+J = 0.02  # [kg m^2]
+
+
+def step(state, force):
+    """Two inertias by semi-implicit Euler."""
+    position, velocity = state
+    velocity = velocity + H * force / J
+    return position + H * velocity, velocity
+
+
+def measure(state):
+    return state
+
+
+def rolled(drive, start, ticks, key=None):
+    def one(state, _):
+        state, output = drive.step(state, jnp.zeros(2), key)
+        return state, output.position_before
+
+    return jax.lax.scan(one, drive.init(start), None, length=ticks)[1]
+
+
+def by_hand(kp, kd, command_steps, measurement_steps, substeps, ticks, start):
+    """Ideal actuator, delays of whole physics steps: NumPy, with histories as lists."""
+    q, v = np.array(start), np.zeros(2)
+    states, commands, found = [(q, v)], [], []
+    for tick in range(ticks):
+        found.append(q)
+        late = max(tick * substeps - measurement_steps, 0)
+        sensed = states[late]
+        commands += [-(kp * sensed[0] + kd * sensed[1])] * substeps
+        for inner in range(substeps):
+            number = tick * substeps + inner - command_steps
+            v = v + H * (commands[number] if number >= 0 else 0.0) / J
+            q = q + H * v
+            states.append((q, v))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("command_steps, measurement_steps", [(0, 0), (3, 0), (0, 4), (3, 5)])
+def test_delays_are_those_of_a_loop_by_hand(command_steps, measurement_steps):
+    loop = jx.joint(kp=8.0, kd=0.4, delay=command_steps * H, control_rate=500.0,
+                    measurement_delay=measurement_steps * H)  # fmt: skip
+    start = jnp.array([0.01, -0.02]), jnp.zeros(2)
+    with jax.enable_x64(True):
+        drive = jx.drive_around(step, loop, measure=measure, physics_step=H, joints=2)
+        found = jax.jit(rolled, static_argnums=2)(drive, jax.tree.map(jnp.float64, start), 120)
+    expected = by_hand(8.0, 0.4, command_steps, measurement_steps, 2, 120, [0.01, -0.02])
+    assert np.asarray(found) == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_growth_rate_is_that_of_the_margins():
+    loop = jx.joint(kp=80.0, kd=2.0, mass=J, actuator="starleth", delay=0.002)
+    drive = jx.drive_around(step, loop, measure=measure, physics_step=H, joints=2)
+    found = rolled(drive, (jnp.array([1e-6, 1e-6]), jnp.zeros(2)), 1000)
+    envelope = np.abs(np.asarray(found)[:, 0]).reshape(10, 100).max(axis=1)
+    growth = np.polyfit(0.1 * np.arange(2, 10), np.log(envelope[2:]), 1)[0]
+    # Semi-implicit Euler damps a little.
+    assert growth == pytest.approx(float(jx.margins(loop, sampled=True).growth_rate), rel=0.1)
+
+
+def test_it_can_be_mapped_and_differentiated_by_the_delay():
+    loop = jx.joint(kp=8.0, kd=0.4, actuator="hyq", control_rate=500.0)
+    start = jnp.array([0.01, -0.02]), jnp.zeros(2)
+
+    def end(delay):
+        drive = jx.drive_around(
+            step, loop.replace(delay=delay), measure=measure, physics_step=H, joints=2,
+            longest=loop.replace(delay=0.02),
+        )  # fmt: skip
+        return rolled(drive, start, 60)[-1, 0]
+
+    delays = jnp.array([0.0, 0.0031, 0.02])
+    mapped = jax.vmap(end)(delays)
+    assert np.asarray(mapped) == pytest.approx([float(end(d)) for d in delays], rel=1e-4)
+    ends = [float(end(0.0031 + sign * 1e-4)) for sign in (-1.0, 1.0)]
+    assert float(jax.jacfwd(end)(0.0031)) == pytest.approx((ends[1] - ends[0]) / 2e-4, rel=0.02)
+
+
+def test_joints_may_have_drives_of_their_own_and_noise_of_their_own():
+    loop = jx.joint(kp=np.array([8.0, 4.0]), kd=0.4, position_noise=1e-3)
+    drive = jx.drive_around(step, loop, measure=measure, physics_step=H, joints=2)
+    start = jnp.zeros(2), jnp.zeros(2)
+    one, other = (rolled(drive, start, 50, jax.random.key(k)) for k in (0, 1))
+    assert not np.allclose(one, other) and not np.allclose(one[:, 0], one[:, 1])
+    with pytest.raises(ValueError, match="random key"):
+        rolled(drive, start, 2)
+
+
+def test_a_control_period_that_does_not_fit_is_refused():
+    with pytest.raises(UserError, match="no multiple of the physics step"):
+        jx.drive_around(step, jx.joint(control_rate=300.0), measure=measure, physics_step=H)
+
+
+def test_a_traced_loop_needs_its_longest():
+    def build(delay):
+        return jx.drive_around(step, jx.joint(delay=delay), measure=measure, physics_step=H)
+
+    with pytest.raises(TypeError, match="longest"):
+        jax.jit(build)(1e-3)

@@ -1,0 +1,86 @@
+"""`jaxact.tune`: certified gains of a joint, an ensemble and a robot by the same call."""
+
+import json
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from robots import QUADRUPED
+
+import jaxact as jx
+from jaxact.errors import UserError
+
+OPTIMA = json.loads((Path(__file__).parents[1] / "data" / "tuner_optima.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def loop():
+    return jx.joint(mass=0.7, kp=400, kd=20, actuator="starleth", delay=1e-3)
+
+
+@pytest.fixture(scope="module")
+def tuned(loop):
+    return jx.tune(loop, max_peak=1.6, front=3)
+
+
+def test_the_tuned_loop_meets_its_bound_and_no_more(tuned):
+    found = jx.margins(tuned.loop)
+    assert tuned.certified and found.sensitivity_peak == pytest.approx(1.6, rel=1e-6)
+    assert found.complementary_peak <= 1.6 * (1.0 + 1e-9)
+    assert tuned.loop.kp == tuned.kp and tuned.loop.wn == 110.0
+    # No neighbour is stiffer: along the bound kp is at its largest.
+    for factor in np.geomspace(0.9, 1.1, 7):
+        near = jx.margins(tuned.loop.replace(kp=1.002 * tuned.kp, kd=factor * tuned.kd))
+        assert near.sensitivity_peak > 1.6
+
+
+def test_a_front_trades_stiffness_for_robustness(tuned):
+    kp = [one.kp for one in tuned.front]
+    assert len(kp) == 3 and kp == sorted(kp)
+    assert "front of 3 points" in repr(tuned)
+
+
+def test_gains_under_uncertainty_hold_all_over_the_box(loop):
+    best = jx.tune(loop, max_peak=1.6, uncertainty={"wn": (0.8, 1.2), "delay": (0.0, 5e-3)})
+    assert best.certified
+    rng = np.random.default_rng(0)
+    wn, delay = 110.0 * rng.uniform(0.8, 1.2, 500), rng.uniform(0.0, 5e-3, 500)
+    found = jx.margins(best.loop.replace(wn=wn, delay=delay))
+    assert found.sensitivity_peak.max() <= 1.6 * (1.0 + 1e-6)
+    assert jx.margins(best.loop.replace(wn=88.0, delay=5e-3)).sensitivity_peak > 1.59
+
+
+def test_what_cannot_be_met_is_not_certified(loop):
+    best = jx.tune(loop.replace(delay=5e-3), max_peak=1.6, min_kp=400.0)
+    assert not best.certified and repr(best).splitlines()[1].startswith("NOT certified")
+
+
+def test_a_robot_is_tuned_by_the_same_call():
+    loop = jx.robot(QUADRUPED / "quadruped.xml", keyframe="stand", kp=700, kd=20, actuator="hyq",
+                    delay=1e-3)  # fmt: skip
+    best = jx.tune(loop, max_peak=4.0, groups=("HAA", "HFE", "KFE"), steps=30)
+    assert best.certified and best.kp.shape == (12,)
+    assert jx.margins(best.loop).sensitivity_peak == pytest.approx(4.0, rel=1e-3)
+    assert len(np.unique(best.kp)) == 3
+
+
+@pytest.mark.parametrize(
+    "given, said",
+    [
+        ({"max_peek": 2.0}, "unknown bound of a goal; did you mean 'max_peak'"),
+        ({"goal": "stif"}, "did you mean 'stiffness'"),
+        ({"uncertainty": {"wm": (0.8, 1.2)}}, "did you mean 'wn'"),
+        ({"uncertainty": {"wn": 3.0}}, r"give \(low, high\)"),
+        ({"groups": ("hip",)}, "is for a robot"),
+        ({"max_peak": 0.5}, "max_peak|peak"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(loop, given, said):
+    with pytest.raises(UserError, match=said):
+        jx.tune(loop, **given)
+
+
+def test_tuning_cannot_be_traced(loop):
+    with pytest.raises(TypeError, match="cannot be traced"):
+        jax.grad(lambda mass: jx.tune(loop.replace(mass=mass)).kp)(0.7)
