@@ -23,6 +23,7 @@ from jaxact.loops.loop import Loop, LoopState, Prepared
 from jaxact.loops.specification import Setting
 from jaxact.loops.template import Template
 from jaxact.plants import Mass
+from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import rollout as _rollout
 from jaxact.simulation import starts as _starts
 from jaxact.simulation.growth import characteristic as _characteristic
@@ -315,7 +316,7 @@ def metrics(
         rest_amplitude=rest,
         others=others,
     )
-    return worst(result)
+    return _metrics.worst(result)
 
 
 def other_starts(
@@ -353,11 +354,3 @@ def active_ticks(case: Case, values: Values) -> jax.Array | None:
     if not case.masked:
         return None
     return jnp.ceil(case.duration * values["control_rate"] - 1e-4)
-
-
-def worst(result: Metrics) -> Metrics:
-    """A loop with several joints is as good as its worst one.
-
-    Joints that have no such figure (NaN) do not hide the others'.
-    """
-    return jax.tree.map(lambda leaf: jnp.nanmax(leaf) if leaf.ndim else leaf, result)

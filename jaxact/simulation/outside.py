@@ -31,6 +31,7 @@ from jaxact.plants.mujoco import Impulse, JointPush, Simulations
 from jaxact.plants.variation import Variation
 from jaxact.robots import posture as _posture
 from jaxact.simulation import batch_rollout, kernel
+from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import starts as _starts
 from jaxact.simulation.batch_rollout import BatchState
 from jaxact.simulation.kernel import Case
@@ -171,7 +172,7 @@ def metrics(
     """
     loops = values, growth_rate, seed, numbers
     found, _ = _judged(case, setting, *loops, watch=watch, push=push)
-    return jax.tree.map(lambda leaf: jnp.nanmax(leaf, axis=1) if leaf.ndim > 1 else leaf, found)
+    return _metrics.worst(found)
 
 
 def _judged(
@@ -355,5 +356,4 @@ def followed(
     arrays: dict[str, Any] = {name: np.stack(column, axis=1) for name, column in columns}
     arrays["time"] = np.broadcast_to(case.step * np.arange(len(rows)), (len(numbers), len(rows)))
     arrays["configuration"] = np.stack(configurations, axis=1)
-    worst = jax.tree.map(lambda leaf: jnp.nanmax(leaf, axis=-1) if leaf.ndim > 1 else leaf, found)
-    return worst, Trajectory(**arrays), _starts.of_joints(judged)
+    return _metrics.worst(found), Trajectory(**arrays), _starts.of_joints(judged)

@@ -18,6 +18,7 @@ from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Setting, Specification
 from jaxact.loops.template import Template
 from jaxact.simulation import execute, kernel, plans, spectra, starts
+from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import rollout as _rollout
 from jaxact.simulation.kernel import Case
 from jaxact.simulation.metrics import Metrics
@@ -247,7 +248,7 @@ def _one(
         rest_amplitude=rest,
         others=others,
     )
-    return kernel.worst(result), trajectory, starts.listed(own, others)
+    return _metrics.worst(result), trajectory, starts.listed(own, others)
 
 
 def names(specification: Specification) -> tuple[str, ...]:

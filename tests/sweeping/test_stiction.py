@@ -1,5 +1,7 @@
 """What dry friction holds, against plain C MuJoCo loops with the actuator written out."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,6 +9,8 @@ import scipy.linalg
 
 from jaxact.loops import reading, toml
 from jaxact.robot_margins import stiction, whole_robot
+from jaxact.simulation import single
+from jaxact.status import Verdict
 
 STEP = 1e-3
 WN, ZETA = 110.0, 0.9  # StarLETH's actuator
@@ -102,7 +106,7 @@ def test_friction_that_holds_any_push_is_said_so(tmp_path):
     text = HINGE.format(loss=0.3, limit='forcerange="-0.35 0.35"')
     held = stiction.nominal(specification(tmp_path / "hinge.xml", text))
     assert held.push == np.inf and held.amplitude == 0.0
-    assert "dry friction holds it: no push" in held.sentence
+    assert "stands still because dry friction holds it: no push" in held.sentence
     assert np.ptp(plain(0.3, 0.35, held.strongest, 12.0)[-1500:]) < 1e-6
 
 
@@ -122,3 +126,13 @@ def test_friction_of_the_parameters_counts(tmp_path):
     )
     assert held.push == pytest.approx(own.push, rel=0.05)
     assert held.amplitude == pytest.approx(own.amplitude, rel=0.01)
+
+
+@pytest.mark.parametrize("duration", [1.0, 4.0])
+def test_what_friction_ends_is_no_limit_cycle_however_short_the_look(tmp_path, duration):
+    text = HINGE.format(loss=0.3, limit='forcerange="-2 2"')
+    asked = specification(tmp_path / "hinge.xml", text, setpoint=0.3)
+    run = single.simulate(replace(asked, duration=duration))
+    assert run.results["verdict"] == Verdict.UNSTABLE
+    assert not any(start.moving for start in run.starts)
+    assert np.isnan(run.results["limit_cycle_amplitude"])
