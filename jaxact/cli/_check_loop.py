@@ -139,7 +139,8 @@ def _of_friction(known: OnStand) -> list[str]:
 
 def _of_base(known: OnStand) -> list[str]:
     if known.falls:
-        return [f"With its base free there is no posture to look at: {known.falls}"]
+        why = known.falls.replace('base = "fixed"', "--base fixed")
+        return [f"With its base free there is no posture to look at: {why}"]
     if known.free is None:
         return []
     borne = known.free.borne

@@ -128,8 +128,8 @@ def on_stand(plant: Plant, robot: Robot, control_rate: float = CONTROL_RATE) -> 
         control_rate: [Hz].
 
     Raises:
-        UserError: as `jaxact.robot_margins.whole_robot.evaluate`, of the robot on a stand; or the posture
-            has joints outside their ranges, and another keyframe has not.
+        UserError: as `jaxact.robot_margins.whole_robot.evaluate`, of the robot on a stand; or the
+            posture has joints outside their ranges, and another keyframe has not.
     """
     stand = replace(plant, base="fixed")
     outside = _outside(stand)
