@@ -163,10 +163,10 @@ def write_folder(
 
     nominal: figures of the nominal loop with the gains, as `report` has them
     """
+    from jaxact.cli import _tuning_pictures
     from jaxact.plotting import look
     from jaxact.plotting.sensitivity import sensitivity
     from jaxact.tuning.result import mjcf_text, toml_text
-    from jaxact.verbs import _tuning_pictures
     from jaxact.verbs import responses as _responses
 
     (folder / "gains.toml").write_text(toml_text(tuned, command, nominal), encoding="utf-8")

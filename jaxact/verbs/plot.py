@@ -33,7 +33,7 @@ from jaxact.verbs import map_lines, naming, responses
 from jaxact.verbs.boundary import Window
 from jaxact.verbs.boundary import boundary as _boundary
 
-_SMALL = {"fontsize": "small"}
+_SMALL = "small"
 
 
 def bode(
@@ -77,7 +77,7 @@ def nyquist(
     ax = pyplot.subplots()[1] if ax is None else ax
     _nyquist.draw(ax, drawn, [_nyquist.described(response) for response in drawn])
     if legend:
-        ax.legend(**_SMALL)
+        ax.legend(fontsize=_SMALL)
     return ax
 
 
@@ -93,7 +93,7 @@ def _curves(
     axes = pyplot.subplots(2, 1, sharex=True)[1] if axes is None else axes
     draw(axes, drawn, [described(response) for response in drawn])
     if legend:
-        axes[0].legend(**_SMALL)
+        axes[0].legend(fontsize=_SMALL)
     return axes
 
 
@@ -147,7 +147,7 @@ def step(
         axes = pyplot.subplots(2, 1, sharex=True, gridspec_kw=heights)[1]
     _step.draw(axes, drawn, labels, units=_units(one))
     if legend:
-        axes[0].legend(**_SMALL)
+        axes[0].legend(fontsize=_SMALL)
     return axes
 
 
@@ -240,7 +240,7 @@ def stability_map(
     if legend:
         handles = _map.verdict_handles({int(v) for v in np.unique(maps["verdict"])})
         if handles:
-            given[0].legend(handles=handles, **_SMALL)
+            given[0].legend(handles=handles, fontsize=_SMALL)
     return given[0] if count == 1 else np.array(given, dtype=object)
 
 

@@ -222,7 +222,7 @@ def _robot(
     from jaxact.tuning.robot_loops import situation
 
     spans = read_spans(text) if text else ()
-    situations = []
+    situations: list[Situation] = []
     for place, one in enumerate(loops, 1):
         if one.kind.plant is None or one.shape:
             raise UserError("loop: give single loops of a robot, one for each posture")
