@@ -31,7 +31,7 @@ demo: $(STAMP)
 	$(BIN)/jaxact plot results/$(STUDY)
 
 paper: $(STAMP)
-	$(BIN)/jaxact paper --overwrite
+	$(BIN)/python experiments/paper/run.py
 
 quadruped: $(STAMP)
 	$(BIN)/python experiments/quadruped/run.py

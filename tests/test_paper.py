@@ -8,16 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.optimize
+from experiment_modules import imported
 from quickly import compiled_quickly as compiled_quickly
 from theory import figures, plant_values, response
 
-from jaxact.cli import paper as verb
-from jaxact.cli.main import main
-from jaxact.paper import pictures, results, study
-from jaxact.paper.claims import claims
-from jaxact.paper.report import report
-from jaxact.plotting import look
-
+FOLDER = Path(__file__).resolve().parent.parent / "experiments" / "paper"
+with imported(FOLDER, "claims", "pictures", "report", "results", "run", "study") as modules:
+    _claims, pictures, _report, results, run, study = modules
+claims, report = _claims.claims, _report.report
 ORACLE = json.loads((Path(__file__).parent / "data" / "paper_loop.json").read_text())
 ROBOTS, SWEEP, SAMPLED = (
     ORACLE["paper_cases"], ORACLE["frequency_sweep"], ORACLE["sampled_1khz"]
@@ -205,55 +203,18 @@ def test_pictures_show_the_families(found):
     assert starts == pytest.approx([1.008, 1, 1, 1, 1, 1])
 
 
-def test_command_writes_everything_and_refuses_to_replace(found, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(results, "compute", lambda: found)
+def test_the_experiment_writes_everything(found, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(run, "compute", lambda: found)
     out = tmp_path / "new" / "paper"
-    assert main(["paper", "--out", str(out)]) == 0
-    said = capsys.readouterr().out
+    run.main(["--out", str(out)])
     assert sorted(path.name for path in out.iterdir()) == sorted(FILES)
-    assert all(f"wrote {out / name}" in said for name in FILES) and "in some cases: " in said
+    said = capsys.readouterr().out
+    assert f"wrote {out}" in said and "in some cases: " in said
     assert (out / "claims.md").read_text(encoding="utf-8") == report(found)
-    before = {path: path.read_bytes() for path in out.iterdir()}
-    assert main(["paper", "--out", str(out)]) == 2
-    said = capsys.readouterr()
-    assert said.out == "" and "--overwrite" in said.err and said.err.count("\n") == 1
-    assert main(["paper", "--out", str(out), "--overwrite"]) == 0
-    assert {path: path.read_bytes() for path in out.iterdir()} == before
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--format", "jpg"], "allowed: png, svg, pdf"),
-        (["--out", "file/paper"], "output file/paper: cannot be written"),
-        (["--out", "file"], "output file: cannot be written"),
-        (["extra"], "see `jaxact paper --help`"),
-    ],
-)
-def test_a_mistake_is_one_line_and_computes_nothing(tmp_path, monkeypatch, capsys, options,
-                                                    message):  # fmt: skip
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(results, "compute", lambda: pytest.fail("computed"))
-    Path("file").write_text("x")
-    assert main(["paper", *options]) == 2
-    said = capsys.readouterr()
-    assert said.err.startswith("jaxact: ") and message in said.err and said.err.count("\n") == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-def test_an_interrupted_run_leaves_nothing(found, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(results, "compute", lambda: found)
-
-    def stop(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(look, "write", stop)
-    assert main(["paper", "--out", str(tmp_path / "a" / "b")]) == 130
-    assert not list(tmp_path.iterdir()) and "interrupted" in capsys.readouterr().err
 
 
 def test_the_committed_claims_are_what_the_command_writes(found):
-    committed = Path(__file__).parent.parent / "results" / "paper" / verb.CLAIMS
+    committed = Path(__file__).parent.parent / "results" / "paper" / run.CLAIMS
     assert committed.is_file()
     lines = committed.read_text(encoding="utf-8").splitlines()
     for claim in claims(found):

@@ -33,7 +33,6 @@ VERBS = {
     "sensitivity": "draw the sensitivity functions of loops, with their peaks",
     "render": "film a robot twice, side by side: bare, and with the drive model",
     "tune": "find the best gains of a joint by gradient descent on its margins, and certify them",
-    "paper": "reproduce the reference study's figures and judge its claims, exact and simulated",
     "export": "write the results of a sweep as one NetCDF file",
     "parameters": "list every parameter of a loop: unit, default, bounds, meaning",
     "check": "show what will be driven in a robot model, and every field that engines would ignore",
@@ -42,7 +41,7 @@ VERBS = {
 
 # Those that keep what they compile and have no option that says otherwise.
 _COMPILE = (
-    "plot", "simulate", "step", "margins", "bode", "nyquist", "sensitivity", "render", "paper"
+    "plot", "simulate", "step", "margins", "bode", "nyquist", "sensitivity", "render"
 )  # fmt: skip
 
 USAGE_ERROR = 2

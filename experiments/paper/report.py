@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import study
+from claims import KINDS, claims
 
-from jaxact.paper import study
-from jaxact.paper.claims import KINDS, claims
-from jaxact.paper.results import Results
 from jaxact.plotting.wording import display_name, quantity
+from results import Results
 
 _MARGINS = ("gain_margin", "phase_margin", "delay_margin")
 
@@ -18,14 +18,14 @@ _MARGINS = ("gain_margin", "phase_margin", "delay_margin")
 def report(results: Results) -> str:
     """The whole document as Markdown; the same results give the same text.
 
-    results: from `jaxact.paper.results.compute`
+    results: from `results.compute`
     """
     judged = [[claim.says, claim.true, claim.holds, claim.where] for claim in claims(results)]
     delays = " / ".join(quantity(delay, "s") for delay in study.DELAYS)
     parts = [
         "# The study's claims, and what is exactly true",
         f"{study.CITATION}.",
-        "Written by `jaxact paper` from computed numbers; not edited by hand. Three numbers "
+        "Written by `make paper` from computed numbers; not edited by hand. Three numbers "
         f"separated by strokes are for delays of {delays}. Continuous: exact, in continuous time. "
         "Sampled: exact, control at 1 kHz. Simulated: measured on simulated loops, without the "
         "exact formulas.",

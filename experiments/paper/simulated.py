@@ -14,6 +14,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
+from study import CONTROL_RATE, DELAYS, KD, KP, MASS, Cases
 
 from jaxact.compilation.programs import Program
 from jaxact.drive import step as _drive
@@ -22,7 +23,6 @@ from jaxact.drive.controller import Controller, Setpoint
 from jaxact.drive.step import Drive
 from jaxact.loops import loop as _loop
 from jaxact.loops.loop import Loop
-from jaxact.paper.study import CONTROL_RATE, DELAYS, KD, KP, MASS, Cases
 from jaxact.plants import Mass
 from jaxact.simulation import rollout
 from jaxact.simulation.growth.rate import growth_rate

@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from study import CONTROL_RATE, KD, KP, MASS, Cases
 
 from jaxact.analysis.joint.frequency import JointLoop, sensitivity
 from jaxact.analysis.joint.margins import margins
@@ -17,7 +18,6 @@ from jaxact.analysis.sampled.margins import sampled_margins
 from jaxact.analysis.sampled.period_map import SampledLoop, delay_steps
 from jaxact.analysis.sampled.search import sampled_response
 from jaxact.compilation.programs import Program
-from jaxact.paper.study import CONTROL_RATE, KD, KP, MASS, Cases
 
 # The margins work through their batch in tiles of so many; a rest would be compiled on its own.
 _TILE = 64

@@ -10,16 +10,16 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+import study
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
-from jaxact.paper import study
-from jaxact.paper.results import Results
 from jaxact.plotting import look, wording
 from jaxact.plotting.sheet import Sheet, sheet
+from results import Results
 
 _COLOURS = (look.BLUE, look.GREEN, look.VERMILION)
 _DASHES: tuple[Any, ...] = ((0, (5, 1.8)), "-")
@@ -37,7 +37,7 @@ _STUDY = "Neunert, Boaventura, Buchli, figure"
 def gain_margin(results: Results) -> Figure:
     """Figure 2: gain margin over the actuator's natural frequency.
 
-    results: from `jaxact.paper.results.compute`
+    results: from `results.compute`
     """
     with look.look():
         paper, grid = _sheet(
@@ -60,7 +60,7 @@ def gain_margin(results: Results) -> Figure:
 def phase_and_delay_margin(results: Results) -> Figure:
     """Figure 3: the phase margin, which the study calls delay margin, and the real delay margin.
 
-    results: from `jaxact.paper.results.compute`
+    results: from `results.compute`
     """
     with look.look():
         paper, grid = _sheet(
@@ -89,7 +89,7 @@ def phase_and_delay_margin(results: Results) -> Figure:
 def sensitivity_peak(results: Results) -> Figure:
     """Figure 4, over the natural frequency: the peak of |S|, and the frequency where it lies.
 
-    results: from `jaxact.paper.results.compute`
+    results: from `results.compute`
     """
     with look.look():
         paper, grid = _sheet(
@@ -118,7 +118,7 @@ def sensitivity_peak(results: Results) -> Figure:
 def sensitivity(results: Results) -> Figure:
     """Figure 4, over frequency: |S| for several natural frequencies.
 
-    results: from `jaxact.paper.results.compute`
+    results: from `results.compute`
     """
     with look.look():
         handles = _sensitivity_legend()

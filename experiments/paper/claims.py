@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import study
 
-from jaxact.paper import study
-from jaxact.paper.results import Results
 from jaxact.plotting.wording import display_name, quantity
+from results import Results
 
 KINDS = ("continuous", "sampled")
 # "A factor of 3 to 5" is read as rounded to whole numbers, "near 40 rad/s" as within this share.
@@ -54,7 +54,7 @@ class Claim:
 def claims(results: Results) -> list[Claim]:
     """Every quantitative claim of the study about the joint's loop, judged.
 
-    results: from `jaxact.paper.results.compute`
+    results: from `results.compute`
     """
     judges: tuple[Callable[[Results], Claim], ...] = (
         _infinite_without_actuator, _finite_with_actuator, _drops, _delay_margin, _sensitivity,

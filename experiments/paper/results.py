@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import exact
 import numpy as np
-
-from jaxact.paper import exact, simulated, study
-from jaxact.paper.study import Cases
+import simulated
+import study
+from study import Cases
 
 # Frequencies of the sensitivity's curves and of its simulated points [rad/s].
 _LOW, _HIGH, _CURVE, _MARKS = 3.0, 1000.0, 500, 25
