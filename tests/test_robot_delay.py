@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
+from jaxact.analysis.robot import limits as multiloop_limits
+from jaxact.analysis.robot import multiloop
 from jaxact.loops import reading
 from jaxact.robot_margins import whole_robot
 
@@ -66,6 +68,19 @@ def test_one_tick_less_decays_one_tick_more_grows(tmp_path):
     turns = np.flatnonzero(np.diff(np.sign(grows[-200:, np.argmax(borne.participation)])))
     frequency = np.pi / (0.002 * np.diff(turns).mean())
     assert frequency < borne.frequency < 1.12 * frequency  # it is lower at the later tick
+
+
+def test_joints_that_cross_alike_bear_what_one_of_them_does(tmp_path):
+    """Joints of left and right may cross at the very same place, to the last bit."""
+    robot = _found(tmp_path).robot
+    loop = multiloop.multiloop(*robot.matrices, robot.period)
+    grid = multiloop.grid(loop)
+    followed = multiloop_limits.followed(multiloop.sensitivity(loop, grid))
+    once = multiloop_limits.crossings(grid, followed, lambda s: s.real - 0.5)
+    twice = [each for each in once for _ in range(2)]
+    limits = [multiloop_limits.delay_limit(robot.later_by, robot.period, candidates)
+              for candidates in (once, twice)]  # fmt: skip
+    assert once and np.isfinite(limits[0]).all() and limits[0] == limits[1]
 
 
 def test_a_loop_that_shakes_as_it_is_bears_none(tmp_path):

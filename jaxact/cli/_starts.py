@@ -60,10 +60,19 @@ def document(run: Single) -> list[dict[str, Any]]:
 
 
 def advice(run: Single) -> str:
-    """What the verdict means; of an unstable loop that friction held, that it did."""
+    """What the verdict means; of an unstable loop that friction held, that it did.
+
+    And of one whose small perturbations decay, after which starts it was lost all the same.
+    """
     from jaxact.status import Verdict
 
     verdict = Verdict(int(run.results["verdict"]))
+    lost = [_NAMES[one.name] for one in run.starts if one.verdict == Verdict.UNSTABLE]
+    if verdict == Verdict.UNSTABLE and run.results["growth_rate"] < 0.0 and lost:
+        return (
+            f"Small perturbations decay, but the motion after {_listed(lost)} grew: large ones do, "
+            "where limits are reached, or where a robot loses its footing and falls."
+        )
     held = _rubs(run) and not any(start.moving for start in run.starts)
     if verdict == Verdict.UNSTABLE and held:
         return (
@@ -87,7 +96,7 @@ def _end(start: Start, rotary: bool, rubs: bool) -> str:
             return start.verdict.label
         if not start.resting:
             return "decaying by friction alone" if rubs else "decaying, although unstable,"
-        still = "where only friction holds it" if rubs else "where perturbations grow"
+        still = "though unstable where joints move" if rubs else "where perturbations grow"
         return f"at rest, {still},"
     if not start.moving:
         return "at rest" if start.resting else "decaying"

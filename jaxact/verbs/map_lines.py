@@ -13,6 +13,8 @@ from jaxact.plotting.stability_map import cell_edges, place
 from jaxact.sweeping import exact_lines, store
 from jaxact.sweeping.exact_lines import ExactLines
 
+_GAINS = ("kp", "kd")
+
 
 def boundaries(arrangement: Arrangement) -> list[ExactLines | None]:
     """The exact boundary of every panel, over whichever two numbers it shows."""
@@ -44,6 +46,10 @@ def nominal(
         raise UserError(f"`nominal` {shown}: give {' and '.join(axis.name for axis in axes)}")
     own = store.nominal(results)
     if not given and any(axis.name not in own for axis in axes):
+        return None
+    # The default gains are the reference study's, chosen for its mass.
+    usual = any(own[axis.name] == of(axis.name).default for axis in axes if axis.name in _GAINS)
+    if not given and usual and own.get("mass") != of("mass").default:
         return None
     point = list(given) or [own[axis.name] for axis in axes]
     if any(math.isnan(value) for value in point):

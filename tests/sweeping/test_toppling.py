@@ -11,6 +11,7 @@ from jaxact.loops import reading
 from jaxact.loops.samples import expand
 from jaxact.plotting import field, panels, stability_map
 from jaxact.simulation import execute
+from jaxact.simulation.spectra import Rates
 from jaxact.status import Verdict
 
 PERIOD, DELAY = 1e-3, 4
@@ -116,3 +117,15 @@ def test_maps_of_robots_that_topple_show_where_they_shake():
     (line,) = (line for line in figure.axes[0].lines if len(line.get_xdata()) > 1)
     assert np.isfinite(line.get_xdata()).any()
     plt.close(figure)
+
+
+def test_what_has_fallen_and_does_not_swing_is_no_limit_cycle():
+    rows = {
+        "verdict": np.full(3, Verdict.LIMIT_CYCLE, np.int8),
+        "limit_cycle_amplitude": np.full(3, 0.5),
+        "limit_cycle_frequency": np.array([np.nan, 30.0, np.nan]),
+    }
+    rates = Rates(growth=np.array([2.0, 2.0, 2.0]), shaking=np.array([-1.0, -1.0, 2.0]))
+    found = execute.with_rates(rows, rates)
+    assert found["verdict"].tolist() == [Verdict.TOPPLES, Verdict.LIMIT_CYCLE, Verdict.LIMIT_CYCLE]
+    assert np.isnan(found["limit_cycle_amplitude"]).tolist() == [True, False, False]
