@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import exact
+import exact_margins as exact
 import numpy as np
 import simulated
 import study

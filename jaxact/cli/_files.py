@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
+from jaxact import files
 from jaxact.errors import UserError
 
 
@@ -38,12 +37,5 @@ def write(path: Path, fill: Callable[[BinaryIO], object]) -> None:
 
     Raises UserError where the folder cannot be written to.
     """
-    try:
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".jaxact-") as folder:
-            partial = Path(folder) / path.name
-            with partial.open("wb") as file:
-                fill(file)
-            os.replace(partial, path)
-    except OSError as error:
-        reason = error.strerror or error
-        raise UserError(f"output {path}: cannot be written ({reason}); choose another") from error
+    with files.output(path) as partial, partial.open("wb") as file:
+        fill(file)

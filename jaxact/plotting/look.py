@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ import matplotlib
 from matplotlib.colors import Colormap, LinearSegmentedColormap, to_hex, to_rgb
 from matplotlib.figure import Figure
 
+from jaxact import files
 from jaxact.errors import UserError
 
 FORMATS = ("png", "svg", "pdf")
@@ -128,11 +127,5 @@ def write(figure: Figure, path: Path, *, title: str) -> None:
     metadata |= {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(
         kind, {"Software": "jaxact"}
     )
-    try:
-        with look(), tempfile.TemporaryDirectory(dir=path.parent, prefix=".jaxact-") as folder:
-            temporary = Path(folder) / path.name
-            figure.savefig(temporary, format=kind, metadata=metadata, facecolor="white")
-            os.replace(temporary, path)
-    except OSError as error:
-        reason = error.strerror or error
-        raise UserError(f"output {path}: cannot be written ({reason}); choose another") from error
+    with look(), files.output(path) as partial:
+        figure.savefig(partial, format=kind, metadata=metadata, facecolor="white")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import os
 import shutil
 import subprocess
 import tempfile
@@ -14,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from jaxact import files
 from jaxact.errors import UserError
 
 FORMATS = ("gif", "mp4")
@@ -72,14 +72,8 @@ def write(images: Iterable[np.ndarray], path: Path, *, fps: float) -> None:
     """
     check_output(path, fps)
     save = _save_gif if path.suffix.lower() == ".gif" else _save_mp4
-    try:
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".jaxact-") as folder:
-            temporary = Path(folder) / path.name
-            save(iter(images), temporary, fps)
-            os.replace(temporary, path)
-    except OSError as error:
-        reason = error.strerror or error
-        raise UserError(f"output {path}: cannot be written ({reason}); choose another") from error
+    with files.output(path) as partial:
+        save(iter(images), partial, fps)
 
 
 def _save_gif(images: Iterator[np.ndarray], path: Path, fps: float) -> None:

@@ -139,7 +139,7 @@ def settled(robot: Robot) -> Posture:
     if np.any(robot.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)):
         advice = (
             'give a keyframe that stands by itself, posture = "keyframe" to start from it as it '
-            "is, or `base` fixed to put it on a stand"
+            'is, or base = "fixed" to put it on a stand'
         )
     raise UserError(f"{robot.path.name}: {complaints[0]}; {advice}")
 

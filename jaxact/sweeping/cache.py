@@ -12,6 +12,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from jaxact import files
+
 _RATES = "rates.json"
 
 
@@ -44,12 +46,5 @@ def read_rates() -> dict[str, Any]:
 def write_rates(rates: dict[str, Any]) -> None:
     """Keep what was measured; silently not where the folder cannot be written."""
     with contextlib.suppress(OSError, RuntimeError):
-        handle, name = tempfile.mkstemp(dir=folder(), prefix=".rates-")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                json.dump(rates, file, indent=1)
-            os.replace(name, folder() / _RATES)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.unlink(name)
-            raise
+        with files.replacing(folder() / _RATES) as partial:
+            partial.write_text(json.dumps(rates, indent=1), encoding="utf-8")

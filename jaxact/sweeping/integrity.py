@@ -125,7 +125,7 @@ def refuse(place: Place, wrong: Iterable[str]) -> None:
 def mended_by(place: Place) -> str:
     """What mends a damaged store."""
     if _store.identity_of(place) is None:
-        return "make it again with `overwrite`"
+        return "make it again"
     return "`jaxact sweep ... --resume` mends it (`jaxact validate` checks all of it)"
 
 

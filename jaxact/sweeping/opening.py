@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import json
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact import files
 from jaxact.errors import UserError
 from jaxact.sweeping import integrity, seal
 from jaxact.sweeping import place as _place
@@ -171,10 +171,8 @@ def to_netcdf(results: xr.Dataset, path: Path, *, overwrite: bool = False) -> No
     check_netcdf(path, overwrite=overwrite)
     encoded = loaded(results).assign_attrs({k: _netcdf(v) for k, v in results.attrs.items()})
     try:
-        with tempfile.TemporaryDirectory(prefix=".jaxact-", dir=path.parent) as scratch:
-            partial = Path(scratch) / path.name
+        with files.replacing(path) as partial:
             encoded.to_netcdf(partial, engine="h5netcdf")
-            partial.replace(path)
     except OSError as error:
         raise UserError(unwritable(path, error)) from error
 

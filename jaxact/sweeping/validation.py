@@ -21,6 +21,8 @@ from jaxact.sweeping.progress import Store
 # Another compiler may round otherwise; near a threshold a figure then jumps.
 _TOLERANCE = {"float32": 1e-3, "float64": 1e-9}
 
+_MENDED = "`jaxact sweep ... --resume` mends it"
+
 
 @dataclass(frozen=True)
 class Checked:
@@ -110,7 +112,7 @@ def recompute(target: Place, number: int, seed: int) -> Again:
 def _existing(target: Place) -> Store:
     store = progress.existing(target)
     if store is None:
-        raise UserError(f"{target.name}: does not say how it is cut up; `resume` mends it")
+        raise UserError(f"{target.name}: does not say how it is cut up; {_MENDED}")
     return store
 
 
@@ -120,7 +122,7 @@ def _described(target: Place) -> tuple[Specification, Samples, Samples]:
     try:
         specification = reading.parse(str(attributes["specification_toml"]))
     except KeyError:
-        raise UserError(f"{target.name}: its description is lost; `resume` mends it") from None
+        raise UserError(f"{target.name}: its description is lost; {_MENDED}") from None
     grid = expand(specification)
     if "adaptive" not in attributes:
         return specification, grid, grid

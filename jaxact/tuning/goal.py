@@ -152,7 +152,7 @@ def check(goal: Goal) -> Goal:
 
 
 def _option(name: str) -> str:
-    return "--" + name.replace("_", "-")
+    return f"`{name}`"
 
 
 def risk_tail(risk: str) -> float:

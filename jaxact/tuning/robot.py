@@ -215,8 +215,7 @@ def _check(
         raise UserError(f"objective '{goal.objective}': of a robot stiffness or disk-margin")
     for name in goal.active:
         if name not in BOUNDS:
-            option = name.replace("_", "-")
-            raise UserError(f"--{option}: is for a single joint; of a robot {_instead(name, goal)}")
+            raise UserError(f"`{name}`: is for a single joint; of a robot {_instead(name, goal)}")
     if goal.risk != "worst":
         raise UserError(
             f"`risk` {goal.risk}: of a robot every loop counts, worst; leave out what need not "

@@ -191,7 +191,7 @@ def _ends(
             if span.factor and of_model.size > 1:
                 raise UserError(
                     f"`uncertainty` {span.name}: the model's joints differ in it; give "
-                    f"--{span.name.replace('_', '-')}"
+                    f"`{span.name}`"
                 )
             own[span.name] = float(of_model[0])
         if span.factor and not np.isfinite(list(own.values())).all():

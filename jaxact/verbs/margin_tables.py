@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact.loops import conversion
-from jaxact.loops.control_loop import ControlLoop
 from jaxact.plotting.wording import quantity
 from jaxact.verbs import naming
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from jaxact.loops.control_loop import ControlLoop
 
 # Names of the output, in order. Margins mean nothing for an unstable loop, the others always do.
 ALWAYS = ("stable", "unstable_roots", "log_gain_to_boundary", "spectral_abscissa")
@@ -57,6 +57,8 @@ def dataset(loop: ControlLoop, figures: Figures) -> xr.Dataset:
         figures: by name, shape (n,) each.
     """
     import xarray as xr
+
+    from jaxact.loops import conversion  # imports JAX, which tables do without
 
     samples = conversion.samples(loop)
     shape = samples.shape if loop.shape else ()

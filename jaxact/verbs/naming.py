@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact.loops import conversion
-from jaxact.loops.control_loop import ControlLoop
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.parameters import PRESETS, of
 from jaxact.plotting.wording import quantity
+
+if TYPE_CHECKING:
+    from jaxact.loops.control_loop import ControlLoop
 
 DELAYS = ("delay", "measurement_delay", "output_delay")
 """Delays within the loop: only their sum counts."""
@@ -117,6 +118,8 @@ def loop_name(specification: Specification, values: Mapping[str, float] | None =
 
 def named(loop: ControlLoop) -> Loops:
     """A batch of a joint's loops, each with its name."""
+    from jaxact.loops import conversion  # imports JAX, which naming alone does without
+
     samples = conversion.samples(loop)
     own = conversion.specification(loop)
     words = labels(samples) or (loop_name(own),) * len(samples)

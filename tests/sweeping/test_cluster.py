@@ -34,7 +34,8 @@ kd = { min = 1, max = 100, num = 8, spacing = "log" }
 CODE = """
 import dataclasses, sys
 from pathlib import Path
-from jaxact.sweeping import cluster, conduct, place, planning, reading
+from jaxact.loops import reading
+from jaxact.sweeping import cluster, conduct, place, planning
 
 asked = reading.load(Path(sys.argv[1]))
 small = lambda planned: dataclasses.replace(planned, loops=16)

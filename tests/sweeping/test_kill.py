@@ -37,7 +37,9 @@ CODE = """
 import dataclasses, os, sys
 from pathlib import Path
 import xarray, zarr
-from jaxact.sweeping import conduct, execute, fill, kernel, place, planning, reading, spectra, store
+from jaxact.loops import reading
+from jaxact.simulation import execute, kernel, spectra
+from jaxact.sweeping import conduct, fill, place, planning, store
 
 def plan(specification, samples):
     return dataclasses.replace(planning.plan(specification, samples), loops=16)

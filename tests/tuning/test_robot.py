@@ -326,7 +326,7 @@ def _simulated(specification, kp, kd):
 
 
 @pytest.mark.parametrize(
-    ("wish", "said"), [(Wish(-1.0), "--tracking-weight"), (Wish(1.0, "sideways"), "--derivative")]
+    ("wish", "said"), [(Wish(-1.0), "`tracking_weight`"), (Wish(1.0, "sideways"), "`derivative`")]
 )
 def test_wishes_that_make_no_sense(known, wish, said):
     with pytest.raises(UserError, match=said):
@@ -337,11 +337,11 @@ def test_wishes_that_make_no_sense(known, wish, said):
     ("goal", "said"),
     [
         (Goal(objective="bandwidth"), "of a robot stiffness or disk-margin"),
-        (Goal(min_delay_margin=1e-3), "--min-delay-margin: .* --uncertainty output_delay=0..0.001"),
+        (Goal(min_delay_margin=1e-3), "`min_delay_margin`: .* `uncertainty` output_delay=0..0.001"),
         # (2 + 2/3) / (2 - 2/3) = 2
-        (Goal(min_gain_margin=2.0), "--min-gain-margin: .* --min-disk-margin 0.6667 leaves"),
-        (Goal(max_noise_gain=2.0), "--max-noise-gain: .* --max-kp and --max-peak"),
-        (Goal(risk="mean"), "--risk mean: .* narrower --uncertainty"),
+        (Goal(min_gain_margin=2.0), "`min_gain_margin`: .* `min_disk_margin` 0.6667 leaves"),
+        (Goal(max_noise_gain=2.0), "`max_noise_gain`: .* `max_kp` and `max_peak`"),
+        (Goal(risk="mean"), "`risk` mean: .* narrower `uncertainty`"),
         (Goal(max_peak=np.inf), "nothing limits"),
     ],
 )
