@@ -4,7 +4,8 @@
 # make tuning  gains for that robot, certified and simulated, to results/tuning/quadruped/
 # make engines  MJX against C MuJoCo with the same drives, to results/engines/
 # make shipped how much delay the gains bear that public robots ship with, to results/shipped_gains/
-# make test    the whole test suite
+# make test    the everyday tests
+# make test-all  all tests, the exhaustive ones too
 # make lint    style and types
 # make bench   benchmarks against rivals, to results/benchmarks/
 # make lock    pin all dependencies anew (needs Python 3.11, 3.12 and 3.13)
@@ -20,7 +21,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 STUDY := paper_gain_map
 ROBOTS := .robots
 
-.PHONY: help demo paper quadruped tuning engines shipped test lint bench lock clean
+.PHONY: help demo paper quadruped tuning engines shipped test test-all lint bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -46,6 +47,9 @@ shipped: $(STAMP) $(ROBOTS)/.complete
 	PYTHONPATH=$(ROBOTS) $(BIN)/python experiments/shipped_gains/run.py
 
 test: $(STAMP)
+	$(BIN)/python -m pytest -n auto -m "not exhaustive"
+
+test-all: $(STAMP)
 	$(BIN)/python -m pytest -n auto
 
 lint: $(STAMP)

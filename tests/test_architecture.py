@@ -218,6 +218,7 @@ def _chains():
     return chains
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("commands", [pytest.param(c, id=name) for name, c in _chains().items()])
 def test_commands_of_the_pages_run(commands, tmp_path):
     shutil.copytree(ROOT / "experiments", tmp_path / "experiments")

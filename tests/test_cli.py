@@ -169,6 +169,7 @@ def test_sweep_plot_export(small, tmp_path):
     assert "--overwrite" in _refused(jaxact("export", "results/small", "small.nc", cwd=tmp_path))
 
 
+@pytest.mark.exhaustive
 def test_results_do_not_depend_on_where_or_how_they_were_computed(tmp_path):
     (tmp_path / "noisy.toml").write_text(NOISY)
     asked = ["sweep", tmp_path / "noisy.toml"]
@@ -181,6 +182,7 @@ def test_results_do_not_depend_on_where_or_how_they_were_computed(tmp_path):
     xr.testing.assert_equal(first, second)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_sweep_interrupted_before_its_first_chunk_leaves_nothing(number, code, small, tmp_path):
     running = subprocess.Popen(
@@ -243,6 +245,7 @@ def _refused_checks(ran):
     return ran.stderr
 
 
+@pytest.mark.exhaustive
 def test_status_and_validate_of_a_result(small, tmp_path):
     assert jaxact("sweep", small, "--out", "out", cwd=tmp_path).returncode == 0
     said = jaxact("status", "out", cwd=tmp_path).stdout.splitlines()
@@ -279,6 +282,7 @@ def test_a_dry_run_of_a_hundred_million_loops_answers_at_once_and_writes_nothing
     assert [item.name for item in tmp_path.iterdir()] == ["big.toml"]
 
 
+@pytest.mark.exhaustive
 def test_a_cache_that_cannot_be_written_is_one_line(small, tmp_path):
     (tmp_path / "file").write_text("")
     for where, more in (("/proc/nowhere", ["--dry-run"]), (str(tmp_path / "file"), [])):
@@ -291,6 +295,7 @@ def test_a_cache_that_cannot_be_written_is_one_line(small, tmp_path):
     assert (quiet.returncode, quiet.stderr) == (0, "")
 
 
+@pytest.mark.exhaustive
 def test_compiled_programs_are_kept_and_a_damaged_cache_is_no_error(small, tmp_path):
     cache = tmp_path / "cache"
     first = jaxact("sweep", small, "--out", "one", cwd=tmp_path, XDG_CACHE_HOME=str(cache))
@@ -312,6 +317,7 @@ def test_compiled_programs_are_kept_and_a_damaged_cache_is_no_error(small, tmp_p
     assert all(path.stat().st_size > 1000 for path in programs)
 
 
+@pytest.mark.exhaustive
 def test_other_commands_keep_their_programs_too_and_say_nothing_where_they_cannot(tmp_path):
     words = ["margins", "--kp", "400", "--kd", "20", "--json"]
     said = [

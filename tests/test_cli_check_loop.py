@@ -52,6 +52,7 @@ def _shakes(delay, damping, rate, seconds=4.0, fine=1e-4):
     return abs(data.qvel[0]) > 1e-6
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("rate", [1000.0, 200.0])
 def test_delays_are_those_of_plain_mujoco_at_a_fine_step(capsys, rate):
     text = STOOL.format(floor=FLOOR, damping=2.0, loss=0.3)

@@ -203,6 +203,7 @@ def test_step_responses(capsys):
     assert Path("step.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.exhaustive
 def test_simulate_writes_picture_and_numbers(capsys):
     arguments = ["simulate", "--actuator", "starleth", "--delay", "0.005", "--csv", "run.csv",
                  "--npz", "run.npz", "--duration", "0.2"]  # fmt: skip

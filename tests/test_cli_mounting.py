@@ -109,6 +109,7 @@ def test_check_says_what_was_done(capsys):
     assert "moved into the drive's kd" in said["damping"]["advice"]
 
 
+@pytest.mark.exhaustive
 def test_a_motion_is_simulated_on_the_stand(capsys):
     files = ("--out", "run.png", "--npz", "run.npz")
     asked = ("--base", "fixed", "--damping", "drive", "--duration", "0.1", "--engine", "mujoco")
@@ -148,6 +149,7 @@ def test_margins_of_a_robot_that_topples_propose_the_stand(capsys):
     assert "topples" not in capsys.readouterr().out
 
 
+@pytest.mark.exhaustive
 def test_tuned_gains_say_that_they_hold_the_damping(capsys):
     quick = ("--starts", "1", "--steps", "20", "--ensemble", "2", "--validate", "0")
     asked = (
@@ -180,6 +182,7 @@ def test_margins_with_the_base_held_say_that_the_feet_never_slip(capsys):
     assert "feet that never slip" not in capsys.readouterr().out
 
 
+@pytest.mark.exhaustive
 def test_figures_of_a_hinge_have_the_units_of_a_hinge(capsys):
     loop = ("simulate", *WHICH, "--base", "fixed", "--duration", "0.2", "--out", "one.png")
     assert main([*loop]) == 0

@@ -77,6 +77,7 @@ def test_writes_a_film_and_says_so(folder):
     (folder / "robots.gif").unlink()
 
 
+@pytest.mark.exhaustive
 def test_simulates_both_motions_itself(folder):
     """A pendulum with more damping than its late actuator bears; the gains are the same."""
     try:

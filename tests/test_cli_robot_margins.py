@@ -85,6 +85,7 @@ def test_the_gains_of_the_model_are_taken_and_everything_is_said(capsys):
     assert all(10.0 < joint["phase_margin"] < 180.0 for joint in row["joints"])  # degrees
 
 
+@pytest.mark.exhaustive
 def test_derivatives_of_mjx_give_the_margins_of_differences_in_c(capsys):
     asked = ("--model", "arm.xml", "--keyframe", "bent", "--actuator", "hyq", "--json", "--engine")
     one, other = (json.loads(_said(capsys, *asked, engine)) for engine in ("mujoco", "mjx"))

@@ -88,6 +88,7 @@ def test_a_robot_is_tuned_certified_simulated_and_written():
     assert model.actuator_gainprm[:, 0].tolist() == list(gains.values())
 
 
+@pytest.mark.exhaustive
 def test_tables_say_what_is_guaranteed_and_what_cannot_be_met(capsys):
     two = (*ASKED, "--keyframe", "home", "straight")
     assert main(["tune", *two, *QUICK, "--validate", "0", "--pareto", "2"]) == 0

@@ -25,6 +25,7 @@ def _said(capsys, *arguments):
     return capsys.readouterr().out
 
 
+@pytest.mark.exhaustive
 def test_the_stiffest_gains_as_json(capsys):
     row = json.loads(_said(capsys, *STARLETH, "--delay", "1e-3", "--max-peak", "1.6", *START,
                            "--json"))  # fmt: skip
@@ -36,6 +37,7 @@ def test_the_stiffest_gains_as_json(capsys):
     assert not list(Path().iterdir())
 
 
+@pytest.mark.exhaustive
 def test_a_folder_of_gains_and_pictures(capsys):
     said = _said(capsys, *STARLETH, "--delay", "1e-3", *START, "--pareto", "4",
                  "--joint", "knee", "--out", "tuned")  # fmt: skip
@@ -71,6 +73,7 @@ def test_what_cannot_be_met_is_a_result(capsys):
     assert "infeasible" in row["verdict"] and "2.976" in row["verdict"]
 
 
+@pytest.mark.exhaustive
 def test_tracking_a_file(capsys):
     lines = [f"{0.01 * i},{0.1 * min(i / 20, 1.0)}" for i in range(60)]
     Path("path.csv").write_text("# time, setpoint\n" + "\n".join(lines))

@@ -41,6 +41,7 @@ def campaign():
     return module
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("differenced", "precision"), [(False, "float64"), (True, "float32")])
 def test_random_loops(campaign, monkeypatch, differenced, precision):
     monkeypatch.setattr(campaign, "LONGEST", 200)
@@ -73,6 +74,7 @@ def test_gains_that_hardly_do_anything_at_the_end_of_a_long_line():
     assert np.all(found["verdict"] == Verdict.UNSTABLE)
 
 
+@pytest.mark.exhaustive
 def test_what_does_not_come_back_has_no_growth_rate_and_is_not_stable():
     """Without stiffness a joint stays wherever it was pushed: a root at z = 1."""
     for delay in (0.002, 0.03):

@@ -37,6 +37,7 @@ def test_every_specification_is_one_and_has_every_drive(cases):
         assert cases.load(name).duration == 0.1
 
 
+@pytest.mark.exhaustive
 def test_a_part_of_it_runs(tmp_path):
     command = [sys.executable, str(FOLDER / "run.py"), "--free", "slide", "--standing"]
     ran = subprocess.run(

@@ -71,6 +71,7 @@ def polynomial_roots(values, cutoff):
     return np.roots(np.polyadd(inertia, [lead, kp]))
 
 
+@pytest.mark.exhaustive
 def test_roots_without_delay_are_those_of_the_polynomial():
     values, cutoff, (figures, count, root) = found(delay=False)
     expected = [polynomial_roots(*one) for one in zip(values.T, cutoff, strict=True)]
@@ -149,6 +150,7 @@ def test_no_cutoff_is_no_filter_to_rounding():
     np.testing.assert_array_equal(without.unstable_roots, with_infinity.unstable_roots)
 
 
+@pytest.mark.exhaustive
 def test_derivatives_with_a_filter_are_those_of_differences():
     def figure(x):
         loop = JointLoop(400.0, 20.0, 0.7, 110.0, 0.9, x[0], velocity_filter=x[1])

@@ -115,6 +115,7 @@ def test_high_control_rates():
     assert np.sum(near) > 100
 
 
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("quickly_compiled")
 @pytest.mark.parametrize("slots", [6, 46])
 def test_a_line_much_longer_than_the_delay_changes_nothing(slots):

@@ -76,6 +76,7 @@ def test_a_step_with_rk4_is_linearised(pendulum):
     np.testing.assert_allclose(B, np.transpose(forces), atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_jacobians_of_mjx_equal_difference_quotients_of_c(hopper):
     """On its contacts; a robot without any is linearised by the command line's tests."""
     robot, start = hopper
@@ -134,6 +135,7 @@ def _period(prepared, options, state, setpoint):
     return flat, jax.jit(advance)
 
 
+@pytest.mark.exhaustive
 def test_the_closed_loop_equals_its_central_differences(pendulum):
     """Delays, force loops and the plant of the nonlinear loop against the linear plant's loop."""
     robot, start = pendulum

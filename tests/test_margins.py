@@ -58,6 +58,7 @@ def count(values):
 PAPER = np.array([theory.plant_values(theory.CONTINUOUS, name) for name in theory.NAMES])
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("dtype", "tolerance"), [("float64", 1e-9), ("float32", 1e-4)], ids=["double", "single"]
 )
@@ -292,6 +293,7 @@ def jacobians(function, values):
     return np.asarray(function(jnp.asarray(padded)))[: values.shape[1]]
 
 
+@pytest.mark.exhaustive
 def test_every_derivative_equals_central_differences(crowd):
     """Forward and reverse, every margin by every parameter, at stable and unstable loops."""
     paper = PAPER[:, np.isfinite(PAPER[3])]
@@ -353,6 +355,7 @@ def test_derivative_of_the_rightmost_root():
 # --- shapes, transformations, invariants -------------------------------------------------------
 
 
+@pytest.mark.exhaustive
 def test_fields_broadcast_and_transformations_compose():
     kp = np.geomspace(50.0, 2000.0, 5)[:, None]
     delay = np.array([0.0, 0.001, 0.005])

@@ -68,6 +68,7 @@ def simulated(options="", parameters="", folder=None):
     return single.simulate(reading.load(path)).trajectory
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("late", [0, 3])
 def test_a_robots_moving_setpoint_is_held_as_in_a_plain_loop(tmp_path, late):
     (tmp_path / "arm.xml").write_text(ARM)

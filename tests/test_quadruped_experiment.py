@@ -74,6 +74,7 @@ def test_the_specifications_hold_the_gains_of_the_rule(experiment, toppling):
     assert all(gains.differs(one, doubled) for one in situations.values())
 
 
+@pytest.mark.exhaustive
 def test_the_growth_rate_finds_the_same_toppling_stiffness(experiment, toppling):
     cases, gains = experiment
     assert gains.toppling_stiffness(cases.load("three")) == pytest.approx(
@@ -93,6 +94,7 @@ def test_the_nominal_gains_are_well_damped_and_bear_tripling_without_a_drive(exp
         assert _radius(linear, 3.0 * kp, 3.0 * kd) < 1.0
 
 
+@pytest.mark.exhaustive
 def test_linear_and_nonlinear_critical_gain_scales_agree(experiment):
     """Within 5 % for three drive models, by two independent ways."""
     cases, _ = experiment
@@ -112,6 +114,7 @@ def test_linear_and_nonlinear_critical_gain_scales_agree(experiment):
     assert np.count_nonzero(close) >= 3, (linear[finite], rollouts)
 
 
+@pytest.mark.exhaustive
 def test_a_small_part_of_it_runs(experiment, tmp_path, monkeypatch, capfd):
     """In this process, where its programs have been compiled already."""
     monkeypatch.chdir(tmp_path)

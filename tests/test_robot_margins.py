@@ -408,6 +408,7 @@ def robot(tmp_path_factory):
     return model.read(_file(tmp_path_factory.mktemp("robot"), "arm.xml", ARM))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("delay", "differenced"), [(2.3e-3, False), (20.6e-3, True)])
 def test_the_period_map_is_the_propagation_of_the_simulated_loop(robot, delay, differenced):
     """Long delays live in ring buffers, which the map sees from their newest value on."""

@@ -180,6 +180,7 @@ def test_a_saturated_unstable_loop_ends_in_a_limit_cycle():
     assert got.limit_cycle_frequency == pytest.approx(frequency, rel=0.05)
 
 
+@pytest.mark.exhaustive
 def test_verdicts_of_the_four_kinds():
     stable = Drive(Controller(400.0, 20.0), Actuator(110.0, 0.9, 1e-3, force_limit=100.0))
     assert _evaluate(stable).verdict == Verdict.STABLE
@@ -216,6 +217,7 @@ def test_a_diverged_lane_does_not_touch_its_neighbours():
             np.testing.assert_array_equal(a[[0, 3]], b[[0, 3]], err_msg=name)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
 def test_what_ends_early_gives_the_same_figures(noise):
     """A batch ends once its last loop is lost, and not before."""

@@ -135,6 +135,7 @@ def test_euler_variant_equals_its_own_simulation(wn, delay):
     np.testing.assert_allclose(matrix @ state, expected, rtol=1e-8, atol=1e-10)
 
 
+@pytest.mark.exhaustive
 def test_euler_variant_converges_to_the_exact_one():
     values = (400.0, 20.0, 0.7, 110.0, 0.9, 2.37e-3)
     exact = float(radius_of(sampled_loop(values), 3))

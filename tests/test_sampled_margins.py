@@ -56,6 +56,7 @@ def evaluate(values, dtype=None, **kinds):
     return in_parts(compiled, values, dtype, **kinds)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("variant", "dtype", "tolerance"),
     [
@@ -238,6 +239,7 @@ SMOOTH = tuple(
 )
 
 
+@pytest.mark.exhaustive
 def test_every_derivative_equals_central_differences():
     velocity, cutoff = "differenced", 400.0
     chosen = PAPER[:, [7, 8, 4]].copy()
@@ -268,6 +270,7 @@ def test_every_derivative_equals_central_differences():
         assert error[known].max() < 1e-6, name
 
 
+@pytest.mark.exhaustive
 def test_reverse_mode_equals_central_differences():
     values = jnp.array([400.0, 20.0, 0.7, 110.0, 0.9, 1.37e-3])
 

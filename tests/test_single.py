@@ -50,6 +50,7 @@ SWEPT = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("case", SWEPT)
 def test_figures_are_those_of_a_sweep(case):
     """Kept rows, taken in at the end, against what a sweep takes in on the way."""

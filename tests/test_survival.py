@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SMALL = "[axes]\nkp = [1, 2, 3]\nkd = [1, 2]"
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("what", "number"), [("kills", 8), ("damages", 16)])
 def test_a_small_campaign_finds_nothing_wrong(what, number, tmp_path):
     ran = subprocess.run(

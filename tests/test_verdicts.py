@@ -84,6 +84,7 @@ def test_a_quantised_loop_has_one_verdict_whatever_its_setpoint_and_start():
     )
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("setpoint, velocity", [(0.01, 0.0), (0.3, 0.0), (0.0, 0.5)])
 def test_amplitude_and_frequency_are_those_of_a_plain_rollout(setpoint, velocity):
     text = MOTOR.replace("duration = 1.0", "duration = 4.0")
@@ -114,6 +115,7 @@ def _open_loop(frequency, kp, kd):
     return plant * controller * z ** -round(PERIOD / FAST)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kp, kd", [(80.0, 1.5), (40.0, 1.0), (20.0, 0.6)])
 def test_between_two_counts_it_is_what_the_describing_function_of_a_relay_predicts(kp, kd):
     """Between two counts the encoder is a relay of half a count: N(A) = 2 count / (pi A)."""
@@ -172,6 +174,7 @@ LOOPS = {
 }  # fmt: skip
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("case", LOOPS)
 def test_one_verdict_for_steps_over_four_orders_of_magnitude(case):
     drive, verdict = LOOPS[case]

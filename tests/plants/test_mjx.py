@@ -56,6 +56,7 @@ def slide():
     return jax.jit(jax.vmap(rate, each)), jax.jit(jax.vmap(jacobian, each))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "delay"), [("ideal", 1e-3), ("hyq", 5e-3), ("starleth", 1e-3)])
 def test_verdicts_equal_the_spectral_radius_of_the_same_step(slide, name, delay):
     rate, jacobian = slide
@@ -69,6 +70,7 @@ def test_verdicts_equal_the_spectral_radius_of_the_same_step(slide, name, delay)
     np.testing.assert_allclose(got, np.log(radius) / 1e-3, atol=0.02, rtol=0.01)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "delay"), [("ideal", 1e-3), ("hyq", 5e-3), ("starleth", 1e-3)])
 def test_boundary_in_gain_is_near_the_exact_one(slide, name, delay):
     """Gain factor at the boundary of MJX at 0.25 ms against that of the exact sampled loop."""

@@ -194,6 +194,7 @@ ROBOTS = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ROBOTS)
 def test_a_small_robots_steps_are_those_of_mjx(name, tmp_path):
     path = tmp_path / "robot.xml"

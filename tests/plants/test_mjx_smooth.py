@@ -95,6 +95,7 @@ def test_values_are_those_of_mjx_and_slopes_those_of_central_differences(motion)
     np.testing.assert_allclose(motion.slope, differences, atol=1e-4 * np.abs(differences).max())
 
 
+@pytest.mark.exhaustive
 def test_a_floating_robot_moves_as_mjx_has_it(tmp_path):
     robot = _robot(tmp_path, HOPPER)
     start = posture.settled(robot)

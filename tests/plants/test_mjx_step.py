@@ -65,6 +65,7 @@ def _found(text, dtype, torque, offsets, *solvers):
     ]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("cone", "iterations"), [("pyramidal", 1), ("elliptic", 20)])
 def test_the_solver_finishes_in_float32(cone, iterations):
     text = BOX.format(cone=cone, iterations=iterations)

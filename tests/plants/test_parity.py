@@ -89,6 +89,7 @@ def said(robot):
     return {item.field: item for item in robot.findings}
 
 
+@pytest.mark.exhaustive
 def test_fields_of_joints_tendons_and_actuators(tmp_path):
     text = _pendula()
     model = mujoco.MjModel.from_xml_string(text)

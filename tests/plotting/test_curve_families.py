@@ -98,6 +98,7 @@ def drawn(monkeypatch, tmp_path):
     return run
 
 
+@pytest.mark.exhaustive
 def test_captions_name_filter_differencing_actuator_and_delay(drawn):
     figure, legend, footer = drawn(
         *"bode --actuator starleth --delay 0.001 --control-rate 200 1000".split(),

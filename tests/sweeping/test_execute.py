@@ -57,6 +57,7 @@ def noisy():
     return _run(NOISY)
 
 
+@pytest.mark.exhaustive
 def test_one_or_two_devices_give_the_same_bits(noisy):
     assert len(jax.local_devices()) == 2
     _same(noisy, _run(NOISY, "devices=1"))
@@ -91,6 +92,7 @@ def test_progress_counts_every_sample_once():
     assert [done for done, _ in calls] == sorted({done for done, _ in calls})
 
 
+@pytest.mark.exhaustive
 def test_control_rates_may_differ_between_samples():
     text = """
     engine = "mass"
@@ -116,6 +118,7 @@ def test_control_rates_may_differ_between_samples():
             np.testing.assert_allclose(got[name][place], alone[name][0], rtol=1e-3, err_msg=name)
 
 
+@pytest.mark.exhaustive
 def test_physics_steps_group_the_samples():
     text = """
     engine = "mass"
@@ -162,6 +165,7 @@ for tile in sys.argv[2:]:
 """
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("devices", [1, 2])
 def test_no_sweep_hangs(tmp_path, devices):
     """Small and large tiles; in a process of its own, so that one that waits can be ended."""
@@ -181,6 +185,7 @@ def test_no_sweep_hangs(tmp_path, devices):
     assert {"out32", "out1024"} <= set(os.listdir(tmp_path))
 
 
+@pytest.mark.exhaustive
 def test_a_model_edited_between_two_sweeps_is_another_model(tmp_path):
     model, sweep = tmp_path / "own.xml", tmp_path / "sweep.toml"
     sweep.write_text(

@@ -68,6 +68,7 @@ def whole(tmp_path_factory):
     return folder
 
 
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("compiled_fully")
 @pytest.mark.parametrize(("loops", "devices"), [(32, 2), (45, 1)])
 def test_any_chunks_any_order_any_devices_give_the_same_bits(loops, devices, whole, tmp_path):
@@ -91,6 +92,7 @@ def test_results_that_no_computation_gives_are_found(whole, tmp_path):
     assert validation.recompute(target, 20, seed=3).wrong == 20
 
 
+@pytest.mark.exhaustive
 def test_a_device_short_of_memory_gets_smaller_tiles(monkeypatch, tmp_path):
     """One that has no room for the inputs, and one that finds out while it computes."""
     tiles = []

@@ -85,6 +85,7 @@ def test_gains_of_the_model_are_the_default_and_patterns_override_them(folder):
     np.testing.assert_allclose(found["wn"], np.inf)
 
 
+@pytest.mark.exhaustive
 def test_per_joint_axes_scale_like_the_whole(folder):
     """A gain scale of 2 is the same loop as twice the gains, joint by joint."""
     scaled = _rows(_parsed(folder, HOME, DRIVE, "gain_scale = [2.0]", duration=0.05))
@@ -159,6 +160,7 @@ def test_a_push_gives_its_impulse(folder):
     assert rate == pytest.approx((30.0 - mass * 9.81 * 0.0125) / mass, rel=0.1)
 
 
+@pytest.mark.exhaustive
 def test_setpoints_move_as_specified(folder, tmp_path):
     base = "kp = 200\nkd = 8\n"
     sine = _moved(folder, base + "setpoint = 0.05", 'kind = "sine"\nfrequency = 5.0')
@@ -227,6 +229,7 @@ def test_a_robot_that_falls_is_not_settled(folder):
         _rows(_parsed(folder, 'model = "pole.xml"', "kp = 9\nkd = 1", duration=0.05))
 
 
+@pytest.mark.exhaustive
 def test_the_quadruped_holds_its_posture(folder):
     plant = f'model = "{QUADRUPED / "quadruped.xml"}"\nkeyframe = "stand"'
     parameters = "kp = 800\nkd = 12\nwn = 800\nzeta = 0.45\ndelay = 0.001"
@@ -236,6 +239,7 @@ def test_the_quadruped_holds_its_posture(folder):
     assert rows["verdict"][1] == Verdict.STABLE
 
 
+@pytest.mark.exhaustive
 def test_both_engines_draw_the_same_map_with_contacts(folder):
     """32 x 32 gains: 95 % of the verdicts agree, the others lie within 5 % of the boundary."""
     axes = (
@@ -259,6 +263,7 @@ def test_both_engines_draw_the_same_map_with_contacts(folder):
         assert around.any() and not around.all()
 
 
+@pytest.mark.exhaustive
 def test_a_body_without_children_feels_its_changed_inertia(folder):
     """C MuJoCo keeps the inertia of such bodies from when the model was compiled."""
     axes = "inertia_scale = [1.0, 4.0]"

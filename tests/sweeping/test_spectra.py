@@ -45,6 +45,7 @@ def _known(asked):
     return sets is not None and sets.linear.all()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("rate", "delays", "shared"),
     [
@@ -73,6 +74,7 @@ def test_maps_of_gains_equal_the_exact_figures(rate, delays, shared):
     assert not np.any(wrong & (np.abs(np.expm1(want / rate)) > 1e-4))
 
 
+@pytest.mark.exhaustive
 def test_a_plant_of_mjx_is_linear_in_the_gains():
     asked = reading.parse(MAP.format(engine="mjx", rate=1000.0, delays="[0.001]"))
     assert _known(asked)

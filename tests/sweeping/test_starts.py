@@ -70,6 +70,7 @@ def _in_c(folder, kd, kick, seconds=2.0):
     return np.array(positions)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("engine", ["mujoco", "mjx"])
 def test_a_hinge_with_friction_shakes_as_in_c_although_nothing_disturbs_it(folder, engine):
     asked = _asked(folder, "rough", kd=2.0, engine=engine)
@@ -84,6 +85,7 @@ def test_a_hinge_with_friction_shakes_as_in_c_although_nothing_disturbs_it(folde
     assert found["limit_cycle_frequency"][0] == pytest.approx(frequency, rel=0.05)
 
 
+@pytest.mark.exhaustive
 def test_a_hinge_with_friction_that_decays_when_it_moves_is_stable(folder):
     found = _run(_asked(folder, "rough", kd=2.0, axes="gain_scale = [0.05, 0.5]"))
     assert (found["growth_rate"] < 0.0).all() and (found["verdict"] == Verdict.STABLE).all()
@@ -103,6 +105,7 @@ def test_linear_loops_have_no_other_start():
     assert plans.groups(asked, expand(asked))[0].case.starts == ()
 
 
+@pytest.mark.exhaustive
 def test_simulate_says_what_came_of_each_start(tmp_path, capsys):
     loop = simulate.Parameters(position_resolution=1e-3, control_rate=200.0, wn=110.0)
     where = {"out": tmp_path / "loop.png", "duration": 2.0}
@@ -126,6 +129,7 @@ def _stepped(kp, kd, step, kick, periods):
     return np.array(positions)
 
 
+@pytest.mark.exhaustive
 def test_commands_in_steps_stop_a_mass_after_a_setpoint_step_but_not_after_a_kick():
     kp, kd, step = 1e4, 30.0, 1.0
     asked = reading.parse(
@@ -163,6 +167,7 @@ def _limited(mass, kp, kd, delay, most, seconds):
     return np.array(positions[-len(positions) // 4 :])
 
 
+@pytest.mark.exhaustive
 def test_a_limit_cycle_is_one_however_small_the_step_was_that_it_grew_from():
     mass, kp, kd, delay, most = 0.7, 2000.0, 60.0, 5e-3, 100.0
     asked = reading.parse(
@@ -179,6 +184,7 @@ def test_a_limit_cycle_is_one_however_small_the_step_was_that_it_grew_from():
     np.testing.assert_allclose(found["limit_cycle_frequency"], turns, rtol=0.02)
 
 
+@pytest.mark.exhaustive
 def test_what_grows_towards_a_cycle_that_other_starts_show_is_that_cycle():
     """Quantised, limited, linearly unstable: one of the starts grows for longer than the others."""
     asked = reading.parse(
@@ -193,6 +199,7 @@ def test_what_grows_towards_a_cycle_that_other_starts_show_is_that_cycle():
     assert 0.015 < found["limit_cycle_amplitude"][2] < 0.02
 
 
+@pytest.mark.exhaustive
 def test_what_a_limit_does_not_bound_is_no_limit_cycle():
     """Damped by less than the actuator lags: from near and from far it grows without end."""
     asked = reading.parse(

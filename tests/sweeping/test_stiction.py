@@ -118,6 +118,7 @@ def test_nothing_is_said_of_robots_that_do_not_shake(tmp_path):
     )
 
 
+@pytest.mark.exhaustive
 def test_friction_of_the_parameters_counts(tmp_path):
     text = HINGE.format(loss=0.0, limit='forcerange="-20 20"')
     held = stiction.nominal(specification(tmp_path / "a.xml", text, joint_friction=0.3))
@@ -128,6 +129,7 @@ def test_friction_of_the_parameters_counts(tmp_path):
     assert held.amplitude == pytest.approx(own.amplitude, rel=0.01)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("duration", [1.0, 4.0])
 def test_what_friction_ends_is_no_limit_cycle_however_short_the_look(tmp_path, duration):
     text = HINGE.format(loss=0.3, limit='forcerange="-2 2"')
@@ -147,6 +149,7 @@ def two_joints(loss, limit):
     return text.replace("</worldbody>\n<actuator>", other)
 
 
+@pytest.mark.exhaustive
 def test_a_joint_that_friction_does_not_act_on_is_not_said_to_be_held(tmp_path):
     held = stiction.nominal(specification(tmp_path / "two.xml", two_joints(0.0, 20.0)))
     assert held.push == 0.0 and held.joint == held.shaking == "j"
@@ -156,6 +159,7 @@ def test_a_joint_that_friction_does_not_act_on_is_not_said_to_be_held(tmp_path):
     assert held.frequency == pytest.approx(frequency, rel=0.05)
 
 
+@pytest.mark.exhaustive
 def test_a_joint_at_rest_does_not_make_a_limit_cycle_of_another_unstable(tmp_path):
     asked = specification(tmp_path / "two.xml", two_joints(0.3, 20.0), initial_velocity=5.0)
     run = single.simulate(replace(asked, duration=6.0))

@@ -154,6 +154,7 @@ def test_exact_peaks_have_the_slopes_of_differences(arm):
                 assert slope == pytest.approx((ends[0] - ends[1]) / step, rel=3e-3, abs=1e-7)
 
 
+@pytest.mark.exhaustive
 def test_one_joint_gets_the_gains_of_the_single_joint(folder):
     """A block on a rail is the mass loop, but for MuJoCo's steps: extrapolated to none."""
     found = []
@@ -243,6 +244,7 @@ def test_the_disk_margin_is_made_large(known):
         assert margin(kp, kd) <= tuned.value * (1.0 + 2e-3)
 
 
+@pytest.mark.exhaustive
 def test_a_group_of_all_shares_its_gains(known):
     situations = known
     groups = group(["."], situations[0].names)
@@ -276,6 +278,7 @@ def test_smooth_peaks_become_the_exact_ones(arm, tuned):
     np.testing.assert_allclose(slope, numeric, atol=0.03)
 
 
+@pytest.mark.exhaustive
 def test_simulated_tracking_is_traded_for_stiffness_where_that_is_asked_for(known):
     """Held against MuJoCo's own rollouts in C; the bounds hold as before."""
     one, groups = known[:1], group([], known[0].names)

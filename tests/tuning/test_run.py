@@ -46,6 +46,7 @@ def test_of_an_unstable_start_nothing_is_said_to_be_good_enough():
     assert not tuned.certificate.stable and tuned.verdict.startswith("found infeasible: no gains")
 
 
+@pytest.mark.exhaustive
 def test_fifty_unstable_starts_are_rescued():
     members, peaks = brute_force.random_members(50, 3)
     random = np.random.default_rng(4)
@@ -94,6 +95,7 @@ def test_every_constraint_binds_where_it_should():
     assert tuned.kp == pytest.approx(90.0) and tuned.kp <= 90.0
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("objective", "bounds"),
     [("disk-margin", {"max_peak": math.inf, "min_kp": 100.0}), ("bandwidth", {"max_peak": 1.6})],
@@ -106,6 +108,7 @@ def test_other_objectives_leave_brute_force_nothing(objective, bounds):
         assert tuned.value == pytest.approx(float(np.nanmax(found.disk_margin)), rel=1e-4)
 
 
+@pytest.mark.exhaustive
 def test_settling_is_faster_than_a_grid_of_gains_allows():
     goal = Goal(objective="settling", max_peak=1.6)
     tuned = tune(STARLETH, goal)
@@ -139,6 +142,7 @@ def _sampled_peak(kp, kd, *plant, period):
     return larger(angle).max()
 
 
+@pytest.mark.exhaustive
 def test_sampled_margins_count_where_a_control_rate_is_given():
     members = ensemble(0.7, 110.0, 0.9, 1e-3, sampling=Sampling(5e-3))
     tuned = tune(members, Goal(max_peak=1.6))
@@ -180,6 +184,7 @@ def test_the_whole_box_is_certified_corners_and_interior():
     assert largest_peaks(box.place(fraction), tuned.kp, tuned.kd).max() <= 1.6 * (1 + 1e-9)
 
 
+@pytest.mark.exhaustive
 def test_a_milder_risk_gives_stiffer_gains():
     box = read_box("wn=0.8..1.2,delay=0..5e-3", STARLETH)
     members = box.sample(32, 0)

@@ -24,6 +24,7 @@ def _differences(value, x):
     return np.array([(high - low) / (2.0 * SIZE) for high, low in ends])
 
 
+@pytest.mark.exhaustive
 def test_the_gradient_of_a_standing_quadruped_is_that_of_central_differences():
     """Forwards; contacts, delays, noise, limits and a push; hips, thighs and knees."""
     asked = reading.load(QUADRUPED / "stand.toml")
@@ -48,6 +49,7 @@ def monoped(tmp_path_factory):
     return replace(asked, axes=(), push=Push("trunk", (0.0, 0.0, -1.0), 0.002, 0.01), duration=0.04)
 
 
+@pytest.mark.exhaustive
 def test_backwards_is_central_differences_too(monoped):
     x = np.log([300.0, 8.0])
     members = {

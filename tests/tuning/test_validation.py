@@ -61,6 +61,7 @@ def members():
     return {"delay": np.array([0.0, 0.003, 0.08])}
 
 
+@pytest.mark.exhaustive
 def test_excursions_are_those_of_a_loop_written_out(pendulum, members):
     found = validate(pendulum, KP, KD, members, engine="mujoco")
     assert found.engines == ("mujoco",) and found.joints == ("shoulder", "elbow")
@@ -73,6 +74,7 @@ def test_excursions_are_those_of_a_loop_written_out(pendulum, members):
     assert (situation, member) == ("home", 2) and "perturbations grow at" in reason
 
 
+@pytest.mark.exhaustive
 def test_both_engines_say_the_same(pendulum, members):
     noisy = {"home": exposed(pendulum["home"], duration=0.4)}
     one, other = (validate(noisy, KP, KD, members, engine=name) for name in ("mujoco", "mjx"))

@@ -70,6 +70,7 @@ def test_the_growth_rate_is_that_of_the_margins():
     assert growth == pytest.approx(float(jx.margins(loop, sampled=True).growth_rate), rel=0.1)
 
 
+@pytest.mark.exhaustive
 def test_it_can_be_mapped_and_differentiated_by_the_delay():
     loop = jx.joint(kp=8.0, kd=0.4, actuator="hyq", control_rate=500.0)
     start = jnp.array([0.01, -0.02]), jnp.zeros(2)

@@ -37,6 +37,7 @@ def test_margins_are_in_double_precision_whatever_jax_has(oracle_loops):
     assert jx.margins(oracle_loops).gain_margin.dtype == np.float64
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("velocity", ["sampled", "differenced"])
 def test_the_sampled_growth_rate_is_that_of_scipys_matrix(velocity):
     cutoff = 500.0 if velocity == "differenced" else np.inf
@@ -55,6 +56,7 @@ def test_the_sampled_growth_rate_is_that_of_scipys_matrix(velocity):
         assert found.stable[index] == (radius < 1.0)
 
 
+@pytest.mark.exhaustive
 def test_margins_are_differentiable_by_every_parameter_of_the_loop():
     loop = jx.joint(kp=400.0, kd=20.0, mass=0.7, actuator="starleth", delay=1e-3)
 
@@ -72,6 +74,7 @@ def test_margins_are_differentiable_by_every_parameter_of_the_loop():
         assert float(slopes[name]) == pytest.approx(difference, rel=1e-5), name
 
 
+@pytest.mark.exhaustive
 def test_vmap_over_a_batch_gives_what_the_batch_gives():
     loop = jx.joint(kp=[200.0, 400.0, 800.0], kd=20.0, actuator="hyq", delay=1e-3)
     together = jx.margins(loop).disk_margin
@@ -79,6 +82,7 @@ def test_vmap_over_a_batch_gives_what_the_batch_gives():
     assert np.asarray(mapped) == pytest.approx(together, rel=1e-4)
 
 
+@pytest.mark.exhaustive
 def test_a_traced_delay_of_a_sampled_loop_needs_its_longest():
     loop = jx.joint(actuator="starleth")
 

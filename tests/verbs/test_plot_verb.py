@@ -40,6 +40,7 @@ def test_the_open_loop_is_drawn_on_given_axes(loop):
     assert jx.plot.nyquist(loop, sampled=True, ax=ax) is ax
 
 
+@pytest.mark.exhaustive
 def test_trajectories_and_steps(loop):
     run = jx.simulate(loop, duration=0.3)
     upper, _ = jx.plot.step(run)

@@ -23,6 +23,7 @@ def _by_scipy(kp, kd, mass, wn, zeta, setpoint, ticks, period):
     return np.array(found)
 
 
+@pytest.mark.exhaustive
 def test_a_trajectory_is_scipys():
     loop = jx.joint(kp=400.0, kd=20.0, mass=0.7, actuator="starleth")
     run = jx.simulate(loop, setpoint=0.1, duration=0.3)
@@ -32,6 +33,7 @@ def test_a_trajectory_is_scipys():
     assert (run.position.attrs["units"], run.force.attrs["units"]) == ("m", "N")
 
 
+@pytest.mark.exhaustive
 def test_a_batch_has_its_dimensions_and_metrics():
     loop = jx.joint(actuator="starleth", delay=[0.0, 1e-3, 0.05])
     run = jx.simulate(loop, duration=0.5)
@@ -44,6 +46,7 @@ def test_a_batch_has_its_dimensions_and_metrics():
     )
 
 
+@pytest.mark.exhaustive
 def test_setpoints_of_a_batch_scale_a_linear_loop():
     run = jx.simulate(jx.joint(actuator="hyq"), setpoint=[0.1, 0.2], duration=0.2)
     assert run.position.dims == ("setpoint_height", "time")
@@ -51,11 +54,13 @@ def test_setpoints_of_a_batch_scale_a_linear_loop():
     assert large == pytest.approx(2.0 * small, abs=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_loops_with_other_control_rates_are_for_one_by_one():
     with pytest.raises(UserError, match="control_rate"):
         jx.simulate(jx.joint(control_rate=[500.0, 1000.0]), duration=0.2)
 
 
+@pytest.mark.exhaustive
 def test_a_robot_has_joints_and_their_units(tmp_path):
     path = tmp_path / "pendulum.xml"
     path.write_text(PENDULUM)

@@ -48,6 +48,7 @@ def test_growth_rates_are_those_of_the_sampled_margins(loop, maps):
     assert maps.growth_rate.values[1] == pytest.approx(exact, rel=1e-3, abs=0.02)
 
 
+@pytest.mark.exhaustive
 def test_a_specification_can_be_swept_and_changed(maps, tmp_path):
     (tmp_path / "map.toml").write_text(TOML)
     one = jx.sweep(tmp_path / "map.toml", delay=[0.005])
@@ -73,6 +74,7 @@ def test_presets_are_an_axis():
     assert np.array_equal(own.growth_rate, found.growth_rate)
 
 
+@pytest.mark.exhaustive
 def test_ranges_are_drawn_from(loop):
     found = jx.sweep(
         loop[0], duration=0.25, sampling="latin-hypercube", number=7, kp=jx.log(10, 1e4)

@@ -56,6 +56,7 @@ def test_what_cannot_be_met_is_not_certified(loop):
     assert not best.certified and repr(best).splitlines()[1].startswith("NOT certified")
 
 
+@pytest.mark.exhaustive
 def test_a_robot_is_tuned_by_the_same_call():
     loop = jx.robot(QUADRUPED / "quadruped.xml", keyframe="stand", kp=700, kd=20, actuator="hyq",
                     delay=1e-3)  # fmt: skip
