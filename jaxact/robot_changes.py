@@ -111,7 +111,8 @@ def _at(robot: Robot, matrices: Matrices, value: float, *, swing: bool) -> Chang
     fitting = (np.abs(np.angle(roots)) > _STILL) == swing
     number = int(np.argmin(np.where(fitting, np.abs(np.abs(roots) - 1.0), np.inf)))
     frequency = float(abs(np.angle(roots[number]))) / robot.period
-    return Change(value, frequency, _modes.participation(robot, kept, vectors[:, number]))
+    shares = _modes.participation(robot, kept, vectors[:, number], still=not swing)
+    return Change(value, frequency, shares)
 
 
 def _more_delay(

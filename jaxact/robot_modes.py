@@ -26,7 +26,7 @@ class Robot:
     """A closed loop; n states, m joints.
 
     matrices: M, N, C over one control period, see `jaxact.multiloop`
-    velocities: of the joints at the ticks, rows of shape (m, n)
+    positions, velocities: of the joints at the ticks, rows of shape (m, n) each
     inertias: that forces on the joints feel [kg or kg m^2], shape (m,)
     names: of the joints
     period: control period T [s]
@@ -35,6 +35,7 @@ class Robot:
     """
 
     matrices: Matrices
+    positions: np.ndarray
     velocities: np.ndarray
     inertias: np.ndarray
     names: tuple[str, ...]
@@ -117,7 +118,9 @@ def mode(robot: Robot, loop: Multiloop, number: int) -> Mode:
         growth_rate=float(rate.real),
         frequency=float(abs(rate.imag)) if abs(rate.imag) > _STILL / robot.period else 0.0,
         damping_ratio=float(-rate.real / (abs(rate) or 1.0)),
-        participation=participation(robot, loop.kept, loop.vectors @ vector),
+        participation=participation(
+            robot, loop.kept, loop.vectors @ vector, still=abs(rate) * robot.period < _STILL
+        ),
     )
 
 
@@ -129,14 +132,19 @@ def response(robot: Robot, loop: Multiloop, frequency: float) -> Mode:
     return Mode(0.0, frequency, 0.0, participation(robot, loop.kept, moved))
 
 
-def participation(robot: Robot, kept: np.ndarray, states: np.ndarray) -> np.ndarray:
+def participation(
+    robot: Robot, kept: np.ndarray, states: np.ndarray, *, still: bool = False
+) -> np.ndarray:
     """Share of each joint in I |v|^2; equal shares of a motion in which no joint moves.
 
     kept: places of the states among those of M, shape (k,)
     states: of the motion, complex, shape (k,)
+    still: its root is 1, where velocities are nothing but rounding: shares in I |q|^2, to which
+        those in I |v|^2 tend there
     """
     # A joint that no force moves feels an infinite inertia.
     inertias = np.where(np.isfinite(robot.inertias), robot.inertias, 0.0)
-    energy = inertias * np.abs(robot.velocities[:, kept] @ states) ** 2
+    rows = robot.positions if still else robot.velocities
+    energy = inertias * np.abs(rows[:, kept] @ states) ** 2
     total = float(energy.sum())
     return energy / total if total > 0.0 else np.full(len(energy), 1.0 / len(energy))

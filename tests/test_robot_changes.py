@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+import scipy.linalg
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact import robot_modes
@@ -118,3 +119,28 @@ def test_roots_are_sorted_by_how_they_move():
     assert robot_modes.growing(roots).tolist() == [True, False, True, True, True, False]
     assert robot_modes.swinging(roots).tolist()[:5] == [False, False, True, True, False]
     assert robot_modes.fastest(roots, 0.5, swing=True) == pytest.approx(2.0 * np.log(1.2))
+
+
+CHAIN = """<mujoco><option timestep="0.001"/><worldbody>
+<body><joint name="ankle" axis="0 1 0" armature="0.3"/>
+<geom size="0.01" pos="0 0 0.5" mass="3"/>
+<body pos="0 0 0.5"><joint name="knee" axis="0 1 0" armature="0.1"/>
+<geom size="0.01" pos="0 0 0.4" mass="2"/></body></body></worldbody>
+<actuator><motor joint="ankle"/><motor joint="knee"/></actuator></mujoco>"""
+
+
+def test_what_begins_to_topple_is_the_direction_that_nothing_holds(tmp_path):
+    (tmp_path / "chain.xml").write_text(CHAIN)
+    document = """engine = "mujoco"
+    plant = { model = "chain.xml", posture = "keyframe" }
+    parameters = { control_rate = 1000, "kp@ankle" = 100, "kp@knee" = 40, kd = 10 }
+    axes = { feedforward = [0.0] }"""
+    (one,) = whole_robot.evaluate(reading.parse(document, tmp_path))
+    # Potential energy of the upright chain: weights on the two angles, which add up.
+    low, high = 3.0 * GRAVITY * 0.5 + 2.0 * GRAVITY * 0.5, 2.0 * GRAVITY * 0.4
+    weight = np.array([[low + high, high], [high, high]])
+    factors, directions = scipy.linalg.eigh(weight, np.diag([100.0, 40.0]))
+    change = one.margins.changes.topple_less_gain
+    assert change.value == pytest.approx(factors[-1], rel=1e-5)
+    energy = one.robot.inertias * directions[:, -1] ** 2
+    np.testing.assert_allclose(change.participation, energy / energy.sum(), atol=1e-4)

@@ -14,7 +14,10 @@ def _robot(reach, inertias=(1.0, 1.0), coupling=0.0):
     C = np.array([[0.1, coupling], [0.0, 0.1]])
     M = np.eye(2) - N @ C
     matrices = M, N, C
-    return Robot(matrices, np.eye(2), np.array(inertias), ("hip", "knee"), 1e-3, lambda _: matrices)
+    return Robot(
+        matrices, np.eye(2), np.eye(2), np.array(inertias), ("hip", "knee"), 1e-3,
+        lambda _: matrices,
+    )  # fmt: skip
 
 
 def test_a_joint_whose_command_moves_nothing_is_named():
@@ -34,5 +37,7 @@ def test_a_root_at_one_leaves_the_figures_finite():
     C = np.array([[0.1, 0.0, 0.1], [0.0, 0.1, 0.0]])
     N = np.array([[1.0, 0.0], [0.0, 1.0], [1e-9, 0.0]])
     matrices = M, N, C
-    robot = Robot(matrices, np.eye(2, 3), np.ones(2), ("hip", "knee"), 1e-3, lambda _: matrices)
+    robot = Robot(
+        matrices, np.eye(2, 3), np.eye(2, 3), np.ones(2), ("hip", "knee"), 1e-3, lambda _: matrices
+    )
     assert np.isfinite(robot_margins(robot).whole.sensitivity_peak)

@@ -142,6 +142,7 @@ def _one(
     assert scene is not None and basis is not None
     robot = Robot(
         matrices=(found.M, found.N, found.C),
+        positions=found.positions,
         velocities=found.velocities,
         inertias=inertias,
         names=scene.labels,
