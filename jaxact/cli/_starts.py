@@ -14,6 +14,7 @@ _NAMES = {
     "on": "a step of 27 counts",
     "between": "a step to between two counts",
     "near": "a step to near a count",
+    "drift": "a kick that no whole steps of the command stop",
     "slide": "a step of thirty times what friction withstands",
     "kick": "a small kick",
 }

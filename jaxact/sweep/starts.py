@@ -8,6 +8,8 @@ ones whatever its own setpoint:
     on        27 counts away, on a count: a large step, after which it may rest
     between   half a count away, between two: a small one, after which a bare mass cannot
     near      1.15 counts away, nearer to one of the two
+    drift     where the command has steps: at the setpoint, with a velocity that no whole number of
+              them stops
     slide     thirty times the displacement that friction withstands, and a kick
     kick      where nothing else disturbs the loop: a small step, of a robot a kick of its joints
     linear    as `between`, without counts and limits: what noise alone sustains
@@ -40,6 +42,10 @@ LINEAR = "linear"
 # Whole counts of the encoder; more of a coarser quantiser; and the part of a count beyond. Small
 # steps are over soon, and what remains of them is what goes on.
 _COUNTS = {"on": (27.0, 27.0, 0.0), "between": (0.0, 2.0, 0.5), "near": (1.0, 2.0, 0.15)}
+# A start with a velocity: that which swings one count far, made up to whole steps of the command
+# over one control period, and this part of one. Forces of whole steps leave such a part of it for
+# ever, while from rest they may bring a mass exactly to rest.
+_DRIFT = 0.382
 # Most that a count may be, for a robot [m or rad]: 27 of them are a posture of its own.
 _MOST = 0.002
 # A robot's joints are kicked with this velocity [m/s or rad/s].
@@ -75,6 +81,7 @@ def needed(
     found = [LINEAR] if linear_plant and options.random else []
     if options.quantised:
         found += _COUNTS
+        found += ["drift"] * (linear_plant and options.quantised_command)
     if rubs:
         found.append("slide")
     if not (options.quantised or rubs or disturbed):
@@ -112,6 +119,8 @@ def given(
         velocity = jnp.zeros_like(like)
         if name in _COUNTS:
             setpoint = _counted(count, jnp.asarray(values["position_resolution"]), *_COUNTS[name])
+        elif name == "drift":
+            setpoint, velocity = jnp.zeros_like(like), _drifting(count, values, drive)
         elif name == "slide":
             setpoint, velocity = _slide(values, drive, friction), _KICK * sign
         elif friction is not None:
@@ -141,6 +150,18 @@ def _counted(
     own = jnp.where(position > 0.0, position, 1.0)
     more = jnp.round(coarser * (count - position) / own)
     return jnp.where(position > 0.0, (whole + more + beyond) * own, (coarser + beyond) * count)
+
+
+def _drifting(count: jax.Array, values: Mapping[str, Any], drive: Drive) -> jax.Array:
+    """A velocity of a bare mass that no whole number of steps of the command stops [m/s].
+
+    v = (n + 0.382) dF T / m,   n the whole part of count sqrt(kp / m) m / (dF T)
+    """
+    mass = jnp.asarray(values["mass"])
+    step = drive.controller.command_resolution * drive.control_period / mass
+    swing = count * jnp.sqrt(jnp.abs(jnp.asarray(drive.controller.kp)) / mass)
+    whole = jnp.floor(swing / jnp.where(step > 0.0, step, 1.0))
+    return jnp.where(step > 0.0, (whole + _DRIFT) * step, swing)
 
 
 def _slide(values: Mapping[str, Any], drive: Drive, friction: np.ndarray | None) -> jax.Array:

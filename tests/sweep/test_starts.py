@@ -112,3 +112,30 @@ def test_simulate_says_what_came_of_each_start(tmp_path, capsys):
     assert names == ["own", "on", "between", "near"]
     worst = max(document["starts"], key=lambda start: start["verdict"] == "limit cycle")
     assert document["verdict"] == worst["verdict"] == "limit cycle"
+
+
+def _stepped(kp, kd, step, kick, periods):
+    """A mass of 1 kg under commands in steps, control at 1 kHz: positions after a kick [m/s]."""
+    positions, velocity = [0.0], kick
+    for _ in range(periods):
+        force = np.round((-kp * positions[-1] - kd * velocity) / step) * step
+        positions.append(positions[-1] + velocity * 1e-3 + 0.5e-6 * force)
+        velocity += 1e-3 * force
+    return np.array(positions)
+
+
+def test_commands_in_steps_stop_a_mass_after_a_setpoint_step_but_not_after_a_kick():
+    kp, kd, step = 1e4, 30.0, 1.0
+    asked = reading.parse(
+        f'precision = "float64"\nduration = 2.0\n[parameters]\nmass = 1.0\nkp = {kp}\nkd = {kd}\n'
+        f"command_resolution = {step}\n[axes]\nsetpoint = [0.0, 0.1, 1.0]\n"
+        "initial_velocity = [0.0, 0.0123]\n"
+    )
+    found = _run(asked)
+    last = _stepped(kp, kd, step, 0.0123, 2000)[-500:]
+    size = 0.5 * np.ptp(last)
+    assert 0.2 * step / kp < size < step / kp
+    assert (found["verdict"] == Verdict.LIMIT_CYCLE).all()
+    assert found["limit_cycle_amplitude"].reshape(3, 2)[0, 1] == pytest.approx(size, rel=0.05)
+    assert (found["limit_cycle_amplitude"] < step / kp).all()
+    assert plans.groups(asked, expand(asked))[0].case.starts == ("on", "between", "near", "drift")
