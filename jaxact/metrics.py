@@ -338,3 +338,34 @@ def finish(
         limit_cycle_frequency=known(each.frequency, cycling),
     )
     return found, own
+
+
+def worst(result: Metrics) -> Metrics:
+    """A loop with several joints is as good as its worst one.
+
+    Joints that have no such figure (NaN) do not hide the others'. The frequency of a limit cycle is
+    that of the joint with the largest one; a loop with another verdict has none.
+
+    Args:
+        result: figures of the joints along the last axis, or of a loop without one: as it is.
+
+    Returns:
+        All of the shape of the verdict.
+    """
+    axes = result.verdict.ndim
+    amplitude, frequency = result.limit_cycle_amplitude, result.limit_cycle_frequency
+    if amplitude.ndim == axes:
+        return result
+    found = jax.tree.map(
+        lambda leaf: jnp.nanmax(leaf, axis=-1) if leaf.ndim > axes else leaf, result
+    )
+    turning = jnp.where(jnp.isfinite(frequency), amplitude, -1.0)
+    most = jnp.argmax(turning, axis=-1)[..., None]
+    its = jnp.take_along_axis(frequency, most, axis=-1)[..., 0]
+    cycling = result.verdict == Verdict.LIMIT_CYCLE
+    quiet = jnp.where(result.verdict == Verdict.STABLE, 0.0, jnp.nan).astype(amplitude.dtype)
+    return replace(
+        found,
+        limit_cycle_amplitude=jnp.where(cycling, found.limit_cycle_amplitude, quiet),
+        limit_cycle_frequency=jnp.where(cycling, its, jnp.nan),
+    )

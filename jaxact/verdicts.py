@@ -63,6 +63,8 @@ class Scale:
         linear: whether the loop is linear, but for noise: its growth rate tells all.
         unlimited: whether it is linear in a motion so large that counts are nothing in it; then
             what grows, grows for ever.
+        plant_linear: whether the plant is; dry friction, which ends motions that would grow if
+            they were larger, is only in others.
     """
 
     count: jax.Array
@@ -70,6 +72,7 @@ class Scale:
     floor: jax.Array
     linear: jax.Array
     unlimited: jax.Array
+    plant_linear: jax.Array
 
 
 @dataclass(frozen=True)
@@ -164,6 +167,7 @@ def scale(
         floor=least,
         linear=exact & unlimited & linear_plant,
         unlimited=unlimited & linear_plant,
+        plant_linear=jnp.full_like(unlimited, linear_plant),
     )
 
 
@@ -206,7 +210,9 @@ def of_motion(
     # An irregular limit cycle is smaller than before now and then, but rarely twice in a row.
     decaying = (last <= kept * previous) & ((scale.count == 0.0) | (previous <= kept * before))
     resting = last <= scale.rest
-    moving = ~(resting | ((growth_rate < 0.0) & decaying))
+    # What has halved without turning is no cycle: friction is bringing it to rest.
+    ending = ~scale.plant_linear & ~jnp.isfinite(motion.frequency) & (last <= 0.5 * previous)
+    moving = ~(resting | ending | ((growth_rate < 0.0) & decaying))
     verdict = jnp.where(moving, Verdict.LIMIT_CYCLE, Verdict.STABLE)
     # A perturbation that grows, but has not had the time to, or dies in what the plant has of its
     # own: a larger one would not.

@@ -7,9 +7,10 @@ from quickly import compiled_quickly as compiled_quickly
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from jaxact import verdicts
+from jaxact import metrics, verdicts
 from jaxact.controller import Controller
 from jaxact.drive_options import Drive
+from jaxact.metrics import Metrics
 from jaxact.sensor import Sensor
 from jaxact.status import Verdict
 from jaxact.sweep import execute, reading
@@ -182,12 +183,13 @@ def _shaped(**rows):
     return {name: jnp.asarray(value, float) for name, value in rows.items()}
 
 
-def _of(amplitudes, growth, count=1e-3, farthest=1e-2):
+def _of(amplitudes, growth, count=1e-3, farthest=1e-2, frequency=10.0, plant=True):
     motion = Motion(
-        **_shaped(amplitude=amplitudes, frequency=10.0, farthest=farthest, span=1e-2),
+        **_shaped(amplitude=amplitudes, frequency=frequency, farthest=farthest, span=1e-2),
         valid=jnp.asarray(True),
     )
-    flags = {"linear": jnp.asarray(False), "unlimited": jnp.asarray(False)}
+    flags = {"linear": False, "unlimited": False, "plant_linear": plant}
+    flags = {name: jnp.asarray(flag) for name, flag in flags.items()}
     scale = Scale(**_shaped(count=count, rest=0.01 * count, floor=0.0), **flags)
     return verdicts.of_motion(motion, scale, jnp.asarray(growth), jnp.asarray(0.5)), scale
 
@@ -204,6 +206,11 @@ def test_what_a_motion_that_remains_means():
     assert verdict(1e-3, 2e-3, 4e-3, growth=1.0) == Verdict.UNSTABLE
     assert verdict(1e-3, 1e-3, 1e-3, growth=1.0) == Verdict.LIMIT_CYCLE
     assert verdict(1e-3, 1e-3, 1e-3, farthest=1e2) == Verdict.UNSTABLE
+    # Friction ends what grows once it moves further: no cycle, and not stable either.
+    still = {"frequency": np.nan, "count": 0.0, "growth": 1.0}
+    assert verdict(1e-1, 5e-2, 4e-3, plant=False, **still) == Verdict.UNSTABLE
+    assert verdict(1e-1, 5e-2, 4e-3, plant=True, **still) == Verdict.LIMIT_CYCLE
+    assert verdict(1e-1, 5e-2, 4e-2, plant=False, **still) == Verdict.LIMIT_CYCLE
     assert verdict(1e-3, 1e-3, 1e-3, growth=np.nan) == Verdict.INVALID
 
 
@@ -241,3 +248,20 @@ def test_counts_are_felt_as_positions():
         sensor=Sensor(position_resolution=jnp.array([1e-4, 1e-2, 1e-4]), velocity_resolution=0.1),
     )
     np.testing.assert_allclose(verdicts.count(drive), [5e-3, 1e-2, 1e-4], rtol=1e-6)
+
+
+def test_the_frequency_of_several_joints_is_that_of_the_largest_limit_cycle():
+    def figures(verdict):
+        given = {name: jnp.zeros((1, 3)) for name in Metrics.__dataclass_fields__}
+        return Metrics(**{**given, **{
+            "growth_rate": jnp.array([0.1]), "verdict": jnp.array([verdict], jnp.int8),
+            "limit_cycle_amplitude": jnp.array([[0.1, 2.0, 3.0]]),
+            "limit_cycle_frequency": jnp.array([[90.0, 70.0, jnp.nan]]),
+        }})  # fmt: skip
+
+    cycling = metrics.worst(figures(Verdict.LIMIT_CYCLE))
+    assert cycling.limit_cycle_frequency.tolist() == [70.0]
+    assert cycling.limit_cycle_amplitude.tolist() == [3.0]
+    assert metrics.worst(figures(Verdict.STABLE)).limit_cycle_amplitude.tolist() == [0.0]
+    fallen = metrics.worst(figures(Verdict.UNSTABLE))
+    assert np.isnan([fallen.limit_cycle_amplitude[0], fallen.limit_cycle_frequency[0]]).all()

@@ -27,10 +27,10 @@ def lines(run: Single) -> list[str]:
     starts = run.starts
     if len(starts) == 1:
         return []
-    rotary = run.rotary[0]
+    rotary, rubs = run.rotary[0], _rubs(run)
     groups: dict[str, list[str]] = {}
     for start in starts:
-        groups.setdefault(_end(start, rotary), []).append(_NAMES[start.name])
+        groups.setdefault(_end(start, rotary, rubs), []).append(_NAMES[start.name])
     parts = [f"{end} after {_listed(names)}" for end, names in groups.items()]
     found = [f"From {len(starts)} starts: {'; '.join(parts)}."]
     open_ones = [start for start in starts if not (start.moving or start.resting)]
@@ -59,12 +59,32 @@ def document(run: Single) -> list[dict[str, Any]]:
     ]
 
 
-def _end(start: Start, rotary: bool) -> str:
+def advice(run: Single) -> str:
+    """What the verdict means; of an unstable loop that friction held, that it did."""
+    from jaxact.status import Verdict
+
+    verdict = Verdict(int(run.results["verdict"]))
+    held = _rubs(run) and not any(start.moving for start in run.starts)
+    if verdict == Verdict.UNSTABLE and held:
+        return (
+            "Perturbations of joints that move grow, but from every start that was tried dry "
+            "friction brought them to rest; it may not with less friction or a harder push."
+        )
+    return verdict.advice
+
+
+def _rubs(run: Single) -> bool:
+    """Whether joints have dry friction: such a robot has a start that makes them slide."""
+    return any(start.name == "slide" for start in run.starts)
+
+
+def _end(start: Start, rotary: bool, rubs: bool) -> str:
     from jaxact.plot.wording import quantity
     from jaxact.status import Verdict
 
     if start.verdict in (Verdict.UNSTABLE, Verdict.INVALID):
-        return start.verdict.label if start.moving else "at rest, where perturbations grow,"
+        still = "where only friction holds it" if rubs else "where perturbations grow"
+        return start.verdict.label if start.moving else f"at rest, {still},"
     if not start.moving:
         return "at rest" if start.resting else "decaying"
     size = quantity(float(f"{start.amplitude:.3g}"), "rad" if rotary else "m")

@@ -305,5 +305,5 @@ def _table(run: Single) -> str:
     console = Console(width=100, highlight=False)
     with console.capture() as captured:
         console.print(table)
-        console.print(verdict.advice)
+        console.print(_starts.advice(run))
     return captured.get().rstrip()

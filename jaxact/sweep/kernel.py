@@ -17,6 +17,7 @@ import numpy as np
 from jaxact import characteristic as _characteristic
 from jaxact import growth as _growth
 from jaxact import loop as _loop
+from jaxact import metrics as _metrics
 from jaxact import rollout as _rollout
 from jaxact.actuator import Actuator
 from jaxact.controller import Controller, Setpoint
@@ -352,7 +353,7 @@ def metrics(
         rest_amplitude=rest,
         others=others,
     )
-    return worst(result)
+    return _metrics.worst(result)
 
 
 def other_starts(
@@ -390,11 +391,3 @@ def active_ticks(case: Case, values: Values) -> jax.Array | None:
     if not case.masked:
         return None
     return jnp.ceil(case.duration * values["control_rate"] - 1e-4)
-
-
-def worst(result: Metrics) -> Metrics:
-    """A loop with several joints is as good as its worst one.
-
-    Joints that have no such figure (NaN) do not hide the others'.
-    """
-    return jax.tree.map(lambda leaf: jnp.nanmax(leaf) if leaf.ndim else leaf, result)

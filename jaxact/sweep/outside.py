@@ -19,6 +19,7 @@ import numpy as np
 
 from jaxact import batch_rollout, linearize
 from jaxact import drive as _drive
+from jaxact import metrics as _metrics
 from jaxact.batch_rollout import BatchState
 from jaxact.controller import Setpoint
 from jaxact.drive import Coefficients
@@ -169,7 +170,7 @@ def metrics(
     """
     loops = values, growth_rate, seed, numbers
     found, _ = _judged(case, setting, *loops, watch=watch, push=push)
-    return jax.tree.map(lambda leaf: jnp.nanmax(leaf, axis=1) if leaf.ndim > 1 else leaf, found)
+    return _metrics.worst(found)
 
 
 def _judged(
@@ -353,5 +354,4 @@ def followed(
     arrays: dict[str, Any] = {name: np.stack(column, axis=1) for name, column in columns}
     arrays["time"] = np.broadcast_to(case.step * np.arange(len(rows)), (len(numbers), len(rows)))
     arrays["configuration"] = np.stack(configurations, axis=1)
-    worst = jax.tree.map(lambda leaf: jnp.nanmax(leaf, axis=-1) if leaf.ndim > 1 else leaf, found)
-    return worst, Trajectory(**arrays), _starts.of_joints(judged)
+    return _metrics.worst(found), Trajectory(**arrays), _starts.of_joints(judged)

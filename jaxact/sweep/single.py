@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact import metrics as _metrics
 from jaxact import rollout as _rollout
 from jaxact.errors import UserError
 from jaxact.metrics import Metrics
@@ -247,7 +248,7 @@ def _one(
         rest_amplitude=rest,
         others=others,
     )
-    return kernel.worst(result), trajectory, starts.listed(own, others)
+    return _metrics.worst(result), trajectory, starts.listed(own, others)
 
 
 def names(specification: Specification) -> tuple[str, ...]:

@@ -77,8 +77,8 @@ class Stiction:
         pushed = f"for {1e3 * PUSH:g} ms"
         if not np.isfinite(self.push):
             return (
-                f"dry friction holds it: no push on {self.joint} of up to {self.strongest:.3g} "
-                f"{unit} {pushed} made it shake"
+                f"stands still because dry friction holds it: no push on {self.joint} of up to "
+                f"{self.strongest:.3g} {unit} {pushed} made it shake"
             )
         begins = (
             "stands still only because of dry friction: pushed on "

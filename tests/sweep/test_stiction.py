@@ -101,7 +101,7 @@ def test_friction_that_holds_any_push_is_said_so(tmp_path):
     text = HINGE.format(loss=0.3, limit='forcerange="-0.35 0.35"')
     held = stiction.nominal(specification(tmp_path / "hinge.xml", text))
     assert held.push == np.inf and held.amplitude == 0.0
-    assert "dry friction holds it: no push" in held.sentence
+    assert "stands still because dry friction holds it: no push" in held.sentence
     assert np.ptp(plain(0.3, 0.35, held.strongest, 12.0)[-1500:]) < 1e-6
 
 
