@@ -60,6 +60,8 @@ class Scale:
         count: what the coarsest quantiser makes of a position [m or rad]; 0 without one.
         rest: half range that counts as at rest [m or rad].
         floor: the part of it that is none of the loop's own [m or rad].
+        limit: displacement that commands the largest force [m or rad]; 0 without limits, and where
+            the plant bounds a motion, too.
         linear: whether the loop is linear, but for noise: its growth rate tells all.
         unlimited: whether it is linear in a motion so large that counts are nothing in it; then
             what grows, grows for ever.
@@ -70,6 +72,7 @@ class Scale:
     count: jax.Array
     rest: jax.Array
     floor: jax.Array
+    limit: jax.Array
     linear: jax.Array
     unlimited: jax.Array
     plant_linear: jax.Array
@@ -159,12 +162,13 @@ def scale(
     unlimited &= jnp.isinf(actuator.force_rate_limit)
     counts, far = count(drive), limit(drive)
     least = jnp.maximum(_ROUNDING * jnp.finfo(size.dtype).eps * size, floor)
-    limits = jnp.where(jnp.isfinite(far), _OF_THE_LIMIT * far, 0.0)
-    own = jnp.where(counts > 0.0, _OF_A_COUNT * counts, limits if linear_plant else 0.0)
+    most = jnp.where(jnp.isfinite(far) & linear_plant, far, 0.0)
+    own = jnp.where(counts > 0.0, _OF_A_COUNT * counts, _OF_THE_LIMIT * most)
     return Scale(
         count=counts,
         rest=jnp.maximum(least, own),
         floor=least,
+        limit=most,
         linear=exact & unlimited & linear_plant,
         unlimited=unlimited & linear_plant,
         plant_linear=jnp.full_like(unlimited, linear_plant),
@@ -199,7 +203,7 @@ def of_motion(
     before, previous, last = motion.amplitude[-3], motion.amplitude[-2], motion.amplitude[-1]
     # Of a robot at rest, the first motion is rounding, and no scale for what follows.
     size = jnp.where(motion.span > 0.0, motion.span, motion.amplitude[0])
-    size = jnp.maximum(size, jnp.maximum(scale.count, scale.floor))
+    size = jnp.maximum(size, jnp.maximum(scale.limit, jnp.maximum(scale.count, scale.floor)))
     diverged = motion.farthest > _DIVERGED * jnp.where(size > 0.0, size, 1.0)
     growing = (last > _GROWING * previous) & (previous > _GROWING * before)
     # Counts and noise make irregular motions, but none without bound.
@@ -238,7 +242,8 @@ def together(own: Judgement, others: Judgement, scale: Scale) -> Judgement:
     Of a start that has come to rest where small perturbations grow, nothing is known but that; what
     one that still moves shows is more. What remains of the own start counts where it is more than a
     count: within one, it depends on where between two counts the setpoint happens to be, and the
-    others stand for all such places.
+    others stand for all such places. A start that grows within the cycle that another one shows is
+    on its way there, where a limit makes the cycle.
 
     Args:
         own: of the setpoint's step, shape (joints,).
@@ -255,10 +260,14 @@ def together(own: Judgement, others: Judgement, scale: Scale) -> Judgement:
     amplitude = jnp.take_along_axis(others.amplitude, largest, axis=0)[0]
     frequency = jnp.take_along_axis(others.frequency, largest, axis=0)[0]
     shown = own.moving | jnp.any(others.moving, axis=0)
+    cycle = own.moving & (own.verdict == Verdict.LIMIT_CYCLE)
+    widest = jnp.maximum(jnp.where(cycle, own.amplitude, -1.0), jnp.max(amplitudes, axis=0))
 
     def proven(start: Judgement) -> jax.Array:
         unproven = ~start.moving & (start.verdict == Verdict.UNSTABLE) & shown
-        return jnp.where(unproven, Verdict.STABLE, start.verdict)
+        verdict = jnp.where(unproven, Verdict.STABLE, start.verdict)
+        within = start.moving & (start.verdict == Verdict.UNSTABLE) & (start.amplitude <= widest)
+        return jnp.where(within & (scale.limit > 0.0), Verdict.LIMIT_CYCLE, verdict)
 
     minor = own.moving & (own.verdict == Verdict.LIMIT_CYCLE) & (own.amplitude <= scale.count)
     mine = jnp.where(minor, Verdict.STABLE, proven(own))

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
+from scipy.linalg import expm
 
 from jaxact.cli import simulate
 from jaxact.status import Verdict
@@ -139,3 +140,53 @@ def test_commands_in_steps_stop_a_mass_after_a_setpoint_step_but_not_after_a_kic
     assert found["limit_cycle_amplitude"].reshape(3, 2)[0, 1] == pytest.approx(size, rel=0.05)
     assert (found["limit_cycle_amplitude"] < step / kp).all()
     assert plans.groups(asked, expand(asked))[0].case.starts == ("on", "between", "near", "drift")
+
+
+def _limited(mass, kp, kd, delay, most, seconds):
+    """A mass behind the actuator and a limit, in steps of 0.1 ms: the positions of its end."""
+    step, late = 1e-4, round(delay / 1e-4)
+    matrix = np.array([[0.0, 1.0, 0.0], [-(WN**2), -2.0 * ZETA * WN, WN**2], [0.0, 0.0, 0.0]])
+    advance = expm(matrix * step)
+    state, waiting = np.zeros(3), [0.0] * (late + 1)
+    position, velocity, positions = 0.0, 0.1, []
+    for tick in range(round(seconds / step)):
+        if tick % 10 == 0:
+            command = -kp * position - kd * velocity
+        waiting = [command, *waiting[:-1]]
+        state[2], before = waiting[late], state[0]
+        state = advance @ state
+        force = np.clip(0.5 * (before + state[0]), -most, most)
+        position += velocity * step + 0.5 * force / mass * step**2
+        velocity += force / mass * step
+        positions.append(position)
+    return np.array(positions[-len(positions) // 4 :])
+
+
+def test_a_limit_cycle_is_one_however_small_the_step_was_that_it_grew_from():
+    mass, kp, kd, delay, most = 0.7, 2000.0, 60.0, 5e-3, 100.0
+    asked = reading.parse(
+        f'precision = "float64"\nduration = 3.0\n[parameters]\nmass = {mass}\nkp = {kp}\n'
+        f"kd = {kd}\nwn = {WN}\nzeta = {ZETA}\ndelay = {delay}\nforce_limit = {most}\n"
+        "[axes]\nsetpoint = [1e-6, 1e-5, 1e-2, 0.1]\n"
+    )
+    last = _limited(mass, kp, kd, delay, most, 3.0)
+    up = np.flatnonzero((last[:-1] < 0.0) & (last[1:] >= 0.0))
+    turns = 2.0 * np.pi * (len(up) - 1) / (1e-4 * (up[-1] - up[0]))
+    found = _run(asked)
+    assert (found["verdict"] == Verdict.LIMIT_CYCLE).all()
+    np.testing.assert_allclose(found["limit_cycle_amplitude"], 0.5 * np.ptp(last), rtol=0.02)
+    np.testing.assert_allclose(found["limit_cycle_frequency"], turns, rtol=0.02)
+
+
+def test_what_grows_towards_a_cycle_that_other_starts_show_is_that_cycle():
+    """Quantised, limited, linearly unstable: one of the starts grows for longer than the others."""
+    asked = reading.parse(
+        'precision = "float64"\nduration = 2.0\nvelocity = "differenced"\n[parameters]\n'
+        "mass = 0.11775\nkp = 1445.9\nkd = 64.827\nmeasurement_delay = 0.00055898\n"
+        "velocity_filter = 61.581\nposition_resolution = 0.001\nforce_limit = 75.816\n"
+        "[axes]\nsetpoint = [0.01, 0.0234, 0.1]\n"
+    )
+    found = _run(asked)
+    assert (found["growth_rate"] > 1.0).all()
+    assert (found["verdict"] == Verdict.LIMIT_CYCLE).all()
+    assert 0.015 < found["limit_cycle_amplitude"][2] < 0.02
