@@ -29,6 +29,8 @@ _ROUNDING = 64.0
 _DIVERGED = 1e3
 # An envelope that grows by this factor from segment to segment, twice, is not bounded.
 _GROWING = 1.1
+# What friction ends is at most this part of what it was a segment ago.
+_FALLING = 0.98
 # What is no larger than so many counts, or so many times what noise sustains, does not grow.
 _FEW = 3.0
 
@@ -214,8 +216,12 @@ def of_motion(
     # An irregular limit cycle is smaller than before now and then, but rarely twice in a row.
     decaying = (last <= kept * previous) & ((scale.count == 0.0) | (previous <= kept * before))
     resting = last <= scale.rest
-    # What has halved without turning is no cycle: friction is bringing it to rest.
-    ending = ~scale.plant_linear & ~jnp.isfinite(motion.frequency) & (last <= 0.5 * previous)
+    # Friction ends a motion that would grow if it were larger: the smaller it is, the sooner. What
+    # approaches a cycle slows down instead. What has halved without turning is no cycle either.
+    falling = (last <= _FALLING * previous) & (previous - last >= before - previous)
+    falling &= (previous <= before) & (growth_rate >= 0.0) & (scale.count == 0.0)
+    ending = falling | (~jnp.isfinite(motion.frequency) & (last <= 0.5 * previous))
+    ending &= ~scale.plant_linear
     moving = ~(resting | ending | ((growth_rate < 0.0) & decaying))
     verdict = jnp.where(moving, Verdict.LIMIT_CYCLE, Verdict.STABLE)
     # A perturbation that grows, but has not had the time to, or dies in what the plant has of its

@@ -211,6 +211,9 @@ def test_what_a_motion_that_remains_means():
     assert verdict(1e-1, 5e-2, 4e-3, plant=False, **still) == Verdict.UNSTABLE
     assert verdict(1e-1, 5e-2, 4e-3, plant=True, **still) == Verdict.LIMIT_CYCLE
     assert verdict(1e-1, 5e-2, 4e-2, plant=False, **still) == Verdict.LIMIT_CYCLE
+    turning = still | {"frequency": 20.0}
+    assert verdict(0.192, 0.177, 0.148, plant=False, **turning) == Verdict.UNSTABLE
+    assert verdict(0.3, 0.2, 0.15, plant=False, **turning) == Verdict.LIMIT_CYCLE  # slows down
     assert verdict(1e-3, 1e-3, 1e-3, growth=np.nan) == Verdict.INVALID
 
 

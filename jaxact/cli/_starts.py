@@ -67,8 +67,8 @@ def advice(run: Single) -> str:
     held = _rubs(run) and not any(start.moving for start in run.starts)
     if verdict == Verdict.UNSTABLE and held:
         return (
-            "Perturbations of joints that move grow, but from every start that was tried dry "
-            "friction brought them to rest; it may not with less friction or a harder push."
+            "Perturbations of joints that move grow; from every start that was tried dry friction "
+            "ended the motion, which it may not after a harder push, or where there is less of it."
         )
     return verdict.advice
 
@@ -83,8 +83,12 @@ def _end(start: Start, rotary: bool, rubs: bool) -> str:
     from jaxact.status import Verdict
 
     if start.verdict in (Verdict.UNSTABLE, Verdict.INVALID):
+        if start.moving:
+            return start.verdict.label
+        if not start.resting:
+            return "decaying by friction alone" if rubs else "decaying, although unstable,"
         still = "where only friction holds it" if rubs else "where perturbations grow"
-        return start.verdict.label if start.moving else f"at rest, {still},"
+        return f"at rest, {still},"
     if not start.moving:
         return "at rest" if start.resting else "decaying"
     size = quantity(float(f"{start.amplitude:.3g}"), "rad" if rotary else "m")

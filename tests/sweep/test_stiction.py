@@ -1,11 +1,14 @@
 """What dry friction holds, against plain C MuJoCo loops with the actuator written out."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 import scipy.linalg
 
-from jaxact.sweep import reading, stiction, toml, whole_robot
+from jaxact.status import Verdict
+from jaxact.sweep import reading, single, stiction, toml, whole_robot
 
 STEP = 1e-3
 WN, ZETA = 110.0, 0.9  # StarLETH's actuator
@@ -121,3 +124,13 @@ def test_friction_of_the_parameters_counts(tmp_path):
     )
     assert held.push == pytest.approx(own.push, rel=0.05)
     assert held.amplitude == pytest.approx(own.amplitude, rel=0.01)
+
+
+@pytest.mark.parametrize("duration", [1.0, 4.0])
+def test_what_friction_ends_is_no_limit_cycle_however_short_the_look(tmp_path, duration):
+    text = HINGE.format(loss=0.3, limit='forcerange="-2 2"')
+    asked = specification(tmp_path / "hinge.xml", text, setpoint=0.3)
+    run = single.simulate(replace(asked, duration=duration))
+    assert run.results["verdict"] == Verdict.UNSTABLE
+    assert not any(start.moving for start in run.starts)
+    assert np.isnan(run.results["limit_cycle_amplitude"])
