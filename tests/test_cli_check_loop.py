@@ -33,36 +33,71 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def _shakes(ticks, damping, steps=6000):
-    """Whether the joint shakes on a stand with kp and kd late by milliseconds, in plain C."""
+def _shakes(delay, damping, rate, seconds=4.0, fine=1e-4):
+    """Whether the joint shakes on a stand with kp and kd late by seconds, in plain C MuJoCo."""
     text = STOOL.format(floor="", damping=0, loss=0).replace("<freejoint/>", "")
     text = text.replace('<position name="servo" joint="swing" kp="60"/>', '<motor joint="swing"/>')
     model = mujoco.MjModel.from_xml_string(text.replace("<geom", '<geom contype="0"'))
+    model.opt.timestep = fine
     data = mujoco.MjData(model)
-    data.qvel[0], late = 1e-6, [0.0] * ticks
-    for _ in range(steps):
-        late.append(-60.0 * data.qpos[0] - damping * data.qvel[0])
+    data.qvel[0], late = 1e-6, [0.0] * round(delay / fine)
+    for step in range(round(seconds / fine)):
+        if step % round(1.0 / rate / fine) == 0:
+            command = -60.0 * data.qpos[0] - damping * data.qvel[0]
+        late.append(command)
         data.ctrl[0] = late.pop(0)
         mujoco.mj_step(model, data)
+        if abs(data.qvel[0]) > 1e-5:
+            return True
     return abs(data.qvel[0]) > 1e-6
 
 
-def test_delays_are_those_of_plain_mujoco(capsys):
+@pytest.mark.parametrize("rate", [1000.0, 200.0])
+def test_delays_are_those_of_plain_mujoco_at_a_fine_step(capsys, rate):
     text = STOOL.format(floor=FLOOR, damping=2.0, loss=0.3)
-    found = json.loads(_check(capsys, text, "--json"))["on_stand"]
-    assert found["hidden_gains"] == ["swing"] and found["control_rate"] == 1000.0
-    borne = int(1e3 * found["in_drive"]["delay"])
-    assert not _shakes(borne, 2.0) and _shakes(borne + 1, 2.0)
+    options = ("--json", "--control-rate", f"{rate:g}")
+    found = json.loads(_check(capsys, text, *options))["on_stand"]
+    assert found["hidden_gains"] == ["swing"] and found["control_rate"] == rate
+    borne = found["in_drive"]["delay"]
+    assert not _shakes(0.98 * borne, 2.0, rate) and _shakes(1.02 * borne, 2.0, rate)
+    assert found["in_drive"]["participation"] == {"swing": 1.0}
     assert found["in_drive"]["delay"] < found["as_it_is"]["delay"] < found["stuck"]["delay"]
     assert found["friction"] == 0.3 and found["free"]["stable"] and found["falls"] is None
+
+
+# A leg whose knee has to bend: at the default posture it is straight, outside of its range.
+LEG = """<mujoco><worldbody><body pos="0 0 1"><joint name="hip" axis="0 1 0" damping="1"/>
+<geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02" mass=".5"/>
+<body pos="0 0 -.2"><joint name="knee" axis="0 1 0" damping="1" range="-120 -40"/>
+<geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02" mass=".5"/></body></body></worldbody>
+<actuator><position joint="hip" kp="60"/><position joint="knee" kp="60"/></actuator>
+{keys}</mujoco>"""
+BENT = '<keyframe><key name="straight" qpos="0 0"/><key name="bent" qpos=".7 -1.4"/></keyframe>'
+
+
+def test_what_limits_hold_is_no_answer(capsys):
+    text = LEG.format(keys=BENT)
+    found = json.loads(_check(capsys, text, "--json"))
+    why = found["on_stand_not_known"]
+    assert found["on_stand"] is None and why.startswith("knee (") and "--keyframe bent" in why
+    assert "straight" not in why.rpartition("--keyframe")[2]
+    assert "is not known: knee (" in _check(capsys, text, "--keyframe", "straight")
+    assert "range" not in (said := _check(capsys, text, "--keyframe", "bent").split("joint ")[0])
+    assert "the gains bear " in said
+    # Nothing else to propose: the answer comes with what is wrong with it.
+    said = " ".join(_check(capsys, LEG.format(keys="")).split())
+    assert "held there by its limit" in said and "On a stand, at 1000 Hz" in said
+    assert main(["margins", "--model", "stool.xml"]) == 0
+    assert "knee (" in capsys.readouterr().err
 
 
 def test_it_is_said_in_sentences(capsys):
     said = " ".join(_check(capsys, STOOL.format(floor=FLOOR, damping=2.0, loss=0.3)).split())
     for words in (
-        "On a stand, at 1000 Hz, the gains bear ", "1 of 1 driven joints have kp, no kd, and",
-        "Computed in the drive, with --damping drive, the gains bear ", "then swing shakes at",
-        "Dry friction of up to 0.3 N m (N) is left out", "With its base free, standing, the gains",
+        "On a stand, at 1000 Hz, with the joints' damping in the drives, the gains bear ",
+        "1 of 1 driven joints have kp, no kd, and", "; then swing shakes at",
+        "As the model has it, in the joint and at once, the gains would bear ",
+        "Dry friction of up to 0.3 N m is left out", "With its base free, standing, the gains",
     ):  # fmt: skip
         assert words in said, words
     both = ("--base", "fixed", "--damping", "drive")

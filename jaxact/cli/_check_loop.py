@@ -8,13 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 from jaxact.errors import UserError
 
+# Share of a joint in a motion from which on the motion is its own, and from which on it is named
+# beside others; and how many are.
+_ALONE, _PART, _MOST_NAMED = 0.8, 0.1, 3
+
 if TYPE_CHECKING:
     from jaxact.plants.robot import Robot
     from jaxact.sweep.on_stand import Loop, OnStand
     from jaxact.sweep.specification import Plant
 
 
-def found(plant: Plant, robot: Robot) -> OnStand | str:
+def found(plant: Plant, robot: Robot, control_rate: float) -> OnStand | str:
     """What the gains bear, or why that is not known; "" where the model brings none."""
     import mujoco
     import numpy as np
@@ -24,7 +28,7 @@ def found(plant: Plant, robot: Robot) -> OnStand | str:
     if not on_stand.brings_gains(robot) or any("mujoco" in item.engines for item in robot.findings):
         return ""
     try:
-        return on_stand.on_stand(plant, robot)
+        return on_stand.on_stand(plant, robot, control_rate)
     except (UserError, mujoco.FatalError, np.linalg.LinAlgError) as error:
         return str(error)
 
@@ -37,6 +41,7 @@ def as_json(known: OnStand | str) -> dict[str, Any] | None:
     return {
         "control_rate": known.control_rate,
         **{name: None if loop is None else _loop(loop) for name, loop in loops.items()},
+        "outside": list(known.outside),
         "hidden_gains": [joint.name for joint in known.hidden],
         "friction": known.friction,
         "falls": known.falls or None,
@@ -45,7 +50,9 @@ def as_json(known: OnStand | str) -> dict[str, Any] | None:
 
 def _loop(loop: Loop) -> dict[str, Any]:
     borne = {key: value for key, value in asdict(loop.borne).items() if key != "participation"}
-    return {"joint": loop.joint} | {key: _plain(value) for key, value in borne.items()}
+    shares = loop.shares
+    begins = {"joint": next(iter(shares)), "participation": shares}
+    return begins | {key: _plain(value) for key, value in borne.items()}
 
 
 def _plain(value: Any) -> Any:
@@ -58,26 +65,28 @@ def as_text(known: OnStand | str) -> list[str]:
     """The same as paragraphs."""
     if isinstance(known, str):
         return [f"How much delay the gains bear is not known: {known}"] if known else []
-    said = [
-        f"On a stand, at {known.control_rate:g} Hz, the gains {_bears(known.as_it_is)}.",
-        *_of_damping(known),
-        *_of_friction(known),
-        *_of_base(known),
-    ]
-    return said
+    at = f"On a stand, at {known.control_rate:g} Hz,"
+    first = f"{at} the gains {_bears(known.as_it_is)}."
+    if known.in_drive is not None:
+        # The answer that counts for a robot comes first.
+        first = f"{at} with the joints' damping in the drives, the gains {_bears(known.in_drive)}."
+    return [*_of_limits(known), first, *_of_damping(known), *_of_friction(known), *_of_base(known)]
 
 
-def _bears(loop: Loop) -> str:
+def _bears(loop: Loop, *, would: bool = False) -> str:
     from jaxact.plot.wording import quantity
 
     borne = loop.borne
     where = f" at {quantity(borne.frequency, 'rad/s')}"
     if borne.shakes:
         return (
-            f"shake even without more delay: {loop.joint}{where}, growing by "
+            f"shake even without more delay: {_who(loop)[0]}{where}, growing by "
             f"{borne.growth_rate:.3g} 1/s"
         )
-    bears = f"bear {quantity(borne.delay, 's')} of delay; then {loop.joint} shakes{where}"
+    who, several = _who(loop)
+    shakes = "would shake" if would else "shake" if several else "shakes"
+    then = ", when" if would else "; then"
+    bears = f"bear {quantity(borne.delay, 's')} of delay{then} {who} {shakes}{where}"
     if math.isinf(borne.delay):
         bears = "bear any delay"
     if borne.topples:
@@ -87,14 +96,34 @@ def _bears(loop: Loop) -> str:
     return bears
 
 
+def _who(loop: Loop) -> tuple[str, bool]:
+    """The joints that move most, with their shares where no single one does it; and if several."""
+    shares = list(loop.shares.items())
+    if len(shares) == 1 or shares[0][1] >= _ALONE:
+        return shares[0][0], False
+    named = [f"{name} ({100.0 * share:.0f} %)" for name, share in shares[:_MOST_NAMED]]
+    named = [text for text, (_, share) in zip(named, shares, strict=False) if share >= _PART]
+    if len(named) < 2:
+        return shares[0][0], False
+    return f"{', '.join(named[:-1])} and {named[-1]}", True
+
+
+def _of_limits(known: OnStand) -> list[str]:
+    from jaxact.sweep import robots
+
+    if not known.outside:
+        return []
+    return [f"{robots.held_by_limits(known.outside)}; {robots.keyframe_advice(())}."]
+
+
 def _of_damping(known: OnStand) -> list[str]:
     if known.in_drive is None:
         return []
     count, of = len(known.hidden), len(known.as_it_is.names)
     return [
         f"{count} of {of} driven joints have kp, no kd, and damping of their own: most likely a "
-        "drive's D gain, which acts at once here. Computed in the drive, with --damping drive, "
-        f"the gains {_bears(known.in_drive)}."
+        "drive's D gain, which --damping drive has sampled and delayed. As the model has it, in "
+        f"the joint and at once, the gains would {_bears(known.as_it_is, would=True)}."
     ]
 
 
@@ -102,13 +131,10 @@ def _of_friction(known: OnStand) -> list[str]:
     if known.stuck is None:
         return []
     return [
-        f"Dry friction of up to {known.friction:.3g} N m (N) is left out, as it damps no joint "
-        f"that moves; as MuJoCo linearises it at rest the gains would {_would(known.stuck)}."
+        f"Dry friction of up to {known.friction:.3g} {known.friction_unit} is left out, as it "
+        "damps no joint that moves; as MuJoCo linearises it at rest the gains would "
+        f"{_bears(known.stuck, would=True)}."
     ]
-
-
-def _would(loop: Loop) -> str:
-    return _bears(loop).replace("; then", ", when").replace(" shakes", " would shake")
 
 
 def _of_base(known: OnStand) -> list[str]:

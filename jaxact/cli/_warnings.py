@@ -49,12 +49,19 @@ def older(result: str) -> None:
 
 
 def overload(specification: Specification) -> None:
-    """Warn of a robot's posture that its joints are too weak to hold; nothing without a robot."""
+    """Warn of a robot's posture that its joints are too weak to hold, or that limits hold.
+
+    Nothing without a robot.
+    """
     if specification.plant is None:
         return
     from jaxact.sweep import robots
 
-    weak = robots.overloaded(robots.scene(specification.plant))
+    scene = robots.scene(specification.plant)
+    if stopped := robots.at_stops(scene.robot, scene.posture.qpos):
+        advice = robots.keyframe_advice(robots.keyframes_within(scene.robot))
+        warn(f"{robots.held_by_limits(stopped)}; {advice}")
+    weak = robots.overloaded(scene)
     if weak:
         warn(
             f"{', '.join(weak)}: more than the model's joints can exert; linear figures are those "

@@ -47,13 +47,22 @@ def main(
     ] = (".*",),
     base: _mounting.Base = None,
     damping: _mounting.Damping = None,
+    control_rate: Annotated[
+        float,
+        arg(
+            metavar="HZ",
+            help="Of the controllers, at which the gains have to bear delay [Hz].",
+        ),
+    ] = 1000.0,
     json: Annotated[bool, arg(help="Print one JSON object.")] = False,
 ) -> None:
     r"""Show what will be driven in a robot and how, and every field that engines would ignore.
 
-    First, where the model brings gains: how much delay they bear on a stand, and which joint shakes
-    then; the same with the joints' damping in the drives where it stands for a kd, and with dry
-    friction as MuJoCo linearises it; and whether the robot stands with its base free.
+    First, where the model brings gains: how much delay they bear on a stand, and which joints shake
+    then; where the joints' damping stands for a kd, the same with it in the drives and as the model
+    has it; with dry friction as MuJoCo linearises it; and whether the robot stands with its base
+    free. `jaxact margins` says more, with --set integrator_correction=true the same: MuJoCo's
+    integrator, half a physics step ahead, is corrected for here, since no robot has it.
 
     For each joint: what the model has there, its gains and limits at the joint (gear applied), the
     inertia that the joint moves at the posture with all else free, the bandwidth of the PD loop
@@ -64,9 +73,10 @@ def main(
     keyframe, else 0.
 
     JSON: model, keyframe, digest, physics_step [s], degrees_of_freedom; engines that can simulate
-    it (warp where it is installed); on_stand with control_rate [Hz], hidden_gains (joints),
-    friction, falls (why), and as_it_is, in_drive, stuck, free, of each joint, stable, shakes,
-    topples, growth_rate [1/s], delay [s] and frequency [rad/s]; joints with name, actuator, kind,
+    it (warp where it is installed); on_stand with control_rate [Hz], outside (joints beyond
+    their ranges), hidden_gains (joints), friction, falls (why), and as_it_is, in_drive, stuck,
+    free, of each joint, participation (shares of all), stable, shakes, topples, growth_rate [1/s],
+    delay [s] and frequency [rad/s]; on_stand_not_known (why); joints with name, actuator, kind,
     kp, kd, force_limits, setpoint_limits, setpoint, setpoint_velocity, delay and setpoint_delay
     [s], natural_frequency [rad/s], damping_ratio, inertia, inertia_others_held, joint_damping,
     joint_friction, armature (what the joint itself has), bandwidth [rad/s]; findings with where,
@@ -74,14 +84,17 @@ def main(
 
     examples:
       jaxact check robot.xml --keyframe home
+      jaxact check robot.xml --keyframe home --control-rate 500
       jaxact check robot.xml --joints '.*_hip' '.*_knee'
       jaxact check robot.urdf --json
     """
     from jaxact.plants import model as _model
+    from jaxact.sweep import parameters
 
     mounted = _mounting.chosen(base, damping)
     robot = _model.read(model, keyframe=keyframe, joints=joints, **mounted)
-    known = _check_loop.found(_plant(model, keyframe, joints, mounted), robot)
+    rate = parameters.check("control_rate", control_rate, "--control-rate")
+    known = _check_loop.found(_plant(model, keyframe, joints, mounted), robot, rate)
     robot = replace(robot, findings=(*robot.findings, *_of_mjx(robot), *_of_warp(robot)))
     print(_as_json(robot, keyframe, known) if json else _as_text(robot, keyframe, known))
     if any(item.engines for item in robot.findings):
@@ -170,6 +183,7 @@ def _as_json(robot: Robot, keyframe: str | None, known: OnStand | str) -> str:
             "degrees_of_freedom": int(robot.model.nv),
             "engines": engines(robot),
             "on_stand": _check_loop.as_json(known),
+            "on_stand_not_known": known if isinstance(known, str) and known else None,
             "joints": _rows(robot),
             "findings": [asdict(item) for item in robot.findings],
         },

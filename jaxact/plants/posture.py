@@ -135,11 +135,13 @@ def settled(robot: Robot) -> Posture:
             return found
     if there.residual <= _NEARLY * gravity:  # an equilibrium that it leaves, upright for example
         return replace(there, settled=True)
-    raise UserError(
-        f"{robot.path.name}: {complaints[0]}; give a keyframe that stands by itself, "
-        'posture = "keyframe" to start from it as it is, or --base fixed (base = "fixed") to put '
-        "it on a stand"
-    )
+    advice = 'give a keyframe at rest, or posture = "keyframe" to start from it as it is'
+    if np.any(robot.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)):
+        advice = (
+            'give a keyframe that stands by itself, posture = "keyframe" to start from it as it '
+            'is, or --base fixed (base = "fixed") to put it on a stand'
+        )
+    raise UserError(f"{robot.path.name}: {complaints[0]}; {advice}")
 
 
 # Where robots stand that were asked for last: it takes a simulation.

@@ -1,7 +1,9 @@
 """How much delay the gains that a robot's model brings bear, and what its damping does to that.
 
 On a stand, where only the joints and their drives are left; and of a base that is free, whether the
-robot stands at all. Ideal actuators, unless the model brings others.
+robot stands at all. Ideal actuators, unless the model brings others. What is asked is about the
+robot and not about its simulation, so MuJoCo's integrator is corrected for: it has positions half a
+physics step ahead of velocities, which margins take for that much less delay.
 """
 
 from __future__ import annotations
@@ -9,13 +11,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.plants import friction, mounting
 from jaxact.plants.robot import Joint, Robot
 from jaxact.robot_delay import DelayBorne
-from jaxact.sweep import whole_robot
+from jaxact.sweep import parameters, robots, whole_robot
 from jaxact.sweep.samples import Samples
 from jaxact.sweep.specification import Plant, Specification
 
@@ -36,9 +39,10 @@ class Loop:
     names: tuple[str, ...]
 
     @property
-    def joint(self) -> str:
-        """The joint that moves most in that motion."""
-        return self.names[int(np.argmax(self.borne.participation))]
+    def shares(self) -> dict[str, float]:
+        """The joints' shares in that motion, the one that moves most first."""
+        order = np.argsort(-self.borne.participation, kind="stable")
+        return {self.names[place]: float(self.borne.participation[place]) for place in order}
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,8 @@ class OnStand:
         hidden: the joints whose damping stands for a drive's kd, see `hidden_gains`.
         stuck: on a stand, with dry friction as MuJoCo linearises it at rest.
         friction: largest dry friction of the model [N or N m].
+        friction_unit: of it.
+        outside: joints outside their ranges, see `jaxact.sweep.robots.at_stops`.
         free: with its base free, where it is.
         falls: why there is no such loop: the robot does not come to rest; "" where there is.
     """
@@ -62,6 +68,8 @@ class OnStand:
     hidden: tuple[Joint, ...]
     stuck: Loop | None
     friction: float
+    friction_unit: str
+    outside: tuple[str, ...]
     free: Loop | None
     falls: str
 
@@ -96,8 +104,12 @@ def loop(plant: Plant, control_rate: float = CONTROL_RATE) -> Loop:
     Raises:
         UserError: as `jaxact.sweep.whole_robot.evaluate`.
     """
+    model = robots.scene(plant).robot.model
     specification = Specification(
-        engine="mujoco", plant=plant, parameters={"control_rate": control_rate}
+        engine="mujoco",
+        plant=plant,
+        parameters={"control_rate": parameters.check("control_rate", control_rate)},
+        integrator_correction=model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4,
     )
     along = {name: np.array([value]) for name, value in specification.nominal.items()}
     samples = Samples(along, ("loop",), (1,), {})
@@ -114,9 +126,11 @@ def on_stand(plant: Plant, robot: Robot, control_rate: float = CONTROL_RATE) -> 
         control_rate: [Hz].
 
     Raises:
-        UserError: as `jaxact.sweep.whole_robot.evaluate`, of the robot on a stand.
+        UserError: as `jaxact.sweep.whole_robot.evaluate`, of the robot on a stand; or the posture
+            has joints outside their ranges, and another keyframe has not.
     """
     stand = replace(plant, base="fixed")
+    outside = _outside(stand)
     hidden = hidden_gains(robot)
     rubs = plant.friction == "moving" and friction.rubs(robot.model)
     free, falls = _free(plant, control_rate) if mounting.floats(robot) else (None, "")
@@ -127,9 +141,29 @@ def on_stand(plant: Plant, robot: Robot, control_rate: float = CONTROL_RATE) -> 
         hidden=hidden,
         stuck=loop(replace(stand, friction="stuck"), control_rate) if rubs else None,
         friction=friction.largest(robot.model),
+        friction_unit=_friction_unit(robot.model),
+        outside=outside,
         free=free,
         falls=falls,
     )
+
+
+def _outside(stand: Plant) -> tuple[str, ...]:
+    """The joints outside their ranges, where no keyframe has them within."""
+    scene = robots.scene(stand)
+    outside = robots.at_stops(scene.robot, scene.posture.qpos)
+    if outside and (names := robots.keyframes_within(scene.robot)):
+        raise UserError(f"{robots.held_by_limits(outside)}; {robots.keyframe_advice(names)}")
+    return outside
+
+
+def _friction_unit(model: mujoco.MjModel) -> str:
+    """Of the dry friction of a model's joints and tendons: N m, N, or both."""
+    kinds = model.jnt_type[model.dof_jntid[model.dof_frictionloss > 0.0]]
+    slides = kinds == int(mujoco.mjtJoint.mjJNT_SLIDE)
+    units = {"N" if slide else "N m" for slide in slides}
+    units |= {"N"} if np.any(model.tendon_frictionloss > 0.0) else set()
+    return " or ".join(sorted(units, reverse=True))
 
 
 def _free(plant: Plant, control_rate: float) -> tuple[Loop | None, str]:

@@ -6,6 +6,7 @@ Made once for each compiled kernel, from what is static; the values of the sampl
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -121,17 +122,77 @@ def body(robot: Robot, name: str | None, key: str) -> int:
 
 
 def overloaded(scene: Scene) -> tuple[str, ...]:
-    """The driven joints that hold the posture with more than they can exert, and how much."""
+    """The driven joints that hold the posture with more than they can exert, and how much.
+
+    Those that are outside their ranges push against their limits, and are not counted.
+    """
     found = []
+    stopped = {text.partition(" (")[0] for text in at_stops(scene.robot, scene.posture.qpos)}
     hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
     for joint, force in zip(scene.robot.joints, scene.posture.force, strict=True):
-        if not joint.force_low <= force <= joint.force_high:
+        if joint.name not in stopped and not joint.force_low <= force <= joint.force_high:
             limit = joint.force_high if force > 0.0 else joint.force_low
             unit = "N m" if scene.robot.model.jnt_type[joint.joint] == hinge else "N"
             found.append(
                 f"{joint.name} holds the posture with {abs(force):.4g} of {abs(limit):.4g} {unit}"
             )
     return tuple(found)
+
+
+# Beyond its range by more than this share of it, a joint is held by its limit: one that rests
+# against a stop is so by less.
+_BEYOND = 0.01
+
+
+def at_stops(robot: Robot, qpos: np.ndarray) -> tuple[str, ...]:
+    """The driven joints that a configuration has outside their ranges, where limits hold them.
+
+    What their drives do, and bear, is not seen there: a limit is as stiff as the joint is weak.
+
+    Args:
+        robot: from `jaxact.plants.model.read`.
+        qpos: as MuJoCo orders it.
+
+    Returns:
+        Of each its name, where it is, and its range.
+    """
+    model = robot.model
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_LIMIT:
+        return ()
+    found = []
+    for joint in robot.joints:
+        low, high = model.jnt_range[joint.joint]
+        beyond = max(low - qpos[joint.qpos], qpos[joint.qpos] - high)
+        if model.jnt_limited[joint.joint] and beyond > _BEYOND * (high - low):
+            found.append(f"{joint.name} ({qpos[joint.qpos]:.3g}; range {low:.3g} to {high:.3g})")
+    return tuple(found)
+
+
+def keyframes_within(robot: Robot) -> list[str]:
+    """The keyframes of the model that have no driven joint outside its range; name or number."""
+    model = robot.model
+    return [
+        model.key(index).name or str(index)
+        for index in range(model.nkey)
+        if not at_stops(robot, model.key_qpos[index])
+    ]
+
+
+def held_by_limits(stopped: Sequence[str]) -> str:
+    """In words, of joints from `at_stops`."""
+    more = len(stopped) - 1
+    if not more:
+        they = "is outside its range at this posture and held there by its limit"
+        return f"{stopped[0]} {they}, so what its drive bears is not seen"
+    they = "are outside their ranges at this posture and held there by their limits"
+    return f"{stopped[0]} and {more} more {they}, so what their drives bear is not seen"
+
+
+def keyframe_advice(names: Sequence[str]) -> str:
+    """What to do about it; names of keyframes that have every joint within its range."""
+    if not names:
+        return "the model needs a keyframe that has every joint within its range"
+    return f"give a posture: --keyframe {' or '.join(map(shlex.quote, names))}"
 
 
 def matched(scene: Scene, key: str) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from jaxact.errors import UserError
+from jaxact.plants import assets
 from jaxact.plants import model as models
 from jaxact.plants.findings import ENGINES
 
@@ -448,6 +449,21 @@ def test_missing_meshes_matter_only_where_they_touch_or_weigh(read):
     for visual, given in ((LOOKS, ""), ("", inertial)):
         with pytest.raises(UserError, match=r"mesh file gone.stl is missing, and body 'b' needs"):
             read(MESHES.format(visual=visual, inertial=given))
+
+
+def test_many_missing_meshes_are_left_out_at_once_and_those_there_stay(tmp_path, monkeypatch):
+    names = [f"m{number}" for number in range(20)]
+    (tmp_path / "m3.obj").write_text(CORNERS)
+    spec = mujoco.MjSpec.from_string(
+        "<mujoco><asset>"
+        + "".join(f'<mesh file="{name}.obj"/>' for name in names)
+        + '</asset><worldbody><body><joint/><geom size="0.1" mass="1"/>'
+        + "".join(f'<geom type="mesh" mesh="{name}" mass="0" {LOOKS}/>' for name in names)
+        + "</body></worldbody></mujoco>"
+    )
+    spec.modelfiledir = str(tmp_path)
+    model, (finding,) = assets.compile_model(spec)
+    assert model.nmesh == 1 and model.ngeom == 2 and finding.value == "m0.obj and 18 more"
 
 
 SHELL = """<robot name="r"><link name="base"/><link name="arm">
