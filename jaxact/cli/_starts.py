@@ -87,7 +87,7 @@ def _end(start: Start, rotary: bool, rubs: bool) -> str:
             return start.verdict.label
         if not start.resting:
             return "decaying by friction alone" if rubs else "decaying, although unstable,"
-        still = "where only friction holds it" if rubs else "where perturbations grow"
+        still = "though unstable where joints move" if rubs else "where perturbations grow"
         return f"at rest, {still},"
     if not start.moving:
         return "at rest" if start.resting else "decaying"

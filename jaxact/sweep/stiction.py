@@ -32,6 +32,8 @@ START, PUSH = 0.05, 0.05
 # Pushes tried side by side: from a part of the joint's friction to a multiple of it, or to what
 # would bring the joint alone to this speed [rad/s, m/s]; then as many around the limit.
 _WEAKEST, _MULTIPLE, _FASTEST, _NUMBER = 0.25, 4.0, (20.0, 2.0), 16
+# Where the weakest push lasts already, pushes down to this part of it; friction withstands those.
+_TINY = 1e-4
 # Simulated time: so many times the shaking's own time constant, within these bounds [s].
 _CONSTANTS, _SHORTEST, _LONGEST = 25.0, 2.0, 8.0
 # A motion this far [m or rad] has left every physical range.
@@ -54,7 +56,7 @@ class Stiction:
 
     joint: the one that is pushed, which takes the largest part in the growing motion
     push: smallest force on it, for `PUSH` seconds, after which the motion goes on [N or N m]; inf
-        if there is none up to `strongest`
+        if there is none up to `strongest`, 0 if friction does not hold it
     strongest: largest push tried [N or N m]
     shaking: the joint that then moves most, empty if none does
     amplitude: half the range of its motion [m or rad], inf where it grows without bound, 0 if none
@@ -84,6 +86,11 @@ class Stiction:
             "stands still only because of dry friction: pushed on "
             f"{self.joint} with more than {self.push:.2g} {unit} {pushed}, it shakes"
         )
+        if self.push == 0.0:
+            begins = (
+                "is not held by its dry friction: after the smallest of pushes on "
+                f"{self.joint} it shakes"
+            )
         if not np.isfinite(self.amplitude):
             return f"{begins} without bound, as no force limit stops it"
         length = "rad" if self.rotary[1] else "m"
@@ -142,16 +149,31 @@ def held(
         none = (name, np.inf, float(pushes[-1]), "", 0.0, np.nan)
         return Stiction(*none, rotary=(_hinge(scene, place),) * 2)
     first = int(lasting[0])
-    push = float(pushes[0])
-    if first:
-        closer = np.geomspace(pushes[first - 1], pushes[first], _NUMBER)
-        again = [_goes_on(positions) for positions in runs.after(closer)]
-        push = float(closer[int(np.argmax(again))]) if any(again) else float(pushes[first])
+    push = _least(runs, pushes, first) if first else _below(runs, float(pushes[0]))
     most, amplitude, frequency = _motion(tried[first], runs.step)
     return Stiction(
         name, push, float(pushes[-1]), scene.labels[most], amplitude, frequency,
         rotary=(_hinge(scene, place), _hinge(scene, most)),
     )  # fmt: skip
+
+
+def _least(runs: _Runs, pushes: np.ndarray, first: int) -> float:
+    """Smallest push that lasts [N or N m], where the one before `first` does not."""
+    closer = np.geomspace(pushes[first - 1], pushes[first], _NUMBER)
+    again = [_goes_on(positions) for positions in runs.after(closer)]
+    return float(closer[int(np.argmax(again))]) if any(again) else float(pushes[first])
+
+
+def _below(runs: _Runs, weakest: float) -> float:
+    """The same where the weakest push lasts; 0 if much weaker ones do: nothing holds that motion.
+
+    So it is where the joints that shake have no friction, but others do.
+    """
+    pushes = np.geomspace(_TINY * weakest, weakest, _NUMBER)
+    lasting = np.array([_goes_on(positions) for positions in runs.after(pushes)])
+    if lasting[0] or not lasting.any():
+        return 0.0
+    return _least(runs, pushes, int(np.argmax(lasting)))
 
 
 def _rubs(scene: Scene, values: Mapping[str, float]) -> bool:

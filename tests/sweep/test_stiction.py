@@ -134,3 +134,17 @@ def test_what_friction_ends_is_no_limit_cycle_however_short_the_look(tmp_path, d
     assert run.results["verdict"] == Verdict.UNSTABLE
     assert not any(start.moving for start in run.starts)
     assert np.isnan(run.results["limit_cycle_amplitude"])
+
+
+def test_a_joint_that_friction_does_not_act_on_is_not_said_to_be_held(tmp_path):
+    other = """<body pos="1 0 0"><joint name="k" axis="0 1 0" armature="0.02" frictionloss="0.3"/>
+    <geom size="0.01" mass="1e-6"/></body></worldbody><actuator>
+    <position joint="k" kp="5" kv="0.5"/>"""
+    text = HINGE.format(loss=0.0, limit='forcerange="-20 20"')
+    text = text.replace("</worldbody>\n<actuator>", other)
+    held = stiction.nominal(specification(tmp_path / "two.xml", text))
+    assert held.push == 0.0 and held.joint == held.shaking == "j"
+    assert "is not held by its dry friction" in held.sentence
+    amplitude, frequency = amplitude_and_frequency(plain(0.0, 20.0, 1e-3))
+    assert held.amplitude == pytest.approx(amplitude, rel=0.05)
+    assert held.frequency == pytest.approx(frequency, rel=0.05)
