@@ -92,6 +92,8 @@ def test_tracking_a_file(capsys):
         (["--kp", "400"], "--kd"),
         (["--kp", "-1", "--kd", "2"], "--kp"),
         (["--starts", "0"], "--starts"),
+        (["--seed", "-1"], "--seed -1"),
+        (["--min-disk-margin", "2"], "--min-disk-margin 2"),
         (["--pareto", "1"], "--pareto"),
         (["--min-kp", "5", "--max-kp", "4"], "above"),
         (["--mass", "-1"], "--mass"),

@@ -168,6 +168,8 @@ def main(
     for name, number in (("starts", starts), ("steps", steps), ("ensemble", ensemble)):
         if not 1 <= number <= 10_000:
             raise UserError(f"--{name} {number}: give between 1 and 10000")
+    if not 0 <= seed < 2**63:
+        raise UserError(f"--seed {seed}: give between 0 and 2^63 - 1")
     given = _loops.given(parameters)
     goal = _goal(objective, risk, max_peak=max_peak, min_gain_margin=min_gain_margin,
                  min_delay_margin=min_delay_margin, min_disk_margin=min_disk_margin,

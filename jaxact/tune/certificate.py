@@ -158,13 +158,13 @@ def sentence(
     if not missed:
         return f"found infeasible: no gains{kp} that meet the constraints together{far}"
     worst = max(missed, key=lambda check: check.excess)
-    most = worst.constraint.startswith("max")
-    end, sign, beyond = ("smallest", "<=", "smaller") if most else ("largest", ">=", "larger")
+    sign = "<=" if worst.constraint.startswith("max") else ">="
     figure = worst.figure.replace("_", " ")
+    # Of all bounds together: one figure alone may well come nearer at the cost of the others.
     return (
-        f"found infeasible: the {end} {figure}{kp} that was found is {worst.value:.6g}, asked for "
-        f"{sign} {worst.bound:g} ({worst.constraint}), at {worst.member}{far}; {_NO_PROOF} is none "
-        f"{beyond}"
+        f"found infeasible: of all gains{kp} that were tried those nearest to the bounds have a "
+        f"{figure} of {worst.value:.6g}, asked for {sign} {worst.bound:g} ({worst.constraint}), at "
+        f"{worst.member}{far}; {_NO_PROOF} are none nearer"
     )
 
 

@@ -32,6 +32,9 @@ CONSTRAINTS = {
     "max_noise_gain": (("noise_gain", 1.0),),
 }
 
+# Where the loop gain vanishes S = 1, so |S - 1/2| >= 1/2 there, and the disk margin is one over it.
+_LARGEST_DISK = 2.0
+
 # What each constraint protects against.
 PROTECTS = {
     "max_peak": "Ms and Mt: disturbances amplified, overshoot, any modelling error at all",
@@ -131,6 +134,11 @@ def check(goal: Goal) -> Goal:
         value = getattr(goal, name)
         if not least <= value < math.inf:
             raise UserError(f"{_option(name)} {value:g}: must be finite and {words}")
+    if goal.min_disk_margin >= _LARGEST_DISK:
+        raise UserError(
+            f"--min-disk-margin {goal.min_disk_margin:g}: must be below {_LARGEST_DISK:g}, that of "
+            "gains that do nothing"
+        )
     if goal.min_kp > goal.max_kp:
         raise UserError(f"--min-kp {goal.min_kp:g} is above --max-kp {goal.max_kp:g}")
     if goal.objective == "disk-margin" and goal.min_kp == 0.0:

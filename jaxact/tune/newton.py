@@ -23,8 +23,8 @@ Curvature = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """x (d,) and weights of the constraints (r,) -> their weighted second derivatives, (d, d)."""
 
 _STEPS, _HALVINGS = 20, 5
-# Steps back inside the constraints, where the others did not end there.
-_BACK = 3
+# Steps back inside the constraints, where the others did not end there; each squares what is left.
+_BACK = 8
 # Longest step, and one that ends the search.
 _LONGEST, _SHORTEST = 0.2, 1e-8
 # Constraints further inside than this do not bind within a step.
@@ -60,7 +60,30 @@ def newton(
             break
         turned = before[1].value_slope[0, 0] - rows.value_slope[0, 0]
         own = _updated(own, x - before[0], turned)
-    for _ in range(_BACK if best.violation[0] > MET or _ahead(rows, best) else 0):
+    if best.violation[0] > MET or _ahead(rows, best):
+        best = _inside(problem, x, rows, best, low, high)
+    return best
+
+
+def inside(
+    problem: Problem, x: np.ndarray, found: Polished, low: np.ndarray, high: np.ndarray
+) -> Polished:
+    """The better of what is found and of the point next to x at which all constraints are met."""
+    rows = problem(x[None])
+    return _inside(problem, x, rows, _better(found, x, rows), low, high)
+
+
+def _inside(
+    problem: Problem,
+    x: np.ndarray,
+    rows: Rows,
+    best: Polished,
+    low: np.ndarray,
+    high: np.ndarray,
+) -> Polished:
+    """The same, with the rows at x known: steps as short as linearised constraints allow."""
+    weights = np.zeros(rows.excess.shape[1])
+    for _ in range(_BACK):
         still = replace(rows, value_slope=0.0 * rows.value_slope)
         step, _ = _step(still, np.eye(len(x)), weights, low - x, high - x)
         if step is None or not rows.usable[0]:
@@ -68,6 +91,8 @@ def newton(
         x = np.clip(x + step, low, high)
         rows = problem(x[None])
         best = _better(best, x, rows)
+        if rows.violation[0] <= MET:
+            break
     return best
 
 

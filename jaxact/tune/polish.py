@@ -12,7 +12,7 @@ Many problems are polished side by side, because their rows are computed in one 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,10 +21,14 @@ MET = 1e-10
 _AIM = 4e-11
 _RADIUS, _SMALLEST = 0.15, 1e-7
 _STEPS = 60
-_ELASTIC = 1e3
+# Weight of a violation that cannot be avoided, and the least of any. Value bought with a violation
+# is less: steps must not be paid for with constraints that the linear programme does not know.
+_ELASTIC, _LIGHTEST = 1e3, 10.0
 _NEAR = 1.0
 # A step that promises less than this is not worth an evaluation.
 _GAIN = 1e-8
+# Rows of points this many radii away still count.
+_FAR = 10.0
 _REACHES = (1e-2, 1e-3, 1e-4)
 _LOOKS = 6
 
@@ -74,12 +78,14 @@ class Polished:
     value: smallest value [-], shape (p,)
     violation: largest excess [-], shape (p,); at most MET where all constraints are met
     evaluations: points at which each problem was evaluated
+    end: where the way led in the end, maybe a little beyond the constraints, shape (p, d)
     """
 
     x: np.ndarray
     value: np.ndarray
     violation: np.ndarray
     evaluations: int
+    end: np.ndarray | None = None
 
     @property
     def feasible(self) -> np.ndarray:
@@ -107,6 +113,7 @@ def polish(
     worth: float = _GAIN,
     radius: float = _RADIUS,
     kinks: bool = True,
+    memory: int = 0,
 ) -> Polished:
     """The best points near the starts.
 
@@ -117,12 +124,13 @@ def polish(
     worth: gain at which a feasible point is left as it is [-]
     radius: of the trust region to begin with [-]
     kinks: look to all sides where it gets stuck, which takes 2 d evaluations
+    memory: points before whose rows count as well, where a point shows a few of its rows only
     """
     start = np.clip(start, low, high)
-    best, x, stuck = _descend(problem, start, low, high, steps, worth, radius)
+    best, x, stuck = _descend(problem, start, low, high, steps, worth, radius, memory)
     for reach in _REACHES if kinks and stuck.any() else ():
         best, x = _across_kinks(problem, best, x, stuck, reach, low, high)
-    return best
+    return replace(best, end=x)
 
 
 def _descend(
@@ -133,6 +141,7 @@ def _descend(
     steps: int,
     worth: float,
     trust: float,
+    memory: int,
 ) -> tuple[Polished, np.ndarray, np.ndarray]:
     """The sequence of linear programmes; where it ended, and whether it got stuck there."""
     number = len(x)
@@ -140,13 +149,14 @@ def _descend(
     best = Polished(x.copy(), rows.worst_value, rows.violation, 1)
     radius = np.full(number, trust)
     finished = np.zeros(number, dtype=bool)
+    seen: list[tuple[np.ndarray, Rows]] = []
     for _ in range(steps):
         going = (radius > _SMALLEST) & rows.usable & ~finished
         if not going.any():
             break
         trial, weight, gain = x.copy(), np.zeros(number), np.zeros(number)
         place = np.flatnonzero(going)
-        cuts = [_cuts(rows, [], i, x[i], radius[i]) for i in place]
+        cuts = [_cuts(rows, seen, i, x[i], radius[i], _FAR) for i in place]
         sides = _sides(x, radius[:, None], low, high)[place]
         step, weight[place], gain[place] = _linear_steps(cuts, sides, rows.violation[place])
         trial[place] = np.clip(x[place] + step, low[place], high[place])
@@ -154,12 +164,16 @@ def _descend(
         best = _keep_better(best, trial, there)
         merit = _merit(rows, weight) - _merit(there, weight)
         taken = there.usable & (merit > 0.05 * gain)
+        # Of two points, the one that is not gone to shows what lies beside the other.
+        moved = taken[:, None]
+        other = np.where(moved, x, trial), _where(taken, rows, there)
+        seen = [*seen, other][-memory:] if memory else []
         length = np.max(np.abs(trial - x), axis=1)
         good = taken & (merit > 0.7 * gain) & (length > 0.9 * radius)
         finished |= going & (gain <= worth) & (rows.violation <= MET)
         radius = np.where(taken, np.where(good, 2.0 * radius, radius), 0.35 * length)
         radius = np.minimum(radius, _NEAR)
-        x = np.where(taken[:, None], trial, x)
+        x = np.where(moved, trial, x)
         rows = _where(taken, there, rows)
     return best, x, ~finished & rows.usable
 
@@ -251,7 +265,12 @@ class _Cuts:
 
 
 def _cuts(
-    rows: Rows, memory: list[tuple[np.ndarray, Rows]], index: int, x: np.ndarray, radius: float
+    rows: Rows,
+    memory: list[tuple[np.ndarray, Rows]],
+    index: int,
+    x: np.ndarray,
+    radius: float,
+    far: float = 2.0,
 ) -> _Cuts:
     """Rows at the present point, and of points nearby; what contradicts the present is dropped."""
     own_value = _finite(rows.value[index], rows.value_slope[index])
@@ -259,7 +278,7 @@ def _cuts(
     values, excesses = [own_value], [own_excess]
     for point, kept in memory:
         back = x - point[index]
-        if not kept.usable[index] or np.abs(back).max() > 2.0 * radius:
+        if not kept.usable[index] or np.abs(back).max() > far * radius:
             continue
         value, value_slope = _finite(kept.value[index], kept.value_slope[index])
         excess, excess_slope = _finite(kept.excess[index], kept.excess_slope[index])
@@ -302,7 +321,7 @@ def _linear_steps(
         if solved is None:
             continue
         step[i], target, slack, dual = solved
-        weight[i] = _ELASTIC if slack > MET else max(2.0 * dual, 1.0)
+        weight[i] = _ELASTIC if slack > MET else max(2.0 * dual, _LIGHTEST)
         before = -near[i].value.min() + weight[i] * max(violation[i], 0.0)
         gain[i] = before - (-target + weight[i] * max(slack - _AIM, 0.0))
     return step, weight, gain

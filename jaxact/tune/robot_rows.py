@@ -14,17 +14,21 @@ import scipy.linalg
 
 from jaxact.tune.goal import Goal
 from jaxact.tune.groups import Groups
-from jaxact.tune.newton import newton
+from jaxact.tune.newton import inside, newton
 from jaxact.tune.polish import MET, Polished, Problem, Rows, polish
 from jaxact.tune.robot_figures import Table, columns, growth_rates, peaks
 from jaxact.tune.robot_loops import OpenLoops
 from jaxact.tune.robot_tracking import Tracking
 
 _ROUNDS = 12
+# Points before whose rows count as well: at each, few of many singular values are rows.
+_MEMORY = 12
 # A point that exceeds the bounds by less may be gone on from, whatever was missed [ln].
 _SLIGHT = 0.03
 # Step of difference quotients of slopes.
 _APART = 1e-4
+# No optimum is further inside all bounds than this [ln].
+_SLACK = 1e-5
 # How far inside the bounds the polish aims [ln]: peaks are refined to a few 1e-10.
 _SHY = 1e-9
 # Loops and roots that a rescue follows; what is stable enough, as a share of 1 / lag.
@@ -173,6 +177,7 @@ class _Stage:
 
 
 _COARSE = _Stage(idle=0.35, depth=0.5, steps=8, worth=3e-3, radius=0.15)
+_MIDDLE = _Stage(idle=0.2, depth=0.35, steps=40, worth=3e-4, radius=0.05)
 _FINE = _Stage(idle=0.06, depth=0.2, steps=50, worth=1e-8, radius=0.02)
 
 
@@ -220,7 +225,7 @@ def polished(
             last = stage is _FINE or not (aim and fine)
             if not missed.any() and last:
                 break
-            stage = stage if last else _FINE
+            stage = stage if last else _MIDDLE if stage.steps < _MIDDLE.steps else _FINE
     whole = rows(case, x, aim=aim)
     return Found(x, float(whole.worst_value[0]), float(whole.violation[0]), tried, number)
 
@@ -245,12 +250,14 @@ def _stage(
     of = problem(own, aim=aim)
     if stage is _FINE and aim and case.goal.figure == "kp":
         found = newton(of, partial(_curvature, own), x, case.low, case.high)
-        if found.violation[0] <= MET:
+        if -_SLACK < found.violation[0] <= MET:
             return found, found.evaluations * len(index)
     found = polish(
         of, x[None], case.low[None], case.high[None],
-        steps=stage.steps, worth=stage.worth, radius=stage.radius, kinks=False,
+        steps=stage.steps, worth=stage.worth, radius=stage.radius, kinks=False, memory=_MEMORY,
     )  # fmt: skip
+    if aim and found.end is not None and (found.end != found.x).any():
+        found = inside(of, found.end[0], found, case.low, case.high)
     return found, found.evaluations * len(index)
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from jaxact.tune.newton import newton
-from jaxact.tune.polish import MET, Rows
+from jaxact.tune.newton import inside, newton
+from jaxact.tune.polish import MET, Rows, polish
 
 Q = np.array([[2.0, 0.3, 0.0], [0.3, 1.0, -0.4], [0.0, -0.4, 3.0]])
 SIDE = np.array([1.0, -0.5, 0.2])
@@ -63,3 +63,40 @@ def test_bounds_are_never_left():
     found = newton(_rows(lambda x: along @ x, lambda x: along), _curvature, np.zeros(3),
                    -high, high)  # fmt: skip
     assert found.value[0] == pytest.approx(0.1, abs=1e-9) and np.all(np.abs(found.x[0]) <= high)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_constraints_that_a_point_does_not_show_are_remembered(seed):
+    """Many valleys in 12 dimensions, of which a point shows the two that are worst there.
+
+    So are the singular values of a robot with many joints; the optimum is SciPy's, who sees all.
+    """
+    random, size, number = np.random.default_rng(seed), 12, 40
+    A = random.normal(size=(number, size))
+    level, bend = random.uniform(0.3, 1.0, number), random.uniform(1.0, 6.0, number)
+    up, bound = np.ones(size) / size, np.full(size, 5.0)
+
+    def excess(x):
+        along = A @ x
+        return 0.5 * bend * along**2 + 0.6 * along - level
+
+    def two(points):
+        (x,) = points
+        worst = np.argsort(-excess(x))[:2]
+        slope = (bend * (A @ x) + 0.6)[worst, None] * A[worst]
+        return Rows(np.array([[up @ x]]), up[None, None], excess(x)[worst][None], slope[None],
+                    np.ones(1, bool))  # fmt: skip
+
+    def reached(memory):
+        x = np.zeros((1, size))
+        for steps, radius in ((8, 0.15), (40, 0.05)):
+            found = polish(two, x, -bound[None], bound[None], steps=steps, worth=3e-4,
+                           radius=radius, kinks=False, memory=memory)  # fmt: skip
+            x = inside(two, found.end[0], found, -bound, bound).x
+        assert excess(x[0]).max() <= MET
+        return up @ x[0]
+
+    best = -minimize(lambda x: -up @ x, np.zeros(size), method="SLSQP",
+                     constraints={"type": "ineq", "fun": lambda x: -excess(x)}).fun  # fmt: skip
+    assert 0.85 * best < reached(12) <= best * 1.001
+    assert reached(0) < 0.8 * best
