@@ -60,10 +60,19 @@ def document(run: Single) -> list[dict[str, Any]]:
 
 
 def advice(run: Single) -> str:
-    """What the verdict means; of an unstable loop that friction held, that it did."""
+    """What the verdict means; of an unstable loop that friction held, that it did.
+
+    And of one whose small perturbations decay, after which starts it was lost all the same.
+    """
     from jaxact.status import Verdict
 
     verdict = Verdict(int(run.results["verdict"]))
+    lost = [_NAMES[one.name] for one in run.starts if one.verdict == Verdict.UNSTABLE]
+    if verdict == Verdict.UNSTABLE and run.results["growth_rate"] < 0.0 and lost:
+        return (
+            f"Small perturbations decay, but the motion after {_listed(lost)} grew: large ones do, "
+            "where limits are reached, or where a robot loses its footing and falls."
+        )
     held = _rubs(run) and not any(start.moving for start in run.starts)
     if verdict == Verdict.UNSTABLE and held:
         return (

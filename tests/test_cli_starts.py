@@ -1,0 +1,28 @@
+"""What `simulate` says of a loop's starts."""
+
+import pytest
+
+from jaxact.cli import _starts
+from jaxact.status import Verdict
+from jaxact.sweep.single import Joint, Single, Start
+
+
+def _run(verdict, growth_rate, *starts):
+    made = tuple(Start(name, end, moving, not moving, 0.0, 0.0) for name, end, moving in starts)
+    results = {"verdict": float(verdict), "growth_rate": growth_rate}
+    return Single(None, results, {}, (Joint("hip", True),), made)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "growth_rate", "slide", "moving", "said"),
+    [
+        (Verdict.STABLE, -1.0, Verdict.STABLE, False, Verdict.STABLE.advice),
+        (Verdict.UNSTABLE, 1.0, Verdict.UNSTABLE, True, Verdict.UNSTABLE.advice),
+        (Verdict.UNSTABLE, 1.0, Verdict.UNSTABLE, False, "dry friction ended the motion"),
+        (Verdict.UNSTABLE, -1.0, Verdict.UNSTABLE, True, "Small perturbations decay, but"),
+    ],
+)
+def test_advice_is_that_of_what_happened(verdict, growth_rate, slide, moving, said):
+    own = Verdict.STABLE if growth_rate < 0.0 else Verdict.UNSTABLE
+    run = _run(verdict, growth_rate, ("", own, False), ("slide", slide, moving))
+    assert said in _starts.advice(run)
