@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -193,7 +194,9 @@ def _full(target: Place, error: OSError) -> str:
     if store is None:
         return _store.unwritable(target.name, error)
     done = len(progress.times(target.entries()))
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    mend = "make room" if full else "put that right"
     return (
         f"{target.name}: cannot be written ({reason}); {done} of {len(store.layout)} chunks are"
-        " kept: make room, then continue with --resume"
+        f" kept: {mend}, then continue with --resume"
     )

@@ -374,3 +374,12 @@ def test_what_a_remote_store_complains_of_is_one_line(monkeypatch, capsys):
         assert main([*command, "memory://refused/one", *more]) == 2
         said = capsys.readouterr().err
         assert said.count("\n") == 1 and "(Unable to locate credentials)" in said, said
+
+
+def test_what_room_does_not_mend_is_not_said_to_need_room(tmp_path):
+    _begun(tmp_path, upto=2)
+    chunk = min((tmp_path / store.STORE / "verdict").glob("c.*"))
+    chunk.unlink()
+    chunk.mkdir()
+    with pytest.raises(UserError, match=r"Is a directory.*kept: put that right, then.*--resume"):
+        _run(tmp_path, resume=True)
