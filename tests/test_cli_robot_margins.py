@@ -190,3 +190,27 @@ def test_mistakes_are_told_in_one_line(capsys, arguments, words):
     import re
 
     assert re.search(words, _mistake(capsys, *arguments))
+
+
+def test_the_lead_of_the_integrator_is_said_and_can_be_taken_back(capsys):
+    def margin(*settings):
+        options = [part for item in settings for part in ("--set", item)]
+        row = json.loads(_said(capsys, "--model", "arm.xml", "--json", *options))
+        return row["all"]["delay_margin"]
+
+    said = _said(capsys, "--model", "arm.xml")
+    assert "positions 0.5 ms ahead" in " ".join(said.split()) and "integrator_correction" in said
+    finest = margin("physics_step=2e-5")
+    assert margin("integrator_correction=true") == pytest.approx(finest, rel=0.003)
+    assert 0.005 * finest < abs(margin() - finest) < 0.5e-3
+    corrected = ("--model", "arm.xml", "--set", "integrator_correction=true")
+    assert "ahead" not in _said(capsys, *corrected)
+
+
+def test_joints_that_give_way_on_a_stand_want_no_balance_controller(capsys):
+    weak = SERVOS.replace('kp="40"', 'kp="1"')
+    up = ARM.replace('name="bent" qpos="0.3 0.5"', 'name="bent" qpos="3.14159265 0"')
+    Path("arm.xml").write_text(up.format(actuators=weak))
+    said = " ".join(_said(capsys, "--model", "arm.xml", "--keyframe", "bent").split())
+    assert "NO, it topples" in said and "the gains do not hold it there" in said
+    assert "balance controller" not in said

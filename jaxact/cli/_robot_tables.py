@@ -7,6 +7,7 @@ import math
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 
 from jaxact.cli._warnings import RESIDUAL
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 # Joints of a mode that are named.
 _MOST_NAMED = 6
+# Share of the delay margin from which on the integrator's lead is worth a word.
+_COUNTS = 0.02
 _WIDTH = 118
 
 
@@ -149,12 +152,33 @@ def _head(specification: Specification, label: str, found: WholeRobot) -> str:
             "base held: contacts that stick act as strong damping in the linearisation, so these "
             "are the margins of feet that never slip"
         )
+    if ahead := _ahead(specification, found):
+        lines.append(
+            f"MuJoCo's integrator has positions {1e3 * ahead:.3g} ms ahead of velocities, as no "
+            "robot has them, which changes the delay margin by up to as much; "
+            "--set integrator_correction=true takes it back"
+        )
     if found.residual > RESIDUAL:
         lines.append(
             f"warning: the posture is no equilibrium (accelerations up to {found.residual:.3g}); "
             "the figures are those of the linearisation there, which the robot leaves"
         )
     return "\n".join(lines)
+
+
+def _ahead(specification: Specification, found: WholeRobot) -> float:
+    """Half a physics step [s] where it is a part of the delay margin that counts, else 0."""
+    from jaxact.sweep import robots
+
+    more, plant = found.margins.changes.more_delay, specification.plant
+    assert plant is not None
+    model = robots.scene(plant).robot.model
+    if specification.integrator_correction or more is None:
+        return 0.0
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        return 0.0
+    half = 0.5 * found.physics_step
+    return half if half > _COUNTS * more.value else 0.0
 
 
 def _whole_table(found: WholeRobot) -> Any:
@@ -300,6 +324,12 @@ def _joint_table(found: WholeRobot) -> Any:
 
 
 def _advice(found: WholeRobot) -> str:
+    if found.margins.verdict == "topples" and not found.floating:
+        return (
+            "It leaves its posture without shaking: the gains do not hold it there against weight, "
+            "springs or contacts. Margins of an unstable loop mean nothing; those above are to "
+            "where it begins to shake."
+        )
     if found.margins.verdict == "topples":
         return (
             "It topples without shaking: what is missing is a balance controller, not another "
