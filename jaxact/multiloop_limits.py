@@ -209,7 +209,11 @@ def delay_limit(
 
     Returns the delay (inf if there is none) and its frequency w T [rad] (inf).
     """
-    guesses = sorted((_turn(item) / item.angle, item) for item in candidates if item.angle > 0.0)
+    # Joints that are alike have the same crossings: only the delays are compared.
+    guesses = sorted(
+        ((_turn(item) / item.angle, item) for item in candidates if item.angle > 0.0),
+        key=lambda guess: guess[0],
+    )
     best, where = math.inf, math.inf
     for guess, item in guesses:
         if guess > 1.5 * best + 1.0:

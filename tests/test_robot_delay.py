@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
+from jaxact import multiloop, multiloop_limits
 from jaxact.sweep import reading, whole_robot
 
 ARM = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody>
@@ -65,6 +66,19 @@ def test_one_tick_less_decays_one_tick_more_grows(tmp_path):
     turns = np.flatnonzero(np.diff(np.sign(grows[-200:, np.argmax(borne.participation)])))
     frequency = np.pi / (0.002 * np.diff(turns).mean())
     assert frequency < borne.frequency < 1.12 * frequency  # it is lower at the later tick
+
+
+def test_joints_that_cross_alike_bear_what_one_of_them_does(tmp_path):
+    """Joints of left and right may cross at the very same place, to the last bit."""
+    robot = _found(tmp_path).robot
+    loop = multiloop.multiloop(*robot.matrices, robot.period)
+    grid = multiloop.grid(loop)
+    followed = multiloop_limits.followed(multiloop.sensitivity(loop, grid))
+    once = multiloop_limits.crossings(grid, followed, lambda s: s.real - 0.5)
+    twice = [each for each in once for _ in range(2)]
+    limits = [multiloop_limits.delay_limit(robot.later_by, robot.period, candidates)
+              for candidates in (once, twice)]  # fmt: skip
+    assert once and np.isfinite(limits[0]).all() and limits[0] == limits[1]
 
 
 def test_a_loop_that_shakes_as_it_is_bears_none(tmp_path):
