@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact.cli._loops import loop_name
+from jaxact.cli._loops import combinations, loop_name
+from jaxact.cli._responses import responses
 from jaxact.cli.main import main
 from jaxact.sweep import reading
 
@@ -184,6 +185,14 @@ def test_pictures_of_several_loops(capsys, verb):
     assert said == f"wrote {verb}.svg\n"
     text = Path(f"{verb}.svg").read_text()
     assert "StarLETH" in text and "sampled at 1 kHz" in text and "unstable" in text
+
+
+def test_curves_of_one_picture_end_together():
+    """An ideal actuator without delay has no high frequency of its own to end at."""
+    loops = combinations({"actuator": ("ideal", "starleth"), "delay": (0.0, 0.004)})
+    drawn = responses(loops, sampled=False, velocity="sampled")
+    ends = {(curve.frequency[0], curve.frequency[-1]) for curve in drawn}
+    assert len(drawn) == 4 and len(ends) == 1 and ends.pop()[1] >= 3.0 / 0.004
 
 
 def test_step_responses(capsys):

@@ -1,10 +1,15 @@
 """`jaxact plot` as a user types it."""
 
+import json
+
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 from synthetic_store import DRAWN, GRID, write
 
 from jaxact.cli.main import main
+from jaxact.cli.plot import _nominal
+from jaxact.plot.panels import arrange
+from jaxact.sweep import opening
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +47,16 @@ def test_other_pictures(results, tmp_path, options):
     out = tmp_path / "picture.pdf"
     assert main(["plot", str(results), "--out", str(out), "--quick", *options]) == 0
     assert out.read_bytes().startswith(b"%PDF")
+
+
+def test_default_gains_are_marked_for_the_mass_they_are_of_only(results):
+    """400 N/m and 20 N s/m are the reference study's, for 0.7 kg."""
+    found = opening.load_result(str(results)).load()
+    arrangement = arrange(found, select={"delay": "0", "actuator": "hyq"})
+    assert _nominal(found, arrangement, ()) == (400.0, 20.0)
+    found.attrs["parameters"] = json.dumps(json.loads(found.attrs["parameters"]) | {"mass": 0.02})
+    assert _nominal(found, arrangement, ()) is None
+    assert _nominal(found, arrangement, (80.0, 1.5)) == (80.0, 1.5)
 
 
 def test_random_sample(tmp_path, capsys):

@@ -196,8 +196,14 @@ def _sampled_loop(values: Mapping[str, Any], velocity: str) -> Any:
     )
 
 
-def _frequencies(values: Mapping[str, float]) -> np.ndarray:
-    """From well below the crossover to well above whatever turns the phase [rad/s], shape (n,)."""
+def _frequencies(loops: Loops) -> np.ndarray:
+    """The frequencies of all curves of a picture [rad/s], shape (n,)."""
+    ends = [_ends(loops.one(index)) for index in range(len(loops))]
+    return np.geomspace(min(low for low, _ in ends), max(high for _, high in ends), _POINTS)
+
+
+def _ends(values: Mapping[str, float]) -> tuple[float, float]:
+    """From well below the crossover to well above whatever turns the phase [rad/s]."""
     stiff = math.sqrt(abs(values["kp"]) / values["mass"])
     damped = abs(values["kd"]) / values["mass"]
     delay = _total_delay(values)
@@ -205,7 +211,7 @@ def _frequencies(values: Mapping[str, float]) -> np.ndarray:
     scales.append(values["wn"] if math.isfinite(values["wn"]) else 0.0)
     high = 10.0 ** math.ceil(math.log10(3.0 * max(*scales, 1e-6)))
     low = 10.0 ** math.floor(math.log10(0.05 * (stiff or damped or high)))
-    return np.geomspace(low, min(high, _DECADES * low), _POINTS)
+    return low, min(high, _DECADES * low)
 
 
 def _continuous(
@@ -220,7 +226,7 @@ def _continuous(
     from jaxact.plot.response import LoopResponse
 
     values = loops.one(index)
-    w = _frequencies(values)
+    w = _frequencies(loops)
     with jax.enable_x64(True):
         open_loop, turned = _compiled_response()(_joint_loop(values), w)
     return LoopResponse(
@@ -242,7 +248,7 @@ def _sampled(loops: Loops, found: dict[str, np.ndarray], index: int, velocity: s
     values = loops.one(index)
     nyquist = math.pi * values["control_rate"]
     # One program serves all rates: what is above half of it is computed there, and left out.
-    w = np.append(np.minimum(_frequencies(values), nyquist), nyquist)
+    w = np.append(np.minimum(_frequencies(loops), nyquist), nyquist)
     with jax.enable_x64(True):
         found_there = _compiled_sampled_response()(_sampled_loop(values, velocity), w)
     shown = np.append(w[:-1] < nyquist, True)

@@ -34,8 +34,13 @@ def of_joint(tuned: Tuned, loops: _loops.Loops) -> dict[str, Any]:
     after = tuned.kp, tuned.kd
     return {
         "stability_map": tuning_map(
-            _plane(tuned), tuned.before, after, max_peak=tuned.goal.max_peak, footer=tuned.verdict
-        ),
+            _plane(tuned),
+            tuned.before,
+            after,
+            max_peak=tuned.goal.max_peak,
+            reached=tuned.certified,
+            footer=tuned.verdict,
+        ),  # fmt: skip
         "convergence": _convergence(tuned),
         "step": _steps(tuned, loops),
     }

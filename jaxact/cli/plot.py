@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from jaxact.plot.panels import Arrangement
 
+_GAINS = ("kp", "kd")
+
 
 def main(
     result: Annotated[
@@ -215,6 +217,7 @@ def _nominal(
     """The point to mark: what was given, or the specification's own values; None out of view."""
     from jaxact.plot.stability_map import place
     from jaxact.sweep import store
+    from jaxact.sweep.parameters import of
 
     axes = [axis for axis in (arrangement.x, arrangement.y) if axis is not None]
     if arrangement.kind == "lines":
@@ -224,6 +227,10 @@ def _nominal(
         raise UserError(f"--nominal {shown}: give {' and '.join(axis.name for axis in axes)}")
     own = store.nominal(results)
     if not given and any(axis.name not in own for axis in axes):
+        return None
+    # The default gains are the reference study's, chosen for its mass.
+    usual = any(own[axis.name] == of(axis.name).default for axis in axes if axis.name in _GAINS)
+    if not given and usual and own.get("mass") != of("mass").default:
         return None
     point = list(given) or [own[axis.name] for axis in axes]
     if any(math.isnan(value) for value in point):

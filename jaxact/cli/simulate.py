@@ -222,11 +222,12 @@ def _write(
         arrays["parameters"] = np.array(_json.dumps(_plain(run.values)))
         _files.write(npz, lambda file: np.savez_compressed(file, **arrays))
     name = f"{run.joints[joint].name}: " if len(run.joints) > 1 else ""
+    units = ("rad", "N m") if run.rotary[joint] else ("m", "N")
     figure = trajectory(
         _joint(run, joint),
         title=name + _loops.loop_name(specification, run.values),
-        footer=caption.loop(run.values, run.results, dataclasses.asdict(specification)),
-        units=("rad", "N m") if run.rotary[joint] else ("m", "N"),
+        footer=caption.loop(run.values, run.results, dataclasses.asdict(specification), units[0]),
+        units=units,
         resolution=run.values["position_resolution"],
     )
     look.write(figure, out, title="jaxact: one loop over time")

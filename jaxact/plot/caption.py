@@ -118,12 +118,15 @@ def _parameter(results: xr.Dataset, name: str) -> np.ndarray:
     return np.asarray(float(json.loads(results.attrs["parameters"])[name]))
 
 
-def loop(values: dict[str, float], results: dict[str, float], static: dict[str, object]) -> str:
+def loop(
+    values: dict[str, float], results: dict[str, float], static: dict[str, object], unit: str = "m"
+) -> str:
     """Of one loop: its gains and mass, how it was simulated, and what came out.
 
     values: parameters by short name
     results: figures by the names of a sweep's variables
     static: options of a specification by name
+    unit: of the joint's position
     """
     engine = _ENGINES.get(str(static["engine"]), str(static["engine"]))
     rate = wording.quantity(values["control_rate"], "Hz")
@@ -135,13 +138,32 @@ def loop(values: dict[str, float], results: dict[str, float], static: dict[str, 
     asked = f"{gains}; {engine}, control at {rate}, {static['velocity']} velocity"
     if static["velocity"] == "differenced" and math.isfinite(values["velocity_filter"]):
         asked += f" filtered at {wording.quantity(values['velocity_filter'], 'rad/s')}"
-    verdict = Verdict(int(results["verdict"])).label
-    found = [verdict, f"growth rate {results['growth_rate']:.3g}/s"]
+    force = "N m" if unit == "rad" else "N"
+    for name, own in (("position", unit), ("velocity", f"{unit}/s"), ("command", force)):
+        step = values.get(f"{name}_resolution", 0.0)
+        if step > 0.0:
+            asked += f", {name} resolution {step:.4g} {own}"
+    return f"{asked}\n{', '.join(_outcome(results, unit))}"
+
+
+def _outcome(results: dict[str, float], unit: str) -> list[str]:
+    """What came out of a loop; overshoot and settling of what is at rest in the end only."""
+    verdict = Verdict(int(results["verdict"]))
+    found = [verdict.label, f"growth rate {results['growth_rate']:.3g}/s"]
+    amplitude = results.get("limit_cycle_amplitude", math.nan)
+    if verdict is Verdict.LIMIT_CYCLE and amplitude > 0.0:
+        found[0] += f" of {amplitude:.3g} {unit}"
+        frequency = results.get("limit_cycle_frequency", math.nan)
+        if frequency > 0.0:
+            found[0] += f" at {frequency:.3g} rad/s"
+        found[1] = f"{found[1]} without quantisation, friction and limits"
+    if verdict is not Verdict.STABLE:
+        return found
     if math.isfinite(results.get("overshoot", math.nan)):
         found.append(f"overshoot {100.0 * results['overshoot']:.3g} %")
     if math.isfinite(results.get("settling_time", math.nan)):
         found.append(f"settled after {wording.quantity(results['settling_time'], 's')}")
-    return f"{asked}\n{', '.join(found)}"
+    return found
 
 
 def _own(value: float, unit: str) -> str:

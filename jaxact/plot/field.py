@@ -97,7 +97,9 @@ def field(dataset: xr.Dataset, variable: str) -> Field:
     colors = look.sequential()
     if variable == OF_LIMIT_CYCLES[0] and low == high:
         low, high = low / 2.0, high * 2.0
-    if low > 0 and (high / low > 30 or variable == OF_LIMIT_CYCLES[0]):
+    # Of a peak what matters is between 1 and 3, and loops beside the boundary have any.
+    if low > 0 and (high / low > (5 if variable.endswith("_peak") else 30)
+                    or variable == OF_LIMIT_CYCLES[0]):  # fmt: skip
         return Field(variable, label, colors, LogNorm(low, high), None, extend)
     if low == high:
         low, high, extend = low - 0.5, high + 0.5, "neither"

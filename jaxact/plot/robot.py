@@ -92,10 +92,8 @@ def _peak(axes: Axes, peak: float, at: float, symbol: str) -> None:
     if at > axes.get_xlim()[0]:
         axes.plot([at], [peak], "o", markersize=5.5, markerfacecolor="white", color=look.BLACK)
         text += f" at {number(at)} rad/s"
-    axes.text(
-        0.985, 0.95, text, transform=axes.transAxes, ha="right", va="top", fontsize=8,
-        backgroundcolor="white",
-    )  # fmt: skip
+    # Above the curves, whose peak may be anywhere.
+    axes.set_title(text, loc="right", fontsize=8, pad=3.0)
 
 
 def _shares(axes: Axes, names: tuple[str, ...], margins: RobotMargins) -> None:

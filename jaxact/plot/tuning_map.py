@@ -61,6 +61,7 @@ def tuning_map(
     after: tuple[float, float],
     *,
     max_peak: float,
+    reached: bool = True,
     title: str = "",
     footer: str = "",
 ) -> Figure:
@@ -68,12 +69,13 @@ def tuning_map(
 
     before, after: (kp, kd); None for no pair to start from
     max_peak: the bound that is drawn, inf for none
+    reached: whether the gains meet every bound
     title, footer: above and below
     """
     finite = plane.peak[np.isfinite(plane.peak)]
     bound = bool(finite.size and finite.min() < max_peak < finite.max())
     with look.look():
-        handles = _handles(plane, before, after, max_peak if bound else np.inf)
+        handles = _handles(plane, before, after, max_peak if bound else np.inf, reached=reached)
         paper = sheet(6.4, 4.9, title=title, footer=footer, entries=len(handles), entry_width=3.2)
         axes = paper.figure.subplots()
         mesh = _peaks(axes, plane)
@@ -144,12 +146,17 @@ def _line(index: int) -> dict[str, Any]:
 
 
 def _handles(
-    plane: Plane, before: tuple[float, float] | None, after: tuple[float, float], bound: float
+    plane: Plane,
+    before: tuple[float, float] | None,
+    after: tuple[float, float],
+    bound: float,
+    *,
+    reached: bool,
 ) -> list[Artist]:
     def words(gains: tuple[float, float]) -> str:
         return f"kp {gains[0]:.4g} N/m, kd {gains[1]:.4g} N s/m"
 
-    handles: list[Artist] = [star(f"after: {words(after)}")]
+    handles: list[Artist] = [star(f"{'after' if reached else 'nearest found'}: {words(after)}")]
     if before is not None:
         handles.append(Line2D([], [], marker="X", color=BEFORE, ls="none", markersize=8,
                               label=f"before: {words(before)}"))  # fmt: skip

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import SymLogNorm, to_rgb
+from matplotlib.colors import LogNorm, Normalize, SymLogNorm, to_rgb
 from quickly import compiled_quickly as compiled_quickly
 from synthetic_store import DRAWN, GRID, dataset
 
@@ -17,6 +17,7 @@ from jaxact.plot.panels import arrange
 from jaxact.plot.scatter import scatter
 from jaxact.plot.stability_map import cell_edges, stability_map
 from jaxact.plot.zero_line import zero_line
+from jaxact.status import Verdict
 from jaxact.sweep import agreement
 from jaxact.sweep.exact_lines import Window, exact_lines
 
@@ -109,6 +110,32 @@ def test_colours_of_other_results_leave_out_what_exploded(grid):
     mesh = next(c for c in _panels(figure)[0].collections if hasattr(c, "get_coordinates"))
     verdict = arrange(grid).panels[0].data["verdict"].values
     assert np.ma.getmaskarray(mesh.get_array())[verdict == 2].all()
+
+
+def test_peaks_are_drawn_on_a_logarithmic_scale(grid):
+    """What matters of Ms lies between 1 and 3; beside the boundary it has any value."""
+    for name, kind in (("sensitivity_peak", LogNorm), ("overshoot", Normalize)):
+        drawn = grid.copy()
+        drawn[name] = drawn["verdict"] * 0.0 + np.linspace(
+            1.1, 20.0, drawn["verdict"].size
+        ).reshape(drawn["verdict"].shape)
+        drawn["verdict"][:] = int(Verdict.STABLE)
+        assert type(field(drawn, name).norm) is kind
+
+
+def test_caption_of_a_loop_says_what_is_left_of_its_motion():
+    static = {"engine": "mass", "velocity": "sampled"}
+    values = {"control_rate": 500.0, "kp": 80.0, "kd": 1.5, "mass": 0.02, "gain_scale": 1.0,
+              "position_resolution": 0.0015}  # fmt: skip
+    found = {"growth_rate": -4.7, "overshoot": 0.5, "settling_time": 0.7,
+             "limit_cycle_amplitude": 0.00156, "limit_cycle_frequency": 103.0}  # fmt: skip
+    words = {kind: caption.loop(values, found | {"verdict": int(kind)}, static, "rad")
+             for kind in (Verdict.STABLE, Verdict.LIMIT_CYCLE, Verdict.UNSTABLE)}  # fmt: skip
+    assert all("position resolution 0.0015 rad" in text for text in words.values())
+    assert "limit cycle of 0.00156 rad at 103 rad/s" in words[Verdict.LIMIT_CYCLE]
+    assert [("overshoot" in text, "settled" in text) for text in words.values()] == [
+        (True, True), (False, False), (False, False)
+    ]  # fmt: skip
 
 
 def test_scale_without_any_spread(grid):

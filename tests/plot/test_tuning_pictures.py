@@ -43,6 +43,8 @@ def test_the_map_marks_both_pairs_of_gains(before, tmp_path):
     assert any("after: kp 90" in word for word in words)
     assert any("before" in word for word in words) == (before is not None)
     assert any("max(Ms, Mt) = 2" in word for word in words)
+    missed = tuning_map(PLANE, before, (90.0, 12.0), max_peak=2.0, reached=False)
+    assert any(word.startswith("nearest found: kp 90") for word in _words(missed))
     look.write(figure, tmp_path / "map.png", title="map")
     assert (tmp_path / "map.png").stat().st_size > 10_000
 
