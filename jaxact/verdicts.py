@@ -217,10 +217,14 @@ def of_motion(
     decaying = (last <= kept * previous) & ((scale.count == 0.0) | (previous <= kept * before))
     resting = last <= scale.rest
     # Friction ends a motion that would grow if it were larger: the smaller it is, the sooner. What
-    # approaches a cycle slows down instead. What has halved without turning is no cycle either.
+    # approaches a cycle slows down instead. What does not turn, and shrinks, is no cycle either.
     falling = (last <= _FALLING * previous) & (previous - last >= before - previous)
-    falling &= (previous <= before) & (growth_rate >= 0.0) & (scale.count == 0.0)
-    ending = falling | (~jnp.isfinite(motion.frequency) & (last <= 0.5 * previous))
+    falling &= (previous <= before) & (growth_rate >= 0.0)
+    # Nor is what neither turns nor grows where small motions decay: it takes longer than was seen.
+    shrinking = (last < previous) | ((growth_rate < 0.0) & ~growing)
+    shrinking &= ~jnp.isfinite(motion.frequency)
+    ending = (falling | shrinking) & (scale.count == 0.0)
+    ending |= ~jnp.isfinite(motion.frequency) & (last <= 0.5 * previous)
     ending &= ~scale.plant_linear
     moving = ~(resting | ending | ((growth_rate < 0.0) & decaying))
     verdict = jnp.where(moving, Verdict.LIMIT_CYCLE, Verdict.STABLE)

@@ -210,7 +210,12 @@ def test_what_a_motion_that_remains_means():
     still = {"frequency": np.nan, "count": 0.0, "growth": 1.0}
     assert verdict(1e-1, 5e-2, 4e-3, plant=False, **still) == Verdict.UNSTABLE
     assert verdict(1e-1, 5e-2, 4e-3, plant=True, **still) == Verdict.LIMIT_CYCLE
-    assert verdict(1e-1, 5e-2, 4e-2, plant=False, **still) == Verdict.LIMIT_CYCLE
+    assert verdict(1e-1, 5e-2, 4e-2, plant=False, **still) == Verdict.UNSTABLE
+    assert verdict(1e-1, 5e-2, 5e-2, plant=False, **still) == Verdict.LIMIT_CYCLE
+    slow = still | {"growth": -0.3}  # creeps home
+    assert verdict(0.1, 0.099, 0.098, plant=False, **slow) == Verdict.STABLE
+    assert verdict(0.1, 0.03, 0.04, plant=False, **slow) == Verdict.STABLE  # too slow to be seen
+    assert verdict(0.1, 0.2, 0.4, plant=False, **slow) == Verdict.UNSTABLE
     turning = still | {"frequency": 20.0}
     assert verdict(0.192, 0.177, 0.148, plant=False, **turning) == Verdict.UNSTABLE
     assert verdict(0.3, 0.2, 0.15, plant=False, **turning) == Verdict.LIMIT_CYCLE  # slows down

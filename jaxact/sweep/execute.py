@@ -174,7 +174,11 @@ def with_rates(rows: dict[str, np.ndarray], rates: Rates) -> dict[str, np.ndarra
     if rates.shaking is None:
         return rows
     falls = (rates.growth > TOLERANCE) & (rates.shaking <= TOLERANCE)
-    falls &= rows["verdict"] == Verdict.UNSTABLE
+    # What is bounded, as it lies on the ground or hangs, but has not swung is no limit cycle.
+    still = (rows["verdict"] == Verdict.LIMIT_CYCLE) & np.isnan(rows["limit_cycle_frequency"])
+    falls &= (rows["verdict"] == Verdict.UNSTABLE) | still
+    amplitude = np.where(falls, np.nan, rows["limit_cycle_amplitude"])
+    rows |= {"limit_cycle_amplitude": amplitude.astype(rows["limit_cycle_amplitude"].dtype)}
     verdict = np.where(falls, Verdict.TOPPLES, rows["verdict"]).astype(rows["verdict"].dtype)
     return rows | {"verdict": verdict, "shaking_rate": rates.shaking}
 

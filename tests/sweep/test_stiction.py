@@ -136,15 +136,28 @@ def test_what_friction_ends_is_no_limit_cycle_however_short_the_look(tmp_path, d
     assert np.isnan(run.results["limit_cycle_amplitude"])
 
 
-def test_a_joint_that_friction_does_not_act_on_is_not_said_to_be_held(tmp_path):
+def two_joints(loss, limit):
+    """The hinge, and another one whose loop is stable and which has friction of its own."""
     other = """<body pos="1 0 0"><joint name="k" axis="0 1 0" armature="0.02" frictionloss="0.3"/>
     <geom size="0.01" mass="1e-6"/></body></worldbody><actuator>
     <position joint="k" kp="5" kv="0.5"/>"""
-    text = HINGE.format(loss=0.0, limit='forcerange="-20 20"')
-    text = text.replace("</worldbody>\n<actuator>", other)
-    held = stiction.nominal(specification(tmp_path / "two.xml", text))
+    text = HINGE.format(loss=loss, limit=f'forcerange="-{limit} {limit}"')
+    return text.replace("</worldbody>\n<actuator>", other)
+
+
+def test_a_joint_that_friction_does_not_act_on_is_not_said_to_be_held(tmp_path):
+    held = stiction.nominal(specification(tmp_path / "two.xml", two_joints(0.0, 20.0)))
     assert held.push == 0.0 and held.joint == held.shaking == "j"
     assert "is not held by its dry friction" in held.sentence
     amplitude, frequency = amplitude_and_frequency(plain(0.0, 20.0, 1e-3))
     assert held.amplitude == pytest.approx(amplitude, rel=0.05)
     assert held.frequency == pytest.approx(frequency, rel=0.05)
+
+
+def test_a_joint_at_rest_does_not_make_a_limit_cycle_of_another_unstable(tmp_path):
+    asked = specification(tmp_path / "two.xml", two_joints(0.3, 20.0), initial_velocity=5.0)
+    run = single.simulate(replace(asked, duration=6.0))
+    assert run.results["verdict"] == Verdict.LIMIT_CYCLE
+    amplitude, frequency = amplitude_and_frequency(plain(0.3, 20.0, 4.0))
+    assert run.results["limit_cycle_amplitude"] == pytest.approx(amplitude, rel=0.05)
+    assert run.results["limit_cycle_frequency"] == pytest.approx(frequency, rel=0.05)

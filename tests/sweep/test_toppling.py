@@ -11,6 +11,7 @@ from jaxact.plot import field, panels, stability_map
 from jaxact.status import Verdict
 from jaxact.sweep import execute, reading
 from jaxact.sweep.samples import expand
+from jaxact.sweep.spectra import Rates
 
 PERIOD, DELAY = 1e-3, 4
 KP, KD = 20.0, 0.5
@@ -115,3 +116,15 @@ def test_maps_of_robots_that_topple_show_where_they_shake():
     (line,) = (line for line in figure.axes[0].lines if len(line.get_xdata()) > 1)
     assert np.isfinite(line.get_xdata()).any()
     plt.close(figure)
+
+
+def test_what_has_fallen_and_does_not_swing_is_no_limit_cycle():
+    rows = {
+        "verdict": np.full(3, Verdict.LIMIT_CYCLE, np.int8),
+        "limit_cycle_amplitude": np.full(3, 0.5),
+        "limit_cycle_frequency": np.array([np.nan, 30.0, np.nan]),
+    }
+    rates = Rates(growth=np.array([2.0, 2.0, 2.0]), shaking=np.array([-1.0, -1.0, 2.0]))
+    found = execute.with_rates(rows, rates)
+    assert found["verdict"].tolist() == [Verdict.TOPPLES, Verdict.LIMIT_CYCLE, Verdict.LIMIT_CYCLE]
+    assert np.isnan(found["limit_cycle_amplitude"]).tolist() == [True, False, False]
