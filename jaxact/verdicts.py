@@ -64,6 +64,7 @@ class Scale:
         floor: the part of it that is none of the loop's own [m or rad].
         limit: displacement that commands the largest force [m or rad]; 0 without limits, and where
             the plant bounds a motion, too.
+        bounded: whether a force limit, and nothing else, keeps every motion of the loop bounded.
         linear: whether the loop is linear, but for noise: its growth rate tells all.
         unlimited: whether it is linear in a motion so large that counts are nothing in it; then
             what grows, grows for ever.
@@ -75,6 +76,7 @@ class Scale:
     rest: jax.Array
     floor: jax.Array
     limit: jax.Array
+    bounded: jax.Array
     linear: jax.Array
     unlimited: jax.Array
     plant_linear: jax.Array
@@ -142,6 +144,22 @@ def limit(drive: Drive) -> jax.Array:
     return jnp.where(jnp.abs(kp) > 0.0, _felt(force, kp), jnp.inf)
 
 
+def _bounded(drive: Drive) -> jax.Array:
+    """Whether a force limit keeps the motions of a bare mass bounded, shape (joints,).
+
+        kd > kp lag,   lag = delays + T / 2 + 2 zeta / wn
+
+    In a motion that is large enough the limit makes any gain low, and a mass under low gains is
+    damped where the derivative leads by more than the loop lags. Other limits lag themselves.
+    """
+    actuator, controller = drive.actuator, drive.controller
+    lag = actuator.delay + drive.output_delay + drive.sensor.delay + 0.5 * drive.control_period
+    lag = lag + 2.0 * actuator.damping_ratio / actuator.natural_frequency
+    alone = jnp.isfinite(actuator.force_limit) & jnp.isinf(actuator.stall_force)
+    alone &= jnp.isinf(actuator.force_rate_limit)
+    return alone & (controller.kp > 0.0) & (controller.kd > controller.kp * lag)
+
+
 def scale(
     drive: Drive, size: jax.Array, floor: jax.Array | float = 0.0, *, linear_plant: bool
 ) -> Scale:
@@ -171,6 +189,7 @@ def scale(
         rest=jnp.maximum(least, own),
         floor=least,
         limit=most,
+        bounded=_bounded(drive) & linear_plant,
         linear=exact & unlimited & linear_plant,
         unlimited=unlimited & linear_plant,
         plant_linear=jnp.full_like(unlimited, linear_plant),
@@ -277,13 +296,13 @@ def together(own: Judgement, others: Judgement, scale: Scale) -> Judgement:
         unproven = ~start.moving & (start.verdict == Verdict.UNSTABLE) & shown
         verdict = jnp.where(unproven, Verdict.STABLE, start.verdict)
         within = start.moving & (start.verdict == Verdict.UNSTABLE) & (start.amplitude <= widest)
-        return jnp.where(within & (scale.limit > 0.0), Verdict.LIMIT_CYCLE, verdict)
+        return jnp.where(within & scale.bounded, Verdict.LIMIT_CYCLE, verdict)
 
     minor = own.moving & (own.verdict == Verdict.LIMIT_CYCLE) & (own.amplitude <= scale.count)
     mine = jnp.where(minor, Verdict.STABLE, proven(own))
     verdict = jnp.maximum(mine, jnp.max(jax.vmap(proven)(others), axis=0))
     # A motion that turns but once in a segment has no frequency to be measured.
-    itself = (own.moving & jnp.isfinite(own.frequency)) | ~jnp.any(cycling, axis=0)
+    itself = (cycle & jnp.isfinite(own.frequency)) | ~jnp.any(cycling, axis=0)
     return Judgement(
         verdict=verdict,
         moving=shown,

@@ -188,7 +188,7 @@ def _of(amplitudes, growth, count=1e-3, farthest=1e-2, frequency=10.0, plant=Tru
         **_shaped(amplitude=amplitudes, frequency=frequency, farthest=farthest, span=1e-2),
         valid=jnp.asarray(True),
     )
-    flags = {"linear": False, "unlimited": False, "plant_linear": plant}
+    flags = {"bounded": False, "linear": False, "unlimited": False, "plant_linear": plant}
     flags = {name: jnp.asarray(flag) for name, flag in flags.items()}
     scale = Scale(**_shaped(count=count, rest=0.01 * count, floor=0.0, limit=0.0), **flags)
     return verdicts.of_motion(motion, scale, jnp.asarray(growth), jnp.asarray(0.5)), scale

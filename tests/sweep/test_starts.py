@@ -190,3 +190,14 @@ def test_what_grows_towards_a_cycle_that_other_starts_show_is_that_cycle():
     assert (found["growth_rate"] > 1.0).all()
     assert (found["verdict"] == Verdict.LIMIT_CYCLE).all()
     assert 0.015 < found["limit_cycle_amplitude"][2] < 0.02
+
+
+def test_what_a_limit_does_not_bound_is_no_limit_cycle():
+    """Damped by less than the actuator lags: from near and from far it grows without end."""
+    asked = reading.parse(
+        'precision = "float64"\nduration = 2.0\n[parameters]\nmass = 0.10779\nkp = 9365.1\n'
+        "kd = 10.854\nwn = 288.35\nzeta = 0.2\nposition_resolution = 0.001\n"
+        "command_resolution = 22.426\nforce_limit = 48.162\n[axes]\nsetpoint = [0.01, 1.0]\n"
+    )
+    assert 10.854 / 9365.1 < 2.0 * 0.2 / 288.35
+    assert (_run(asked)["verdict"] == Verdict.UNSTABLE).all()
