@@ -153,7 +153,7 @@ def judged(
             closest = certificate.checks if infeasible else ()
     certificate = replace(certificate, agreeing=_agreeing(paths), gap=gap)
     words = sentence(certificate, goal, closest, spent.effort)
-    if not improved:
+    if not improved and certificate.stable:
         words = f"the start cannot be improved upon; {words}"
     return RobotTuned(
         tuple(situations), goal, groups, case.table, gains[0], gains[1], value,

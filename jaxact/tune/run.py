@@ -326,7 +326,7 @@ def result_of(
         evaluations += tried.evaluations * len(case.members)
     effort = Effort(paths.gains.shape[0], brute.GRID**2)
     words = sentence(certificate, goal, closest, effort)
-    if not improved:
+    if not improved and certificate.stable:
         words = f"the start cannot be improved upon; {words}"
     kp, kd = start if start is not None and not improved else map(float, np.exp(x))
     kp = min(max(kp, goal.min_kp), goal.max_kp) if improved else kp

@@ -41,6 +41,11 @@ def test_no_stable_gains_at_all_is_said_too():
     assert not tuned.feasible and "stable" in tuned.verdict
 
 
+def test_of_an_unstable_start_nothing_is_said_to_be_good_enough():
+    tuned = tune(LATE, Goal(max_peak=1.6, min_kp=5000.0), start=(5000.0, 1.0), starts=OTHERS)
+    assert not tuned.certificate.stable and tuned.verdict.startswith("found infeasible: no gains")
+
+
 def test_fifty_unstable_starts_are_rescued():
     members, peaks = brute_force.random_members(50, 3)
     random = np.random.default_rng(4)
