@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -23,7 +24,7 @@ frictionloss=".2"/><geom size="0.04" pos="0 0 -0.3" mass="0.1"/></body></body></
 
 @pytest.fixture(scope="module")
 def experiment():
-    names = ("models", "pictures", "report", "run")
+    names = ("models", "pictures", "report", "tuned", "run")
     with imported(FOLDER, *names) as found:
         yield dict(zip(names, found, strict=True))
 
@@ -69,7 +70,7 @@ def test_the_published_armature_is_in_the_model(arm):
 
 def test_one_robot_from_end_to_end(experiment, arm):
     row, model, folder = arm
-    experiment["run"].DELAYS[:] = [0.0, 0.02]
+    experiment["run"].DELAYS[:] = [0.0, 0.005, 0.02]
     found = experiment["run"].looked_at(row, model)
     stand = found["stand"]["ideal"]
     # J q'' + e^(-s t) (kd s + kp) q = 0, t the delay and half a control period more or less.
@@ -79,10 +80,47 @@ def test_one_robot_from_end_to_end(experiment, arm):
     assert stand["delay"] == pytest.approx(expected, abs=1e-3)
     assert stand["joint"] == "elbow" and stand["friction_left_out"] == 0.2
     assert found["stuck"]["delay"] is None or found["stuck"]["delay"] > 2.0 * stand["delay"]
-    assert stand["peak"][0] > 1.0 and stand["delays"] == [0.0, 0.02]
+    assert stand["peak"][0] > 1.0 and stand["delays"] == [0.0, 0.005, 0.02]
     shaking = expected < 0.02
-    assert (stand["growth_rate"][1] > 0.0) == shaking == (stand["peak"][1] is None)
+    assert (stand["growth_rate"][2] > 0.0) == shaking == (stand["peak"][2] is None)
     experiment["pictures"].write([found], folder)
     assert (folder / "delay_margins.png").stat().st_size > 10_000
     page = experiment["report"].page([found])
     assert "| arm | booster_gym |" in page and row.source in page
+    assert "1 of 1 bear" in page
+    _hold_tuned(found["tuned"], inertia)
+    experiment["run"].kept([found], folder)
+    experiment["run"].written(experiment["run"].known(folder), folder)
+    assert "published pattern" in (folder / "README.md").read_text()
+
+
+def _hold_tuned(tuned, inertia):
+    """S = 1/(1 + L), L = (kp + kd s) e^(-s (5 ms + half a control period)) / (J s^2): Ms is 2."""
+    assert tuned["certified"] and tuned["shared_by"] == "pattern"
+    ((kp, kd),) = tuned["gains"].values()
+    assert tuned["stiffness"] == pytest.approx(kp / 40.0)
+    s = 1j * np.geomspace(1.0, 3000.0, 20_000)
+    L = (kp + kd * s) * np.exp(-0.0055 * s) / (inertia * s**2)
+    peaks = np.abs(1.0 / (1.0 + L)).max(), np.abs(L / (1.0 + L)).max()
+    assert max(peaks) == pytest.approx(2.0, rel=0.05)
+    w = np.sqrt((kd**2 + np.sqrt(kd**4 + 4.0 * (kp * inertia) ** 2)) / 2.0) / inertia
+    assert tuned["delay"] == pytest.approx(np.arctan2(kd * w, kp) / w, abs=1e-3)
+    assert tuned["delay"] > 0.005
+
+
+def test_joints_of_a_pattern_or_of_a_kind_share_gains(experiment):
+    names = ("LL_HAA", "LR_HAA", "l_knee", "FR_hip", "hl_hip", "left_knee", "waist")
+    one = SimpleNamespace(
+        names=tuple((name, f"m{i}") for i, name in enumerate(names)),
+        kp=np.array([1.0, 1, 2, 2, 2, 1, 1]), kd=np.array([1.0, 1, 1, 1, 1, 1, 3]),
+    )  # fmt: skip
+    kinds = experiment["tuned"].kinds(one)
+    assert kinds.names == ("HAA", "knee", "hip", "waist")
+    np.testing.assert_array_equal(kinds.members, [0, 0, 1, 2, 2, 1, 3])
+    row = experiment["models"].robots()[0]
+    own = experiment["tuned"].published(replace(row, kp={}, kd={}), one)
+    np.testing.assert_array_equal(own.members, [0, 0, 1, 1, 1, 0, 2])
+    pattern = replace(row, kp={".*(HAA|waist)": 3.0, ".*": 2.0})
+    np.testing.assert_array_equal(
+        experiment["tuned"].published(pattern, one).members, [0, 0, 1, 1, 1, 1, 0]
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import re
 import tomllib
 from dataclasses import dataclass
@@ -107,3 +108,8 @@ def specification(
         "axes": varied or {"feedforward": [0.0]},
     }  # fmt: skip
     return reading.parse(toml.dumps(document))
+
+
+def plain(value: float) -> float | None:
+    """A number as JSON has it, None of what is infinite or not a number."""
+    return value if math.isfinite(value) else None

@@ -1,11 +1,11 @@
 """How much delay do the gains that robots ship with bear?
 
-    python experiments/shipped_gains/run.py [--quick] [--out FOLDER]
+    python experiments/shipped_gains/run.py [--quick] [--resume] [--redraw] [--out FOLDER]
 
 Every robot of robots.toml on a stand and held where it stands, with an ideal actuator and with
 those that were measured on HyQ and StarlETH: how much delay in the loop its published gains bear at
 a control rate of 1 kHz, which joint shakes then, and what Ms and the growth rate are over the
-delay. Writes results/shipped_gains/.
+delay; and the same of gains that are tuned for 5 ms. Writes results/shipped_gains/.
 """
 
 from __future__ import annotations
@@ -13,22 +13,29 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
+# The matrices are small: threads of the linear algebra would only wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import models
 import numpy as np
 import pictures
 import report
-from models import Robot
+import tuned
+from models import Robot, plain
 
 from jaxact.errors import UserError
+from jaxact.multiloop import curves, multiloop
 from jaxact.sweep import whole_robot
 from jaxact.sweep.whole_robot import WholeRobot
 
+FILE = "shipped_gains.json"
 OUT = models.HERE.parent.parent / "results" / "shipped_gains"
 RATE = 1000.0  # of control [Hz]
 ACTUATORS = ("ideal", "hyq", "starleth")
@@ -39,23 +46,53 @@ def main() -> int:
     """Compute and write; 0, or 2 after saying what is wrong."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="two robots, to see that it runs")
+    parser.add_argument("--resume", action="store_true", help="keep robots that are there")
+    parser.add_argument("--redraw", action="store_true", help="draw what is in the folder anew")
     parser.add_argument("--out", type=Path, default=OUT, help="folder of the results")
     options = parser.parse_args()
+    if options.redraw:
+        written(known(options.out), options.out)
+        return 0
     rows = models.robots()
     if options.quick:
         rows = [row for row in rows if row.name in ("Unitree Go1", "Unitree Go2")][1:3]
+    options.out.mkdir(parents=True, exist_ok=True)
+    before = {place(row): row for row in known(options.out)} if options.resume else {}
+    found = []
     try:
         with tempfile.TemporaryDirectory() as folder:
-            found = [looked_at(row, models.prepared(row, Path(folder))) for row in rows]
+            for row in rows:
+                one = before.get((row.name, row.publisher))
+                found.append(one or looked_at(row, models.prepared(row, Path(folder))))
+                kept(found, options.out)
     except UserError as error:
         print(f"run.py: {error}", file=sys.stderr)
         return 2
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "shipped_gains.json").write_text(json.dumps(found, indent=1) + "\n", "utf-8")
-    pictures.write(found, options.out)
-    (options.out / "README.md").write_text(report.page(found), encoding="utf-8")
-    print(f"wrote {options.out}")
+    written(found, options.out)
     return 0
+
+
+def known(folder: Path) -> list[dict[str, Any]]:
+    """What is in the folder."""
+    path = folder / FILE
+    return json.loads(path.read_text("utf-8")) if path.is_file() else []
+
+
+def place(row: dict[str, Any]) -> tuple[str, str]:
+    """What tells a row from the others."""
+    return row["robot"], row["publisher"]
+
+
+def kept(found: list[dict[str, Any]], folder: Path) -> None:
+    """Write the numbers."""
+    (folder / FILE).write_text(json.dumps(found, indent=1) + "\n", "utf-8")
+
+
+def written(found: list[dict[str, Any]], folder: Path) -> None:
+    """Write the picture and the page."""
+    pictures.write(found, folder)
+    (folder / "README.md").write_text(report.page(found), encoding="utf-8")
+    print(f"wrote {folder}")
 
 
 def looked_at(robot: Robot, model: Path) -> dict[str, Any]:
@@ -66,12 +103,22 @@ def looked_at(robot: Robot, model: Path) -> dict[str, Any]:
         "robot": robot.name, "publisher": robot.publisher, "source": robot.source,
         "published_delay": robot.delay, "closes": robot.closes, "control_rate": RATE,
         "stand": stand,
-        "held": borne(one(robot, model, base="held", actuator="ideal")),
+        "held": held(robot, model),
         "stuck": borne(one(robot, model, base="fixed", friction="stuck", actuator="ideal")),
+        "tuned": tuned.tuned(robot, model, RATE),
     }  # fmt: skip
     seconds = time.monotonic() - begun
     print(f"{robot.label}: {stand['ideal']['delay']} s, {seconds:.0f} s", flush=True)
     return found
+
+
+def held(robot: Robot, model: Path) -> dict[str, Any] | None:
+    """The same where it stands in contact, its trunk held; None if it cannot stand there."""
+    try:
+        return borne(one(robot, model, base="held", actuator="ideal"))
+    except UserError as error:
+        print(f"{robot.label}, held: {error}", file=sys.stderr)
+        return None
 
 
 def one(robot: Robot, model: Path, **asked: Any) -> WholeRobot:
@@ -92,25 +139,23 @@ def borne(found: WholeRobot) -> dict[str, Any]:
 
 def over_delay(robot: Robot, model: Path, actuator: str) -> dict[str, Any]:
     """The same on a stand, with Ms [-] and the growth rate [1/s] over the loop's delay."""
-    asked = {"base": "fixed", "actuator": actuator, "control_rate": RATE}
+    asked: dict[str, Any] = {"base": "fixed", "actuator": actuator, "control_rate": RATE}
     loops = whole_robot.evaluate(models.specification(robot, model, delay=DELAYS, **asked))
     row = borne(loops[0])
+    levels = [level(each) for each in loops]
     row["delays"] = DELAYS
-    row["growth_rate"] = [plain(each.delay_borne.growth_rate) for each in loops]
-    row["peak"] = [peak(each) for each in loops]
+    row["growth_rate"] = [growth for growth, _ in levels]
+    row["peak"] = [peak for _, peak in levels]
     return row
 
 
-def peak(found: WholeRobot) -> float | None:
-    """Ms, the largest singular value of S over frequency; None of a loop that is not stable."""
-    if not found.delay_borne.stable:
-        return None
-    return float(np.max(found.curves.sensitivity))
-
-
-def plain(value: float) -> float | None:
-    """A number as JSON has it."""
-    return value if math.isfinite(value) else None
+def level(found: WholeRobot) -> tuple[float | None, float | None]:
+    """The growth rate [1/s], and Ms, the largest singular value of S; None if not stable."""
+    loop = multiloop(*found.robot.matrices, found.robot.period)
+    growth = math.log(float(np.max(np.abs(loop.roots)))) / found.robot.period
+    if growth >= 0.0:
+        return growth, None
+    return growth, float(np.max(curves(loop, found.robot.names).sensitivity))
 
 
 if __name__ == "__main__":
