@@ -32,6 +32,7 @@ def margins(found: list[dict[str, Any]]) -> Figure:
     order = sorted(found, key=lambda row: row["stand"]["ideal"]["delay"] or 0.0)
     with look.look():
         figure = Figure(figsize=(10.4, 2.1 + 0.36 * len(order)), layout="constrained")
+        figure.set_layout_engine("constrained", rect=(0.0, 0.0, 0.96, 1.0))
         axes = figure.add_subplot()
         _places(axes, len(order))
         for place, row in enumerate(order):
@@ -85,7 +86,7 @@ def _columns(axes: Axes, order: list[dict[str, Any]]) -> None:
     """Which joint shakes first, and how stiff tuned gains are."""
     for at, heading, text in (
         (1.02, "shakes first", lambda row: row["stand"]["ideal"]["joint"]),
-        (1.25, "stiffness\nif tuned", stiffness),
+        (1.24, "stiffness\nif tuned", stiffness),
     ):
         axes.text(at, -0.75, heading, transform=axes.get_yaxis_transform(), fontsize=8,
                   fontweight="bold", va="center")  # fmt: skip

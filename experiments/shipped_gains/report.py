@@ -18,10 +18,10 @@ Written by `make shipped`; not edited by hand. What is asked, and what the answe
 
 Delay in the loop, at a control rate of {rate:g} Hz, at which the robot on a stand begins to shake;
 with an ideal actuator, with HyQ's (800 rad/s, damping ratio 0.45) and with StarlETH's (110 rad/s,
-0.9). *held*: standing in contact with the trunk held, ideal;
-*falls* where the robot does not come to rest on its feet from that keyframe. *stuck*: what MuJoCo's linearisation
-at rest says, in which dry friction is very strong damping; it is not the margin of a joint that
-moves. The joint is the one that shakes first on the stand.
+0.9). *held*: standing in contact with the trunk held, ideal, or
+*falls* where the robot does not come to rest on its feet from that keyframe. *stuck*: what MuJoCo's
+linearisation at rest says, in which dry friction is very strong damping; it is not the margin of a
+joint that moves. The joint is the one that shakes first on the stand.
 
 | robot | gains of | stand [ms] | HyQ's [ms] | StarlETH's [ms] | joint | at [rad/s] | held [ms] | stuck [ms] | the PD loop closes in |
 |---|---|---|---|---|---|---|---|---|---|
