@@ -114,7 +114,10 @@ def test_tables_say_what_is_guaranteed_and_what_cannot_be_met(capsys):
         ([*ASKED, "--groups", "shoulder,,elbow"], "empty"),
         ([*ASKED, "--mass", "2"], "--mass"),
         ([*ASKED, "--pareto", "1"], "--pareto 1: give between 2 and 200 points"),
-        ([*ASKED, "--pareto", "5", "--tracking-weight", "1"], "--pareto: knows of no"),
+        (
+            [*ASKED, "--pareto", "5", "--tracking-weight", "1"],
+            "--pareto: cannot be combined with --tracking-weight",
+        ),
         ([*ASKED, "--joint", "elbow"], "--joint: is for a single joint"),
         ([*ASKED, "--objective", "settling"], "stiffness or disk-margin"),
         ([*ASKED, "--objective", "disk-margin"], "--min-kp"),

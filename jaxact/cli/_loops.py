@@ -16,7 +16,7 @@ from jaxact.cli import _warnings
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import reading, toml
 from jaxact.loops.axes import MOST_SAMPLES
-from jaxact.loops.checks import check_history
+from jaxact.loops.checks import check_history, shortest_duration
 from jaxact.loops.samples import expand
 from jaxact.loops.specification import Specification
 from jaxact.parameters import PARAMETERS, PRESETS, canonical, check, check_actuator
@@ -135,6 +135,13 @@ def combinations(chosen: Mapping[str, Any], **document: Any) -> Loops:
     fixed = {name: values[0] for name, values in chosen.items() if len(values) == 1}
     varied = {name: list(values) for name, values in chosen.items() if len(values) > 1}
     return expanded(specified({**document, "parameters": fixed, "axes": varied}))
+
+
+def linear_combinations(chosen: Mapping[str, Any], **document: Any) -> Loops:
+    """As `combinations`, of loops that are not going to be simulated: for any control rate."""
+    rates = [rate for rate in chosen.get("control_rate", ()) if rate > 0.0]
+    lasting = {"duration": shortest_duration(min(rates))} if rates else {}
+    return combinations(chosen, **lasting, **document)
 
 
 def from_file(path: Path, chosen: Mapping[str, Any]) -> Loops:

@@ -69,7 +69,7 @@ def chosen_loops(parameters: Any, file: Path | None, velocity: str) -> Chosen:
         raise UserError(f"--velocity {shown(velocity)}; {nearest(velocity, VELOCITIES)}")
     given = _loops.given(parameters)
     if file is None:
-        loops = _loops.combinations(given, velocity=velocity)
+        loops = _loops.linear_combinations(given, velocity=velocity)
         sampled = "control_rate" in given
     else:
         loops = _loops.from_file(file, given)

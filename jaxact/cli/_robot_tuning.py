@@ -168,7 +168,7 @@ def run(
     if not (options.validate >= 0.0 and math.isfinite(options.validate)):
         raise UserError(f"--validate {options.validate:g}: give seconds, 0 for none")
     if pareto and options.tracking_weight:
-        raise UserError("--pareto: knows of no --tracking-weight")
+        raise UserError("--pareto: cannot be combined with --tracking-weight")
 
     from jaxact.tuning import pareto as _pareto
     from jaxact.tuning import robot, robot_front

@@ -187,7 +187,7 @@ def main(
             raise SystemExit(NOT_MET)
         return
     start = _start(given)
-    chosen = _loops.combinations({n: (v,) for n, v in given.items()}, velocity=velocity)
+    chosen = _loops.linear_combinations({n: (v,) for n, v in given.items()}, velocity=velocity)
     sampled = "control_rate" in given
     _cache.prepare(wanted=not no_cache)
 

@@ -95,7 +95,7 @@ def read_axis(name: str, given: Any, *, sampled: bool) -> Axis:
     if isinstance(given, dict):
         return _range(name, key, given, sampled)
     raise UserError(
-        f"{key} = {shown(given)} is no axis; allowed: a list, or a range"
+        f"{key} = {shown(given)} is not a valid axis; allowed: a list, or a range"
         " { min = 1, max = 10, num = 5 }; a fixed value belongs below [parameters]"
     )
 

@@ -182,7 +182,7 @@ def _check_steps(specification: Specification, rates: np.ndarray) -> None:
 
 
 def _check_duration(specification: Specification, rates: np.ndarray) -> None:
-    shortest = FEWEST_CONTROL_PERIODS / float(rates.min())
+    shortest = shortest_duration(float(rates.min()))
     steps = specification.duration / physics_step(specification, float(rates.max()))
     if specification.duration < shortest * (1 - 1e-9):
         raise UserError(
@@ -194,6 +194,11 @@ def _check_duration(specification: Specification, rates: np.ndarray) -> None:
             f"duration = {specification.duration:g} is {steps:.3g} physics steps;"
             f" allowed: up to {MOST_STEPS:,}"
         )
+
+
+def shortest_duration(control_rate: float) -> float:
+    """The shortest duration of a simulation at a control rate [Hz], in seconds."""
+    return FEWEST_CONTROL_PERIODS / control_rate
 
 
 def _check_push(specification: Specification) -> None:

@@ -44,7 +44,7 @@ _SHOWN = 5
 
 @dataclass(frozen=True)
 class Kind:
-    """What of a loop is no number; static where JAX traces.
+    """The parts of a loop that are not numbers; static where JAX traces.
 
     Attributes:
         plant: the robot, None for a single joint.
@@ -73,7 +73,7 @@ class ControlLoop:
     Attributes:
         values: the parameters that were given, by short name, of a robot also of some joints
             (`kp@.*_knee`); numbers, or arrays that broadcast to `shape`.
-        kind: what is no number.
+        kind: its parts that are not numbers.
     """
 
     values: dict[str, Any]

@@ -143,6 +143,13 @@ def specification(loop: ControlLoop, **options: Any) -> Specification:
     return described(**kind, **options, parameters=fixed, axes=axes or (_NO_AXIS,))
 
 
+def linear_specification(loop: ControlLoop, **options: Any) -> Specification:
+    """As `specification`, of a loop that is not going to be simulated: for any control rate."""
+    rates = loop.parameters["control_rate"]
+    slowest = 1.0 if is_traced(loop) else float(np.min(rates))
+    return specification(loop, duration=checks.shortest_duration(slowest), **options)
+
+
 def described(**fields: Any) -> Specification:
     """The checked specification with these fields.
 

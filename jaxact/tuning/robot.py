@@ -195,7 +195,7 @@ def _checked(wish: Wish | None, groups: Groups, *, verify: bool) -> Wish | None:
         robot_tracking.check(wish, len(groups))
         wish = wish if wish.weight > 0.0 else None
     if wish is not None and verify:
-        raise UserError("`verify`: knows of no `tracking_weight`")
+        raise UserError("`verify`: cannot be combined with `tracking_weight`")
     if verify and len(groups) > robot_brute.MOST_GROUPS:
         raise UserError(
             f"`verify`: tries {2 * len(groups)} gains against each other, which takes too long; "

@@ -39,7 +39,7 @@ def boundary(
     """
     if loop.kind.plant is not None:
         raise UserError("the boundary in closed form is that of a joint; sweep a robot's gains")
-    conversion.specification(loop)  # what does not fit is said here
+    conversion.linear_specification(loop)  # what does not fit is said here
     own = conversion.one(loop)
     ranges = {"kp_range": _window("kp", kp, own["kp"]), "kd_range": _window("kd", kd, own["kd"])}
     plant = own["mass"], own["wn"], own["zeta"], conversion.total_delay(own)

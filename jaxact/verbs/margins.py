@@ -158,7 +158,7 @@ def margins(
 def _one(loop: ControlLoop, sampled: bool, steps: int | None) -> LoopMargins:
     if is_traced(loop):
         return LoopMargins(loop, _traced(loop, sampled, steps))
-    conversion.specification(loop)  # what does not fit is said here
+    conversion.linear_specification(loop)  # what does not fit is said here
     number = max(1, math.prod(loop.shape))
     values = _flat(loop)
     with jax.enable_x64(True):

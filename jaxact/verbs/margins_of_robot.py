@@ -79,7 +79,7 @@ class RobotLoopMargins:
         """What dry friction holds that would shake once it moves, by simulation; loop by loop."""
         from jaxact.robot_margins import stiction
 
-        own = conversion.specification(self.loop, engine="mujoco")
+        own = conversion.linear_specification(self.loop, engine="mujoco")
         return tuple(stiction.each(own, conversion.samples(self.loop), list(self.details)))
 
     def to_xarray(self) -> xr.Dataset:
@@ -111,7 +111,7 @@ class RobotLoopMargins:
 
     def __repr__(self) -> str:
         """The tables of the command line; what dry friction holds is told by `stiction`."""
-        own = conversion.specification(self.loop, engine="mujoco")
+        own = conversion.linear_specification(self.loop, engine="mujoco")
         samples = conversion.samples(self.loop)
         labels = naming.labels(samples) or ("",) * len(samples)
         rows = zip(labels, self.details, strict=True)
@@ -146,7 +146,7 @@ def margins_of_robot(loop: ControlLoop) -> RobotLoopMargins:
         UserError: the robot, or what is said of it, cannot be used.
         TypeError: the loop is traced.
     """
-    own = conversion.specification(loop, engine="mujoco")
+    own = conversion.linear_specification(loop, engine="mujoco")
     found = tuple(whole_robot.evaluate(own, conversion.samples(loop)))
     shape = loop.shape
     figures = {

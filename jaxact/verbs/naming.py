@@ -121,7 +121,7 @@ def named(loop: ControlLoop) -> Loops:
     from jaxact.loops import conversion  # imports JAX, which naming alone does without
 
     samples = conversion.samples(loop)
-    own = conversion.specification(loop)
+    own = conversion.linear_specification(loop)
     words = labels(samples) or (loop_name(own),) * len(samples)
     said = frozenset(loop.values)
     return Loops(dict(samples.values), words, said, loop.kind.velocity)

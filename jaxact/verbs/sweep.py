@@ -139,7 +139,8 @@ def sweep(
 
 def _sampling(method: str | None, number: int | None) -> Sampling:
     try:
-        return Sampling(method or "sobol", 1024 if number is None else number)  # type: ignore[arg-type]
+        count = 1024 if number is None else number
+        return Sampling(method=method or "sobol", samples=count)  # type: ignore[arg-type]
     except ValidationError as error:
         raise UserError(reading.explained(error, "sampling.")) from None
 
@@ -171,6 +172,8 @@ def _of_loop(
     values = {name: v for name, v in loop.values.items() if name not in replaced}
     fixed = {name: float(value) for name, value in values.items() if not np.ndim(value)}
     varied = _own_axes({n: np.asarray(v, float) for n, v in values.items() if np.ndim(v)}, named)
+    if not varied and not named:
+        raise UserError("nothing varies; give an axis, e.g. kp = jaxact.log(10, 1e5, 64)")
     kind = {f.name: getattr(loop.kind, f.name) for f in dataclasses.fields(loop.kind)}
     options.setdefault("engine", "mass" if loop.kind.plant is None else "auto")
     return described(

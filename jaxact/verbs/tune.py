@@ -185,7 +185,7 @@ def _joint(
     loop: ControlLoop, goal: Goal, text: str, samples: int, sampled: bool | None, starts: int,
     steps: int, seed: int, front: int, verify: bool, phase: Phase,
 ) -> TunedLoop:  # fmt: skip
-    conversion.specification(loop)  # what does not fit is said here
+    conversion.linear_specification(loop)  # what does not fit is said here
     nominal = _nominal(loop, "control_rate" in loop.values if sampled is None else sampled)
     start = None
     if {"kp", "kd"} <= set(loop.values):
@@ -210,7 +210,7 @@ def _nominal(loop: ControlLoop, sampled: bool) -> Ensemble:
     own = conversion.one(loop)
     period = 1.0 / own["control_rate"] if sampled else None
     sampling = Sampling(period, loop.kind.velocity, own["velocity_filter"])
-    label = naming.loop_name(conversion.specification(loop))
+    label = naming.loop_name(conversion.linear_specification(loop))
     return ensemble(own["mass"], own["wn"], own["zeta"], conversion.total_delay(own),
                     sampling=sampling, names=(label,))  # fmt: skip
 
@@ -227,7 +227,7 @@ def _robot(
         if one.kind.plant is None or one.shape:
             raise UserError("loop: give single loops of a robot, one for each posture")
         phase(f"settling and linearising ({place} of {len(loops)})")
-        own = conversion.specification(one, engine="mujoco")
+        own = conversion.linear_specification(one, engine="mujoco")
         name = one.kind.plant.keyframe or one.kind.plant.model.stem
         known = sum(other.name.partition(" (")[0] == name for other in situations)
         situations.append(situation(own, f"{name} ({known + 1})" if known else name, spans))

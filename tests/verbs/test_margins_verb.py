@@ -149,3 +149,18 @@ def test_a_robot_cannot_be_traced(standing):
     loop, _ = standing
     with pytest.raises(TypeError, match="cannot be traced"):
         jax.grad(lambda kp: jx.margins(loop[0].replace(kp=kp)).disk_margin)(600.0)
+
+
+def test_controllers_may_be_as_slow_as_they_like(capsys):
+    from jaxact.cli.main import main
+
+    loop = jx.joint(kp=0.01, kd=0.1, control_rate=1.0)
+    found = jx.margins(loop, sampled=True)
+    radius = np.abs(
+        np.linalg.eigvals(sampled_matrix((0.01, 0.1, 0.7, np.inf, 1.0, 0.0), 1.0))
+    ).max()
+    assert float(found.growth_rate) == pytest.approx(np.log(radius), rel=1e-6)
+    asked = ["--kp", "0.01", "--kd", "0.1", "--control-rate", "1", "--json"]
+    assert main(["margins", *asked]) == 0
+    row = json.loads(capsys.readouterr().out)["sampled"]
+    assert row["gain_margin"] == pytest.approx(float(found.gain_margin))
