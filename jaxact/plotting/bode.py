@@ -24,7 +24,7 @@ def bode(responses: Sequence[LoopResponse], *, title: str = "", footer: str = ""
     title, footer: above and below
     """
     with look.look():
-        labels = column([described(response) for response in responses], 7.4)
+        labels = column([_described(response) for response in responses], 7.4)
         paper = sheet(7.4, 5.6, title=title, footer=footer, entries=lines(labels), entry_width=7.4)
         magnitude, phase = paper.figure.subplots(2, 1, sharex=True)
         draw((magnitude, phase), responses, labels)
@@ -48,7 +48,7 @@ def draw(axes: Sequence[Axes], responses: Sequence[LoopResponse], labels: Sequen
     _dress(magnitude, phase, responses)
 
 
-def described(response: LoopResponse) -> str:
+def _described(response: LoopResponse) -> str:
     """`HyQ, 1 ms: gain margin 16.5 (24.3 dB), phase margin 54.8°`."""
     if not response.stable:
         return f"{response.label}: unstable, no margins"

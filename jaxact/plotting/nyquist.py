@@ -38,7 +38,7 @@ def nyquist(
     "An introduction to disk margins", 2020).
     """
     with look.look():
-        labels = column([described(response) for response in responses], 6.6)
+        labels = column([_described(response) for response in responses], 6.6)
         small_print = "\n".join(part for part in (footer, _MARKS) if part)
         paper = sheet(
             6.6, 6.2, title=title, footer=small_print, entries=lines(labels), entry_width=6.6
@@ -85,7 +85,7 @@ def disk(disk_margin: float) -> tuple[float, float]:
     return -(4.0 + square) / (4.0 - square), 4.0 * disk_margin / (4.0 - square)
 
 
-def described(response: LoopResponse) -> str:
+def _described(response: LoopResponse) -> str:
     """`HyQ, 1 ms: disk margin 0.47, gains ×0.62 to ×1.61, phase ±26°`."""
     margin = response.margin("disk_margin")
     if not response.stable:

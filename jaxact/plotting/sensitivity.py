@@ -20,7 +20,7 @@ def sensitivity(responses: Sequence[LoopResponse], *, title: str = "", footer: s
     title, footer: above and below
     """
     with look.look():
-        labels = column([described(response) for response in responses], 7.4)
+        labels = column([_described(response) for response in responses], 7.4)
         paper = sheet(7.4, 5.6, title=title, footer=footer, entries=lines(labels), entry_width=7.4)
         upper, lower = paper.figure.subplots(2, 1, sharex=True)
         draw((upper, lower), responses, labels)
@@ -45,7 +45,7 @@ def draw(axes: Sequence[Axes], responses: Sequence[LoopResponse], labels: Sequen
     _dress(upper, lower, responses)
 
 
-def described(response: LoopResponse) -> str:
+def _described(response: LoopResponse) -> str:
     """`HyQ, 1 ms: Ms 1.2 at 90 rad/s, Mt 1.3 at 30 rad/s`."""
     if not response.stable:
         return f"{response.label}: unstable, its peaks say nothing"

@@ -48,7 +48,7 @@ def bode(
         axes: of the magnitude and of the phase.
         legend: name the loops.
     """
-    return _curves(loop, sampled, axes, legend, _bode.draw, _bode.described)
+    return _curves(loop, sampled, axes, legend, _bode.draw)
 
 
 def sensitivity(
@@ -61,7 +61,7 @@ def sensitivity(
         loop, sampled, legend: as for `bode`.
         axes: of |S| and of |T|.
     """
-    return _curves(loop, sampled, axes, legend, _sensitivity.draw, _sensitivity.described)
+    return _curves(loop, sampled, axes, legend, _sensitivity.draw)
 
 
 def nyquist(
@@ -75,7 +75,7 @@ def nyquist(
     """
     drawn = _responses(loop, sampled)
     ax = pyplot.subplots()[1] if ax is None else ax
-    _nyquist.draw(ax, drawn, [_nyquist.described(response) for response in drawn])
+    _nyquist.draw(ax, drawn, [response.label for response in drawn])
     if legend:
         ax.legend(fontsize=_SMALL)
     return ax
@@ -87,11 +87,10 @@ def _curves(
     axes: Sequence[Axes] | None,
     legend: bool,
     draw: Callable[..., None],
-    described: Callable[[LoopResponse], str],
 ) -> Sequence[Axes]:
     drawn = _responses(loop, sampled)
     axes = pyplot.subplots(2, 1, sharex=True)[1] if axes is None else axes
-    draw(axes, drawn, [described(response) for response in drawn])
+    draw(axes, drawn, [response.label for response in drawn])
     if legend:
         axes[0].legend(fontsize=_SMALL)
     return axes
@@ -227,12 +226,15 @@ def stability_map(
         grid = pyplot.subplots(arrangement.rows, arrangement.columns, sharex=True, sharey=True,
                                squeeze=False, layout="constrained")[1]  # fmt: skip
         given = [grid[panel.row, panel.column] for panel in arrangement.panels]
+    own = ax is None and axes is None
     if len(given) != count:
         raise UserError(
             f"there are {count} maps, and {len(given)} axes; give as many, or select, e.g. "
             "select={'delay': 0.001}"
         )
     _draw_maps(given, maps, arrangement, shown, exact=exact, marked=nominal)
+    for one in given if own else ():
+        one.label_outer()
     if colorbar:
         mappable = ScalarMappable(norm=shown.norm, cmap=shown.colors)
         bar = given[0].figure.colorbar(mappable, ax=given, extend=shown.extend)
