@@ -240,7 +240,8 @@ def test_commands_of_the_pages_run(commands, tmp_path):
 
 @pytest.mark.parametrize("code", [pytest.param(b, id=page) for page, b in _blocks("python")])
 def test_examples_of_the_pages_run(code):
-    ran = _python(code, **ENVIRONMENT)
+    as_users_have_it = {"JAX_NUMPY_RANK_PROMOTION": "allow"}  # mujoco.mjx relies on it
+    ran = _python(code, **ENVIRONMENT, **as_users_have_it)
     assert ran.returncode == 0, ran.stderr
     said = [line for line in code.splitlines() if "# prints " in line]
     # What mujoco.mjx says of Warp when somebody imports it themselves.

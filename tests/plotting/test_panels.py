@@ -85,7 +85,7 @@ def test_a_random_sample_is_a_scatter_with_its_gridded_axes_as_panels(drawn):
         ({"kind": "scatter"}, "does not fit"),
         ({"kind": "pie"}, "unknown kind"),
         ({"kind": "lines", "x": "kd", "y": "kp"}, "too many curves"),
-        ({"x": "actuator", "y": "delay"}, "--select kp=VALUE"),
+        ({"x": "actuator", "y": "delay"}, "`select` kp=VALUE"),
         ({"facet": ("delay", "delay")}, "twice"),
         ({"facet": ("kp",), "x": "kp"}, "is an axis already"),
     ],

@@ -10,7 +10,9 @@ import jax
 import numpy as np
 import pytest
 from exact import growth_rate as exact_growth_rate
+from quickly import compiled_fully as compiled_fully
 from quickly import compiled_quickly as compiled_quickly
+from quickly import optimised_fully
 
 from jaxact.errors import UserError
 from jaxact.loops import reading
@@ -54,15 +56,18 @@ def _same(a, b):
 
 @pytest.fixture(scope="module")
 def noisy():
-    return _run(NOISY)
+    with optimised_fully():  # bits are those of the user's kernels
+        return _run(NOISY)
 
 
 @pytest.mark.exhaustive
+@pytest.mark.usefixtures("compiled_fully")
 def test_one_or_two_devices_give_the_same_bits(noisy):
     assert len(jax.local_devices()) == 2
     _same(noisy, _run(NOISY, "devices=1"))
 
 
+@pytest.mark.usefixtures("compiled_fully")
 def test_a_sample_does_not_depend_on_its_neighbours(noisy):
     """Every third sample alone, at other places of other tiles, keyed by number."""
     asked = reading.parse(NOISY)
@@ -74,6 +79,7 @@ def test_a_sample_does_not_depend_on_its_neighbours(noisy):
             np.testing.assert_array_equal(row, noisy[name][numbers], err_msg=name)
 
 
+@pytest.mark.usefixtures("compiled_fully")
 def test_other_tiles_give_the_same_figures(noisy):
     other = _run(NOISY, "tile=8")
     np.testing.assert_allclose(other["growth_rate"], noisy["growth_rate"], atol=1e-6)
@@ -147,6 +153,7 @@ def test_too_many_devices_and_odd_periods_are_refused():
         _run(NOISY, "physics_step=0.0003")
 
 
+@pytest.mark.usefixtures("compiled_fully")
 def test_double_precision_changes_little(noisy):
     double = _run(NOISY, "precision=float64", "position_noise=0", "position_resolution=0")
     single = _run(NOISY, "position_noise=0", "position_resolution=0")

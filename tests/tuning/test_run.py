@@ -218,12 +218,12 @@ def test_the_front_rises_and_passes_through_the_single_optimum():
     ("goal", "said"),
     [
         (Goal(objective="speed"), "objective 'speed'"),
-        (Goal(max_peak=1.0), "--max-peak 1"),
+        (Goal(max_peak=1.0), "`max_peak` 1"),
         (Goal(min_kp=5.0, max_kp=4.0), "above"),
         (Goal(risk="cvar:2"), "risk 'cvar:2'"),
         (Goal(objective="disk-margin"), "`min_kp`"),
         (Goal(max_peak=math.inf), "nothing limits"),
-        (Goal(min_delay_margin=math.nan), "--min-delay-margin"),
+        (Goal(min_delay_margin=math.nan), "`min_delay_margin`"),
     ],
 )
 def test_goals_that_make_no_sense(goal, said):
