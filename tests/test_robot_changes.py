@@ -145,3 +145,41 @@ def test_what_begins_to_topple_is_the_direction_that_nothing_holds(tmp_path):
     assert change.value == pytest.approx(factors[-1], rel=1e-5)
     energy = one.robot.inertias * directions[:, -1] ** 2
     np.testing.assert_allclose(change.participation, energy / energy.sum(), atol=1e-4)
+
+
+FLOATING = """<mujoco><option timestep="0.001" gravity="0 0 {gravity}"/><worldbody>
+<body name="base" pos="0 0 3"><freejoint/><geom type="box" size=".3 .2 .1" mass="12"/>
+<body pos=".2 .1 -.1"><joint name="hip" axis="0 1 0" armature=".01"/>
+<geom type="capsule" fromto="0 0 0 .05 0 -.3" size=".03" mass="1.5"/>
+<body pos=".05 0 -.3"><joint name="knee" axis="0 1 0" armature=".01"/>
+<geom type="capsule" fromto="0 0 0 -.1 0 -.3" size=".02" mass=".6"/></body></body></body>
+</worldbody><actuator><motor joint="hip"/><motor joint="knee"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("gravity", [0.0, -9.81])
+def test_a_base_that_drifts_in_the_air_neither_shakes_nor_topples(tmp_path, gravity):
+    """Its twelve roots are at 1, in Jordan blocks, which rounding parts."""
+    (tmp_path / "floating.xml").write_text(FLOATING.format(gravity=gravity))
+    document = """engine = "mujoco"
+    plant.model = "floating.xml"
+    plant.posture = "keyframe"
+    [parameters]
+    control_rate = 1000
+    kp = 60
+    kd = 2
+    [axes]
+    feedforward = [0.0]"""
+    (one,) = whole_robot.evaluate(reading.parse(document, tmp_path))
+    assert one.margins.verdict == "stable" and one.margins.unstable_roots == 0
+    borne = one.delay_borne
+    assert borne.stable and borne.frequency > 1.0
+    later = [f"delay={factor * borne.delay}" for factor in (0.95, 1.05)]
+    below, above = (whole_robot.evaluate(reading.parse(document, tmp_path, [d]))[0] for d in later)
+    assert (below.margins.verdict, above.margins.verdict) == ("stable", "shakes")
+    assert one.margins.whole.delay_margin == pytest.approx(borne.delay, rel=1e-6)
+
+
+def test_a_slow_fall_is_no_rounding():
+    """An upright pendulum that falls by 1e-3 1/s, sampled at 1 kHz."""
+    roots = np.array([1.0 + 1e-6, 1.0 - 1e-6, 1.0 + 6e-8, 1.0 + 5e-8j])
+    assert list(robot_modes.growing(roots)) == [True, False, False, False]

@@ -21,6 +21,10 @@ from jaxact.analysis.robot.multiloop import Matrices, Multiloop, reduced, sensit
 
 # A root this little outside the unit circle is on it: a robot's matrices come from differences.
 MARGINAL = 1e-9
+# Roots this near to 1 are those of rigid-body motions: double ones, which rounding parts.
+NEUTRAL = 1.5e-7
+# And those that move so little in a period.
+DRIFT = 1e-5
 # Factors further from 1 than this are none.
 _FURTHEST = 1e9
 # Halvings of the grid's intervals, and of intervals of factors and delays.
@@ -54,8 +58,29 @@ class Crossing:
 
 
 def unstable(M: np.ndarray) -> bool:
-    """Whether the spectral radius of a matrix is above 1, beyond doubt."""
-    return bool(np.max(np.abs(scipy.linalg.eigvals(M)), initial=0.0) > 1.0 + MARGINAL)
+    """Whether a root of a matrix is outside the unit circle, beyond rounding."""
+    return bool(np.any(beyond(scipy.linalg.eigvals(M))))
+
+
+def unstable_by_delay(M: np.ndarray) -> bool:
+    """As `unstable`, without roots next to 1: what is static no delay changes, and none moves."""
+    roots = scipy.linalg.eigvals(M)
+    return bool(np.any(beyond(roots) & ~drifting(roots)))
+
+
+def drifting(roots: np.ndarray) -> np.ndarray:
+    """Which roots neither turn nor grow by a hundred-thousandth of a period: no shaking does."""
+    return np.abs(roots - 1.0) < DRIFT
+
+
+def beyond(roots: np.ndarray) -> np.ndarray:
+    """Which roots are outside the unit circle, to the last digit; what is not a number is."""
+    return ~(np.abs(roots) <= 1.0 + MARGINAL)
+
+
+def neutral(roots: np.ndarray) -> np.ndarray:
+    """Which roots are those of rigid-body motions, at 1 but for rounding."""
+    return np.abs(roots - 1.0) < NEUTRAL
 
 
 def followed(S: np.ndarray) -> np.ndarray:
@@ -198,7 +223,7 @@ def delay_limit(
     later_by: Callable[[float], Matrices],
     period: float,
     candidates: list[Crossing],
-    bad: Callable[[np.ndarray], bool] = unstable,
+    bad: Callable[[np.ndarray], bool] = unstable_by_delay,
 ) -> tuple[float, float]:
     """The smallest delay of all commands, on top of what they have, that destabilises [s].
 

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.linalg
 
 from jaxact.analysis.robot import multiloop as _multiloop
-from jaxact.analysis.robot.limits import MARGINAL
+from jaxact.analysis.robot.limits import beyond, drifting, neutral
 from jaxact.analysis.robot.multiloop import Matrices, Multiloop
 
 # A root that turns by less than this in a period does not turn [rad].
@@ -61,8 +61,11 @@ class Mode:
 
 
 def growing(roots: np.ndarray) -> np.ndarray:
-    """Which roots are outside the unit circle, beyond rounding; what is not a number is."""
-    return ~(np.abs(roots) <= 1.0 + MARGINAL)
+    """Which roots are of growing motions, beyond rounding; what is not a number is.
+
+    Of a base that drifts, several roots are 1, which rounding parts: none of them grows.
+    """
+    return beyond(roots) & ~neutral(roots)
 
 
 def swinging(roots: np.ndarray) -> np.ndarray:
@@ -75,18 +78,18 @@ def swinging(roots: np.ndarray) -> np.ndarray:
 def shakes(M: np.ndarray) -> bool:
     """Whether a loop with this matrix has a growing motion that swings."""
     roots = scipy.linalg.eigvals(M)
-    return bool(np.any(growing(roots) & swinging(roots)))
+    return bool(np.any(beyond(roots) & swinging(roots) & ~drifting(roots)))
 
 
 def topples(M: np.ndarray) -> bool:
     """Whether a loop with this matrix has a growing motion that does not swing."""
     roots = scipy.linalg.eigvals(M)
-    return bool(np.any(growing(roots) & ~swinging(roots)))
+    return bool(np.any(beyond(roots) & ~swinging(roots)))
 
 
 def fastest(roots: np.ndarray, period: float, *, swing: bool) -> float:
     """Growth rate of the roots that swing, or of those that do not [1/s]; -inf if there is none."""
-    sizes = np.abs(roots[swinging(roots) == swing])
+    sizes = np.abs(roots[(swinging(roots) == swing) & ~neutral(roots)])
     largest = float(sizes.max(initial=0.0))
     return float(np.log(largest)) / period if largest > 0.0 else -np.inf
 
