@@ -27,6 +27,7 @@ from jaxact.plotting import stability_map as _map
 from jaxact.plotting import step as _step
 from jaxact.plotting import trajectory as _trajectory
 from jaxact.plotting.response import LoopResponse
+from jaxact.plotting.wording import quantity
 from jaxact.plotting.zero_line import zero_line
 from jaxact.sweeping import agreement
 from jaxact.verbs import map_lines, naming, responses
@@ -174,8 +175,6 @@ def _units(one: xr.Dataset) -> tuple[str, str]:
 
 
 def _label(row: xr.Dataset, dims: Sequence[Any]) -> str:
-    from jaxact.plotting.wording import quantity
-
     words = []
     for dim in dims:
         value, units = row[dim].values[()], str(row[dim].attrs.get("units", ""))
