@@ -81,6 +81,7 @@ def test_margins_equal_the_oracle(capsys, actuator):
             )
 
 
+@pytest.mark.exhaustive
 def test_margins_of_an_unstable_loop_are_null(capsys):
     said = _said(capsys, "margins", "--actuator", "starleth", "--delay", "0.005", "--kp", "1200",
                  "--kd", "60", "--control-rate", "1000", "--json")  # fmt: skip
@@ -196,6 +197,7 @@ def test_curves_of_one_picture_end_together():
     assert len(drawn) == 4 and len(ends) == 1 and ends.pop()[1] >= 3.0 / 0.004
 
 
+@pytest.mark.exhaustive
 def test_step_responses(capsys):
     said = _said(capsys, "step", "--actuator", "hyq", "starleth", "--delay", "0.005", "--kp", "400",
                  "--kd", "20", "400", "--duration", "0.2", "--out", "step.pdf")  # fmt: skip
@@ -231,6 +233,7 @@ def _again(capsys, arguments):
     return capsys.readouterr().err
 
 
+@pytest.mark.exhaustive
 def test_simulate_takes_a_specification_then_set_then_options(capsys):
     Path("spec.toml").write_text(
         'duration = 0.1\n[parameters]\nactuator = "hyq"\nkp = 300\n[axes]\nkd = [10, 20]\n'

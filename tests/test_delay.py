@@ -9,6 +9,7 @@ from quickly import compiled_quickly as compiled_quickly
 from jaxact.drive import delay
 
 
+@pytest.mark.exhaustive
 @settings(max_examples=15)  # each compiles lines of its own
 @given(whole=st.integers(0, 40), joints=st.integers(1, 3))
 def test_a_whole_delay_is_a_shift(whole, joints):

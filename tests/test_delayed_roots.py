@@ -61,6 +61,7 @@ def _swept(text):
     return execute.run(specification, expand(specification))
 
 
+@pytest.mark.exhaustive
 def test_gains_that_hardly_do_anything_at_the_end_of_a_long_line():
     """A short Krylov space saw one of these decay at 8.8 1/s: it grows at 5.7."""
     kp = np.geomspace(0.001, 0.03, 12)
@@ -86,6 +87,7 @@ def test_what_does_not_come_back_has_no_growth_rate_and_is_not_stable():
         assert np.all(found["verdict"] != Verdict.STABLE)
 
 
+@pytest.mark.exhaustive
 def test_slow_pairs_of_any_damping():
     """Close to their roots the open loop passes gain 1 twice in a narrow band of frequencies."""
     damping = np.linspace(0.4, 1.1, 36)
@@ -104,6 +106,7 @@ def test_slow_pairs_of_any_damping():
     np.testing.assert_allclose(found["growth_rate"], np.ravel(want), rtol=5e-3)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("rate", [1e3, 1e4])
 def test_actuators_far_slower_than_the_control_period(rate):
     """Of a grid of gains, whose polynomials in z lose such modes."""
@@ -172,6 +175,7 @@ def test_robots_with_lines_of_tens_of_periods():
                 assert abs(got - want) <= 0.01 * abs(want) + 0.02
 
 
+@pytest.mark.exhaustive
 def test_a_stable_loop_whose_numbers_overflow_is_invalid():
     """Its growth rate is negative, but the metrics of its rollout are not numbers."""
     text = (

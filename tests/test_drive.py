@@ -54,6 +54,7 @@ def simulate(drive, *, mass=0.7, ticks=200, substeps=1, key=None, slots=None, **
     return jax.tree.map(np.asarray, path)
 
 
+@pytest.mark.exhaustive
 @settings(max_examples=12)
 @given(
     shares=st.tuples(*[st.floats(0.0, 1.0)] * 3),

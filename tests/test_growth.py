@@ -41,6 +41,7 @@ def _map(kp, kd, wn, zeta, delay):
     return jax.lax.map(lambda tile: jax.vmap(one)(*tile), (kp, kd))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "delay"), CASES)
 def test_every_verdict_and_growth_rate_of_a_large_map(name, delay):
     wn, zeta = PRESETS[name]
@@ -79,6 +80,7 @@ def _late_rates(kp, kd, wn, zeta, delay, cutoff):
     return jax.vmap(one)(kp, kd)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("quickly_compiled")
 @pytest.mark.parametrize("cutoff", [np.inf, 500.0])
 def test_differenced_velocity_and_long_delays(cutoff):

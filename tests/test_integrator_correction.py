@@ -112,6 +112,7 @@ def _asked(folder, head, plant, rest):
     return reading.parse(f"{head}\nintegrator_correction = true\n[plant]\n{plant}\n{rest}", folder)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("engine", ["mjx", "mujoco"])
 def test_growth_rates_of_a_robot_are_those_of_the_exact_loop(engine, tmp_path):
     """The slide joint as if it were a robot, in steps of 0.5 ms; and read back from its text."""

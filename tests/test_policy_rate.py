@@ -87,6 +87,7 @@ def test_a_robots_moving_setpoint_is_held_as_in_a_plain_loop(tmp_path, late):
         assert np.abs(run.command[every, 0] - commands).max() < 0.05 * np.abs(commands).max()
 
 
+@pytest.mark.exhaustive
 def test_a_step_is_one_whatever_the_policy(tmp_path):
     """The first tick is the policy's too: the same bits as without one."""
     free = simulated(parameters=f"kp = {KP}\nkd = {KD}", folder=tmp_path)

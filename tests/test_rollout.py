@@ -156,6 +156,7 @@ def _evaluate(drive):
     return _run(drives.options(drive), drive, jax.random.key(0))
 
 
+@pytest.mark.exhaustive
 def test_a_saturated_unstable_loop_ends_in_a_limit_cycle():
     """Far smaller than the settling band, and still shaking: held against a plain simulation."""
     drive = Drive(Controller(8e3, 400.0), Actuator(delay=5e-3, force_limit=50.0))

@@ -78,6 +78,7 @@ def test_command_is_delayed_by_the_delay():
     np.testing.assert_allclose(delayed[3:], 0.9 * command[1:-2] + 0.1 * command[:-3], rtol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_several_loops_are_what_each_of_them_is_alone():
     text = BASE.replace("feedforward = [0.0]", "kp = [200.0, 400.0]\nkd = [10.0, 20.0]")
     specification = _specification(text)

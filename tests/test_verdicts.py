@@ -133,6 +133,7 @@ def test_between_two_counts_it_is_what_the_describing_function_of_a_relay_predic
     assert found["limit_cycle_frequency"][0] == pytest.approx(crossing, rel=0.07)
 
 
+@pytest.mark.exhaustive
 def test_a_map_of_quantised_loops_is_the_same_for_every_setpoint():
     axes = """
 [axes]

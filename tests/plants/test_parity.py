@@ -126,6 +126,7 @@ BALL = """
   <geom name="ball{i}" size="0.05" mass="1" contype="{bit}" conaffinity="0" {ball}/></body>"""
 
 
+@pytest.mark.exhaustive
 def test_fields_of_contacts():
     fields = {
         "plain": ("", ""),

@@ -67,6 +67,7 @@ def test_one_or_two_devices_give_the_same_bits(noisy):
     _same(noisy, _run(NOISY, "devices=1"))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("compiled_fully")
 def test_a_sample_does_not_depend_on_its_neighbours(noisy):
     """Every third sample alone, at other places of other tiles, keyed by number."""
@@ -79,6 +80,7 @@ def test_a_sample_does_not_depend_on_its_neighbours(noisy):
             np.testing.assert_array_equal(row, noisy[name][numbers], err_msg=name)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("compiled_fully")
 def test_other_tiles_give_the_same_figures(noisy):
     other = _run(NOISY, "tile=8")

@@ -190,6 +190,7 @@ def test_a_machine_with_little_free_memory_still_sweeps(monkeypatch):
     assert robot > memory.base("mjx", robot=False) > memory.base("mass", robot=False)
 
 
+@pytest.mark.exhaustive
 def test_a_sweep_of_a_hundred_million_loops_stays_within_its_memory(tmp_path):
     (tmp_path / "huge.toml").write_text(HUGE)
     bound = int(1.4 * 2**30)
@@ -245,6 +246,7 @@ def test_rates_are_kept_and_the_fastest_tile_is_taken(monkeypatch, tmp_path):
     assert throughput.best_tile(short, expand(short), say=said.append) is None and len(said) == 1
 
 
+@pytest.mark.exhaustive
 def test_tiles_are_really_measured(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert cache.usable() == ""

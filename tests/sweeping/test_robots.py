@@ -103,6 +103,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_varied_model_is_the_model_edited_by_hand(name, folder):
     value, plant = CHANGES[name], HOME + '\npayload_body = "lower"'

@@ -87,6 +87,7 @@ def test_a_plant_of_mjx_is_linear_in_the_gains():
     np.testing.assert_allclose(got, want, rtol=1e-6, atol=2e-3)
 
 
+@pytest.mark.exhaustive
 def test_what_is_not_linear_in_the_gains_goes_by_itself(monkeypatch):
     """The fourth pair of gains would tell."""
     asked = reading.parse(MAP.format(engine="mass", rate=1000.0, delays="[0, 0.0013, 0.005]"))

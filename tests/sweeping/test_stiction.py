@@ -96,6 +96,7 @@ def test_push_amplitude_and_frequency_are_those_of_plain_mujoco(tmp_path, limit)
     assert "N m" in held.sentence and "rad/s" in held.sentence
 
 
+@pytest.mark.exhaustive
 def test_without_a_limit_of_force_the_shaking_grows(tmp_path):
     held = stiction.nominal(specification(tmp_path / "h.xml", HINGE.format(loss=0.3, limit="")))
     assert held.amplitude == np.inf

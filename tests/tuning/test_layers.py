@@ -36,6 +36,7 @@ def _gains(members):
     return np.log(0.04 * members.mass / members.lag**2), np.log(0.3 * members.mass / members.lag)
 
 
+@pytest.mark.exhaustive
 def test_slopes_of_exact_figures_are_those_of_central_differences(members):
     log_kp, log_kd = _gains(members)
     plant = {name: getattr(members, name) for name in PARAMETERS}

@@ -191,6 +191,7 @@ def test_gains_are_never_worse_than_the_start(arm, tuned):
     assert again.certified and again.value >= tuned.value * (1.0 - 1e-12)
 
 
+@pytest.mark.exhaustive
 def test_what_cannot_be_met_is_said_with_the_closest_value(known):
     situations = known
     one = situations[:1]

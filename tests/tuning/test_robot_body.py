@@ -135,6 +135,7 @@ def test_gains_hold_for_every_payload_of_the_box(folder, laden):
     assert any("payload" in name for name in tuned.certificate.binding)
 
 
+@pytest.mark.exhaustive
 def test_rollouts_carry_the_same_payloads(laden):
     one, tuned = laden
     held = robot_result.hold(tuned, 1.0)

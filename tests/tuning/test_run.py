@@ -154,6 +154,7 @@ def test_sampled_margins_count_where_a_control_rate_is_given():
     assert tuned.kp == pytest.approx(held.kp, rel=0.02)
 
 
+@pytest.mark.exhaustive
 def test_a_filter_of_the_velocity_counts_in_continuous_time():
     """Against frequency responses on a dense grid, with poles and zeros written out here."""
     mass, wn, zeta, delay, cutoff = 0.7, 110.0, 0.9, 1e-3, 60.0

@@ -60,6 +60,7 @@ def test_delays_are_those_of_a_loop_by_hand(command_steps, measurement_steps):
     assert np.asarray(found) == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_the_growth_rate_is_that_of_the_margins():
     loop = jx.joint(kp=80.0, kd=2.0, mass=J, actuator="starleth", delay=0.002)
     drive = jx.drive_around(step, loop, measure=measure, physics_step=H, joints=2)

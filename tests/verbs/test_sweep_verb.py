@@ -67,6 +67,7 @@ def test_results_are_kept_resumed_and_not_replaced(loop, maps, tmp_path):
     assert jx.load_result(tmp_path / "out").attrs["complete"]
 
 
+@pytest.mark.exhaustive
 def test_presets_are_an_axis():
     found = jx.sweep(jx.joint(), duration=0.25, actuator=["hyq", "ideal"], kp=[100.0])
     assert list(found.actuator.values) == ["hyq", "ideal"]
