@@ -144,7 +144,12 @@ def specification(loop: ControlLoop, **options: Any) -> Specification:
 
 
 def linear_specification(loop: ControlLoop, **options: Any) -> Specification:
-    """As `specification`, of a loop that is not going to be simulated: for any control rate."""
+    """As `specification`, of a loop that is not going to be simulated: for any control rate.
+
+    What moves the loop, a push or a motion of its setpoint, is left out: its margins are the same.
+    """
+    still = dataclasses.replace(loop.kind, motion=None, push=None)
+    loop = dataclasses.replace(loop, kind=still)
     rates = loop.parameters["control_rate"]
     slowest = 1.0 if is_traced(loop) else float(np.min(rates))
     return specification(loop, duration=checks.shortest_duration(slowest), **options)

@@ -11,6 +11,7 @@ from robots import QUADRUPED
 from theory import CONTINUOUS, figures, plant_values, sampled_matrix
 
 import jaxact as jx
+from jaxact.loops.specification import Push
 
 ORACLE = json.loads((Path(__file__).parents[1] / "data" / "paper_loop.json").read_text())
 SHORT = {"kp": "kp", "kd": "kd", "mass": "mass", "wn": "natural_frequency",
@@ -143,6 +144,12 @@ def test_a_robots_margins_are_arrays_over_loops_and_joints(standing):
     leaves = jax.tree.leaves(jax.tree.map(np.asarray, found))
     assert all(isinstance(leaf, np.ndarray) for leaf in leaves)
     assert "delay 5 ms" in repr(found) and "LF_HAA" in repr(found)
+
+
+def test_what_moves_a_robot_does_not_change_its_margins(standing):
+    loop, found = standing
+    pushed = loop[0].replace(push=Push(body="trunk", impulse=(0.0, 1.0, 0.0)))
+    assert jx.margins(pushed).delay_margin == found.delay_margin[0]
 
 
 def test_a_robot_cannot_be_traced(standing):
