@@ -147,7 +147,7 @@ _TABLE = (
     ),
     Parameter(
         "force_limit", "force limit", "N", INF, 1e-9, 1e12, True,
-        "Largest force of the actuator, to both sides; inf: none.",
+        "Largest force of the actuator, in either direction; inf: none.",
     ),
     Parameter(
         "force_rate_limit", "force rate limit", "N/s", INF, 1e-9, 1e15, True,

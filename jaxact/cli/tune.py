@@ -61,7 +61,7 @@ def main(
         float,
         arg(
             metavar="VALUE",
-            help="Smallest disk margin, against gain and phase off, in every joint by its own; "
+            help="Smallest disk margin, against gain and phase off, in each joint separately; "
             "0: none.",
         ),
     ] = 0.0,
