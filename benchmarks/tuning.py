@@ -10,10 +10,10 @@ import numpy as np
 def rows(quick: bool) -> Iterator:
     """Lines of the table: a joint of many, and one ensemble of 32."""
     from benchmarks.timing import Row, alternate
-    from jaxact.tuning.ensemble import ensemble
     from jaxact.tuning.goal import Goal
-    from jaxact.tuning.joint import Case
-    from jaxact.tuning.run import tune_all
+    from jaxact.tuning.joint.ensemble import ensemble
+    from jaxact.tuning.joint.problem import Case
+    from jaxact.tuning.joint.search import tune_all
 
     number = 4 if quick else 64
     random = np.random.default_rng(0)
@@ -51,10 +51,12 @@ def rows(quick: bool) -> Iterator:
 def _nelder_mead(case) -> None:
     import scipy.optimize
 
-    from jaxact.tuning import joint, reference
+    from jaxact.tuning.joint import problem as joint
 
     problem = joint.problem([case])
-    kp, kd, _ = reference.simc(case.members)
+    # From the gains of the SIMC rule (Skogestad, Journal of Process Control 13, 2003).
+    lag, mass = 2.0 * case.members.lag.max(), case.members.mass.min()
+    kp, kd = mass / (4.0 * lag**2), mass / lag
 
     def penalised(x: np.ndarray) -> float:
         found = problem(x[None])

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxact.loops import robots
-from jaxact.tuning import simulated
-from jaxact.tuning.simulated_gradient import value_and_gradient
+from jaxact.tuning.rollouts import term as simulated
+from jaxact.tuning.rollouts.gradient import value_and_gradient
 
 KINDS = ("HAA", "HFE", "KFE")
 SIZE = 1e-4  # of the differences in the logarithm of a gain

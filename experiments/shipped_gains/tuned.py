@@ -12,11 +12,11 @@ import numpy as np
 from models import Robot
 
 from jaxact.robot_margins import whole_robot
-from jaxact.tuning import robot as _robot
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import Groups
-from jaxact.tuning.robot_loops import Situation, situation
-from jaxact.tuning.robot_tuned import RobotTuned
+from jaxact.tuning.robot import search as _robot
+from jaxact.tuning.robot.loops import Situation, situation
+from jaxact.tuning.robot.tuned import RobotTuned
 
 DELAY = 5e-3  # in the loop that is tuned [s]
 MAX_PEAK = 2.0  # Ms and Mt [-]

@@ -14,14 +14,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+import reference
 import scipy.optimize
 
-from jaxact.tuning import joint, reference
-from jaxact.tuning.ensemble import Ensemble, ensemble
 from jaxact.tuning.goal import Goal
-from jaxact.tuning.joint import Case
-from jaxact.tuning.response import timed
-from jaxact.tuning.run import tune_all
+from jaxact.tuning.joint import problem as joint
+from jaxact.tuning.joint.ensemble import Ensemble, ensemble
+from jaxact.tuning.joint.problem import Case
+from jaxact.tuning.joint.response import timed
+from jaxact.tuning.joint.search import tune_all
 
 RESULTS = Path("results/tuning")
 MAX_PEAK = 1.6

@@ -24,14 +24,15 @@ import cases  # noqa: E402
 import numpy as np  # noqa: E402
 
 from jaxact.cli import _robot_report  # noqa: E402
-from jaxact.tuning import robot, robot_result  # noqa: E402
-from jaxact.tuning.exposure import exposed  # noqa: E402
 from jaxact.tuning.goal import Goal  # noqa: E402
 from jaxact.tuning.groups import group  # noqa: E402
-from jaxact.tuning.robot_certificate import exact  # noqa: E402
-from jaxact.tuning.robot_loops import situation  # noqa: E402
-from jaxact.tuning.robot_uncertainty import read_spans  # noqa: E402
-from jaxact.tuning.validation import Validation, validate  # noqa: E402
+from jaxact.tuning.robot import result as robot_result  # noqa: E402
+from jaxact.tuning.robot import search as robot  # noqa: E402
+from jaxact.tuning.robot.exact import exact  # noqa: E402
+from jaxact.tuning.robot.loops import situation  # noqa: E402
+from jaxact.tuning.robot.uncertainty import read_spans  # noqa: E402
+from jaxact.tuning.rollouts.exposure import exposed  # noqa: E402
+from jaxact.tuning.rollouts.validation import Validation, validate  # noqa: E402
 
 RESULTS = HERE.parent.parent / "results" / "tuning" / "quadruped"
 GROUPS = ("HAA", "HFE", "KFE")

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxact.tuning.robot_tuned import RobotTuned
-    from jaxact.tuning.run import Tuned
+    from jaxact.tuning.joint.search import Tuned
+    from jaxact.tuning.robot.tuned import RobotTuned
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def of_joint(points: Sequence[Tuned], unit: str) -> Front:
 
 def of_robot(points: Sequence[RobotTuned]) -> Front:
     """The front of a robot."""
-    from jaxact.tuning import robot_result
+    from jaxact.tuning.robot import result as robot_result
 
     first = points[0]
     joints = first.groups.first

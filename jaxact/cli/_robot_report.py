@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxact.tuning.robot_result import Held
-    from jaxact.tuning.robot_tuned import RobotTuned
-    from jaxact.tuning.validation import Validation
+    from jaxact.tuning.robot.result import Held
+    from jaxact.tuning.robot.tuned import RobotTuned
+    from jaxact.tuning.rollouts.validation import Validation
 
 _WIDTH = 110
 
@@ -23,7 +23,7 @@ def report(tuned: RobotTuned, held: Held | None) -> dict[str, Any]:
 
     held: against rollouts, None if it was not
     """
-    from jaxact.tuning import robot_result
+    from jaxact.tuning.robot import result as robot_result
 
     certificate, groups = tuned.certificate, tuned.groups
     before = tuned.exact_before is not None
@@ -230,7 +230,7 @@ def _rendered(table: Any) -> str:
 
 def validated(tuned: RobotTuned, duration: float) -> Held | None:
     """The gains held against nonlinear rollouts; None for a duration of 0 s."""
-    from jaxact.tuning import robot_result
+    from jaxact.tuning.robot import result as robot_result
 
     return robot_result.hold(tuned, duration) if duration > 0.0 else None
 
@@ -245,7 +245,7 @@ def write_folder(folder: Path, tuned: RobotTuned, held: Held | None, command: st
     from jaxact.plotting import robot_tuning as pictures
     from jaxact.plotting.convergence import convergence
     from jaxact.plotting.robot_gains import gains
-    from jaxact.tuning import robot_result
+    from jaxact.tuning.robot import result as robot_result
 
     text = robot_result.toml_text(tuned, held, command)
     (folder / "gains.toml").write_text(text, encoding="utf-8")
@@ -280,7 +280,7 @@ def write_folder(folder: Path, tuned: RobotTuned, held: Held | None, command: st
 def _bands(tuned: RobotTuned, gains: tuple[np.ndarray, np.ndarray]) -> list[Any]:
     """Singular values of every situation's loops with gains of the joints."""
     from jaxact.plotting.robot_tuning import Band
-    from jaxact.tuning.robot_figures import sensitivity
+    from jaxact.tuning.robot.peaks import sensitivity
 
     bands = []
     for place, one in enumerate(tuned.situations):

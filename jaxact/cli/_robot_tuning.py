@@ -27,7 +27,7 @@ from jaxact.errors import UserError
 if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
     from jaxact.tuning.goal import Goal
-    from jaxact.tuning.robot_loops import Situation
+    from jaxact.tuning.robot.loops import Situation
 
 # Samples of the uncertainty where no number is given.
 SAMPLES = 8
@@ -171,11 +171,12 @@ def run(
         raise UserError("--pareto: cannot be combined with --tracking-weight")
 
     from jaxact.tuning import pareto as _pareto
-    from jaxact.tuning import robot, robot_front
     from jaxact.tuning.groups import group
-    from jaxact.tuning.robot_loops import situation
-    from jaxact.tuning.robot_tracking import Wish
-    from jaxact.tuning.robot_uncertainty import read_spans
+    from jaxact.tuning.robot import front as robot_front
+    from jaxact.tuning.robot import search as robot
+    from jaxact.tuning.robot.loops import situation
+    from jaxact.tuning.robot.uncertainty import read_spans
+    from jaxact.tuning.rollouts.tracking import Wish
 
     if pareto:
         _pareto.peaks(pareto)

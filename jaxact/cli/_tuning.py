@@ -14,7 +14,7 @@ from jaxact.cli import _loops
 from jaxact.verbs.margin_tables import ALWAYS, MARGINS, plain
 
 if TYPE_CHECKING:
-    from jaxact.tuning.run import Tuned
+    from jaxact.tuning.joint.search import Tuned
 
 _SHOWN = ("gain_margin", "phase_margin", "delay_margin", "sensitivity_peak", "complementary_peak",
           "disk_margin")  # fmt: skip

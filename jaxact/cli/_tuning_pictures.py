@@ -14,9 +14,9 @@ from jaxact.verbs import naming
 if TYPE_CHECKING:
     from jaxact.plotting.convergence import Missed
     from jaxact.plotting.tuning_map import Boundary
-    from jaxact.tuning.ensemble import Ensemble
-    from jaxact.tuning.robot_tuned import RobotTuned
-    from jaxact.tuning.run import Tuned
+    from jaxact.tuning.joint.ensemble import Ensemble
+    from jaxact.tuning.joint.search import Tuned
+    from jaxact.tuning.robot.tuned import RobotTuned
 
 _GRID = 110
 _FIELDS = ("mass", "natural_frequency", "damping_ratio", "delay")
@@ -67,7 +67,7 @@ def missed(tuned: Tuned | RobotTuned) -> Missed | None:
 
 def _binding(tuned: Tuned) -> Ensemble:
     """A few members that say where the bounds are: those that bind, else the first."""
-    from jaxact.tuning.ensemble import chosen
+    from jaxact.tuning.joint.ensemble import chosen
 
     named = {tuned.members.name(i): i for i in range(len(tuned.members))}
     index = [named[name] for name in tuned.certificate.binding if name in named][:4]
@@ -76,7 +76,7 @@ def _binding(tuned: Tuned) -> Ensemble:
 
 def _plane(tuned: Tuned) -> Any:
     from jaxact.plotting.tuning_map import Plane
-    from jaxact.tuning import figures
+    from jaxact.tuning.joint import metrics
 
     members = _binding(tuned)
     pairs = np.array([pair for pair in (tuned.before, (tuned.kp, tuned.kd)) if pair is not None])
@@ -87,7 +87,7 @@ def _plane(tuned: Tuned) -> Any:
     kp, kd = kp[:: _GRID // grid], kd[:: _GRID // grid]
     log_kp, log_kd = np.meshgrid(np.log(kp), np.log(kd))
     shaped = {name: getattr(members, name)[:, None, None] for name in _FIELDS}
-    found = figures.evaluate(log_kp[None], log_kd[None], shaped, sampling)
+    found = metrics.evaluate(log_kp[None], log_kd[None], shaped, sampling)
     peak = np.maximum(found.log["sensitivity_peak"], found.log["complementary_peak"])
     worst = np.where(found.stable, peak, np.inf).max(axis=0)
     ranges = {"kp_range": (low[0], high[0]), "kd_range": (low[1], high[1])}
@@ -130,8 +130,8 @@ def _convergence(tuned: Tuned) -> Any:
 
 def _steps(tuned: Tuned, loops: _loops.Loops) -> Any:
     from jaxact.plotting.step_band import Responses, step_band
-    from jaxact.tuning.ensemble import joined
-    from jaxact.tuning.response import step_responses
+    from jaxact.tuning.joint.ensemble import joined
+    from jaxact.tuning.joint.response import step_responses
 
     members = tuned.members
     several = len(members) > 1
@@ -155,7 +155,7 @@ def _steps(tuned: Tuned, loops: _loops.Loops) -> Any:
 
 def _nominal(loops: _loops.Loops, tuned: Tuned) -> Ensemble:
     """The plant that was named, as an ensemble of one."""
-    from jaxact.tuning.ensemble import ensemble
+    from jaxact.tuning.joint.ensemble import ensemble
 
     own = loops.one(0)
     delay = sum(own[name] for name in naming.DELAYS)

@@ -15,8 +15,8 @@ from jaxact.cli._pictures import VELOCITIES, Velocity, check_continuous
 from jaxact.errors import UserError, nearest, shown
 
 if TYPE_CHECKING:
-    from jaxact.tuning.ensemble import Ensemble
     from jaxact.tuning.goal import Goal
+    from jaxact.tuning.joint.ensemble import Ensemble
 
 # Exit code of a result that does not meet what was asked.
 NOT_MET = 1
@@ -194,8 +194,8 @@ def main(
     from jaxact.cli import _front, _tuning
     from jaxact.tuning import pareto as _pareto
     from jaxact.tuning.goal import OBJECTIVES
-    from jaxact.tuning.robust import tune_box
-    from jaxact.tuning.run import tune
+    from jaxact.tuning.joint.robust import tune_box
+    from jaxact.tuning.joint.search import tune
     from jaxact.tuning.uncertainty import read_box
 
     if pareto:
@@ -294,7 +294,7 @@ def _reference(path: Path) -> tuple[tuple[float, ...], float]:
 
 def _nominal(chosen: _loops.Loops, velocity: str, *, sampled: bool) -> Ensemble:
     """The plant that was named, as an ensemble of one."""
-    from jaxact.tuning.ensemble import Sampling, ensemble
+    from jaxact.tuning.joint.ensemble import Sampling, ensemble
 
     if not sampled:
         check_continuous(chosen, velocity)
@@ -307,6 +307,6 @@ def _nominal(chosen: _loops.Loops, velocity: str, *, sampled: bool) -> Ensemble:
 
 
 def _descent(steps: int) -> Any:
-    from jaxact.tuning.optimize import Descent
+    from jaxact.tuning.optimise import Descent
 
     return Descent(steps=steps)

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from jaxact.tuning import joint
-from jaxact.tuning.figures import Exact
 from jaxact.tuning.goal import Goal, tail_weights
-from jaxact.tuning.joint import Case
+from jaxact.tuning.joint import problem as joint
+from jaxact.tuning.joint.metrics import Exact
+from jaxact.tuning.joint.problem import Case
 from jaxact.tuning.polish import MET
 
 # Constraints this near to their bound (relative) are called binding.

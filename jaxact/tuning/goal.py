@@ -56,7 +56,8 @@ class Goal:
     min_gain_margin: [-], >= 1, 1 = none
     min_delay_margin: [s], >= 0, 0 = none
     min_disk_margin: balanced [-], >= 0, 0 = none
-    max_noise_gain: force rms per encoder count [N/m], > 0, inf = none; see `jaxact.tuning.noise`
+    max_noise_gain: force rms per encoder count [N/m], > 0, inf = none; see
+        `jaxact.tuning.joint.noise`
     min_kp, max_kp: stiffness [N/m], 0 and inf = none
     risk: "worst" member, "mean", or "cvar:A", the mean of the worst share 1 - A of the members;
         every member is stable, whichever is asked

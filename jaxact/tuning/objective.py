@@ -17,8 +17,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxact.tuning.spectrum import softmax
-
 # Weight of a violation; larger than any multiplier of a constraint in logarithms.
 PENALTY = 40.0
 
@@ -45,6 +43,11 @@ class Smooth:
 Figures = Mapping[str, jax.Array]
 Surrogate = Callable[[jax.Array, Any, jax.Array], Smooth]
 """(log-gains (d,), data of one case, sharpness) -> what the descent sees."""
+
+
+def softmax(values: jax.Array, sharpness: jax.Array) -> jax.Array:
+    """ln(sum exp(s x)) / s over all values: their maximum as s grows."""
+    return jax.scipy.special.logsumexp(sharpness * values) / sharpness
 
 
 def combine(

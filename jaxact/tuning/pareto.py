@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.tuning.ensemble import Ensemble
 from jaxact.tuning.goal import Goal
-from jaxact.tuning.joint import Case
-from jaxact.tuning.optimize import Descent
-from jaxact.tuning.run import STARTS, Tuned, tune_all
+from jaxact.tuning.joint.ensemble import Ensemble
+from jaxact.tuning.joint.problem import Case
+from jaxact.tuning.joint.search import STARTS, Tuned, tune_all
+from jaxact.tuning.optimise import Descent
 
 LOWEST, HIGHEST = 1.15, 3.0
 MOST = 200
@@ -39,7 +39,8 @@ def front(
 ) -> list[Tuned]:
     """The best gains for every peak of `peaks`, all in one compiled descent.
 
-    members, goal, starts, how: as for `jaxact.tuning.run.tune`; the goal's own peak does not count
+    members, goal, starts, how: as for `jaxact.tuning.joint.search.tune`; the goal's own peak
+        does not count
     number: of points
     """
     cases = [Case(members, replace(goal, max_peak=float(peak))) for peak in peaks(number)]

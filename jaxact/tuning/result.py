@@ -10,10 +10,10 @@ import numpy as np
 
 from jaxact import __version__
 from jaxact.loops import toml
-from jaxact.tuning import figures
-from jaxact.tuning.ensemble import PARAMETERS
 from jaxact.tuning.goal import OBJECTIVES
-from jaxact.tuning.run import Tuned
+from jaxact.tuning.joint import metrics
+from jaxact.tuning.joint.ensemble import PARAMETERS
+from jaxact.tuning.joint.search import Tuned
 
 # Figure -> whether its largest value is the worst.
 _WORST = {
@@ -33,7 +33,7 @@ def worst(tuned: Tuned, *, before: bool = False) -> dict[str, float | None]:
     gains = tuned.before if before else (tuned.kp, tuned.kd)
     assert gains is not None
     kp, kd = np.log(gains)
-    found = figures.evaluate(kp, kd, tuned.members, tuned.members.sampling)
+    found = metrics.evaluate(kp, kd, tuned.members, tuned.members.sampling)
     if not found.stable.all():
         return dict.fromkeys(_WORST)
     ends = {name: np.max if large else np.min for name, large in _WORST.items()}

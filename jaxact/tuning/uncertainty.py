@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.tuning.ensemble import PARAMETERS, Ensemble, ensemble
+from jaxact.tuning.joint.ensemble import PARAMETERS, Ensemble, ensemble
 
 _SHORT = {"mass": "mass", "wn": "natural_frequency", "zeta": "damping_ratio", "delay": "delay"}
 _FACTORS = ("wn", "zeta")

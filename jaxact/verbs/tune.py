@@ -15,23 +15,26 @@ from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.parameters import base, canonical
-from jaxact.tuning import pareto, robot, robot_front, robust
-from jaxact.tuning import run as _run
+from jaxact.tuning import pareto
 from jaxact.tuning.certificate import Certificate
-from jaxact.tuning.ensemble import Ensemble, Sampling, ensemble
 from jaxact.tuning.goal import Goal, check
 from jaxact.tuning.groups import group
-from jaxact.tuning.optimize import Descent
+from jaxact.tuning.joint import robust
+from jaxact.tuning.joint import search as _run
+from jaxact.tuning.joint.ensemble import Ensemble, Sampling, ensemble
+from jaxact.tuning.optimise import Descent
 from jaxact.tuning.phases import Phase, silent
-from jaxact.tuning.robot_tracking import Wish
-from jaxact.tuning.robot_uncertainty import read_spans
+from jaxact.tuning.robot import front as robot_front
+from jaxact.tuning.robot import search as robot
+from jaxact.tuning.robot.uncertainty import read_spans
+from jaxact.tuning.rollouts.tracking import Wish
 from jaxact.tuning.uncertainty import read_box
 from jaxact.verbs import naming
 
 if TYPE_CHECKING:
-    from jaxact.tuning.robot_loops import Situation
-    from jaxact.tuning.robot_tuned import RobotTuned
-    from jaxact.tuning.run import Tuned
+    from jaxact.tuning.joint.search import Tuned
+    from jaxact.tuning.robot.loops import Situation
+    from jaxact.tuning.robot.tuned import RobotTuned
 
 Range = tuple[float, float] | str
 """(low, high), or as it is written on the command line: "0.8x..1.2x"."""
@@ -43,8 +46,8 @@ class TunedLoop:
 
     Attributes:
         loop: the loop with the gains in it; of a robot the first of its postures.
-        result: everything that was found, see `jaxact.tuning.run.Tuned` and
-            `jaxact.tuning.robot_tuned.RobotTuned`.
+        result: everything that was found, see `jaxact.tuning.joint.search.Tuned` and
+            `jaxact.tuning.robot.tuned.RobotTuned`.
         front: results along the front of stiffness against robustness, () where none was asked for.
     """
 
@@ -219,7 +222,7 @@ def _robot(
     loops: list[ControlLoop], goal: Goal, text: str, samples: int, groups: Sequence[str],
     starts: int, steps: int, seed: int, front: int, verify: bool, weight: float, phase: Phase,
 ) -> TunedLoop:  # fmt: skip
-    from jaxact.tuning.robot_loops import situation
+    from jaxact.tuning.robot.loops import situation
 
     spans = read_spans(text) if text else ()
     situations: list[Situation] = []

@@ -21,7 +21,7 @@ from jaxact.plants import warp
 from jaxact.simulation import engines, execute, plans, single
 from jaxact.status import Verdict
 from jaxact.sweeping import conduct, place, store, validation
-from jaxact.tuning.validation import validate
+from jaxact.tuning.rollouts.validation import validate
 
 LACKING = warp.lacking()
 needs_warp = pytest.mark.skipif(bool(LACKING), reason=LACKING or "MJX-Warp is there")

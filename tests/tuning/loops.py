@@ -5,7 +5,7 @@ import numpy as np
 
 from jaxact.analysis.joint.frequency import JointLoop
 from jaxact.analysis.joint.margins import margins
-from jaxact.tuning.ensemble import PARAMETERS
+from jaxact.tuning.joint.ensemble import PARAMETERS
 
 _MARGINS = jax.jit(margins)
 _SIZE = 512

@@ -11,14 +11,15 @@ import theory
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.analysis.joint.frequency import JointLoop
-from jaxact.tuning import figures, joint, noise, spectrum
-from jaxact.tuning.ensemble import PARAMETERS, Sampling, ensemble
 from jaxact.tuning.goal import Goal
-from jaxact.tuning.joint import Case
+from jaxact.tuning.joint import metrics, noise, spectrum
+from jaxact.tuning.joint import problem as joint
+from jaxact.tuning.joint.ensemble import PARAMETERS, Sampling, ensemble
+from jaxact.tuning.joint.problem import Case
+from jaxact.tuning.joint.rescue import SLOWER, rescue
 from jaxact.tuning.objective import Smooth, forward_gradient
-from jaxact.tuning.optimize import Descent, descend
+from jaxact.tuning.optimise import Descent, descend
 from jaxact.tuning.polish import Rows, polish
-from jaxact.tuning.rescue import SLOWER, rescue
 
 EXTRA = ("noise_gain", "bandwidth")
 
@@ -40,7 +41,7 @@ def _gains(members):
 def test_slopes_of_exact_figures_are_those_of_central_differences(members):
     log_kp, log_kd = _gains(members)
     plant = {name: getattr(members, name) for name in PARAMETERS}
-    found = figures.evaluate(log_kp, log_kd, plant, Sampling(), EXTRA)
+    found = metrics.evaluate(log_kp, log_kd, plant, Sampling(), EXTRA)
     assert found.stable.all()
     for column in range(6):
         ends = []
@@ -49,7 +50,7 @@ def test_slopes_of_exact_figures_are_those_of_central_differences(members):
             step = 1e-5 * (np.ones(8) if column < 2 else np.maximum(inputs[column], 1e-3))
             inputs[column] = inputs[column] + sign * step
             moved = dict(zip(PARAMETERS, inputs[2:], strict=True))
-            ends.append(figures.evaluate(inputs[0], inputs[1], moved, Sampling(), EXTRA))
+            ends.append(metrics.evaluate(inputs[0], inputs[1], moved, Sampling(), EXTRA))
         for name, slope in found.slope.items():
             numeric = (ends[0].log[name] - ends[1].log[name]) / (2.0 * step)
             np.testing.assert_allclose(slope[:, column], numeric, rtol=2e-4, atol=1e-4)
@@ -59,7 +60,7 @@ def test_smooth_figures_become_the_exact_ones(members):
     log_kp, log_kd = _gains(members)
     names = ("sensitivity_peak", "complementary_peak", "disk_margin", "gain_margin",
              "delay_margin", *EXTRA)  # fmt: skip
-    found = figures.evaluate(log_kp, log_kd, members, Sampling(), EXTRA)
+    found = metrics.evaluate(log_kp, log_kd, members, Sampling(), EXTRA)
     table = spectrum.tabulate(members, members.lag, 3000)
     with jax.enable_x64(True):
         table = jax.tree.map(jnp.asarray, table)
@@ -131,7 +132,7 @@ def test_noise_gain_is_the_h2_norm():
 
 def test_bandwidth_is_where_the_response_has_fallen_to_half_power(members):
     log_kp, log_kd = _gains(members)
-    found = figures.evaluate(log_kp, log_kd, members, Sampling(), EXTRA)
+    found = metrics.evaluate(log_kp, log_kd, members, Sampling(), EXTRA)
     w = np.exp(found.log["bandwidth"])
     m, wn, zeta, td = (getattr(members, name) for name in PARAMETERS)
     s = 1j * w

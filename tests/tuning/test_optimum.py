@@ -9,10 +9,10 @@ import pytest
 from loops import largest_peaks
 from quickly import optimised_little
 
-from jaxact.tuning.ensemble import PARAMETERS, Ensemble, ensemble
 from jaxact.tuning.goal import Goal
-from jaxact.tuning.joint import Case
-from jaxact.tuning.run import tune_all
+from jaxact.tuning.joint.ensemble import PARAMETERS, Ensemble, ensemble
+from jaxact.tuning.joint.problem import Case
+from jaxact.tuning.joint.search import tune_all
 
 DATA = Path(__file__).parent.parent / "data"
 ORACLE = json.loads((DATA / "tuner_optima.json").read_text())["cases"]

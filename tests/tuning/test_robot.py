@@ -14,23 +14,20 @@ from jaxact.loops import reading
 from jaxact.loops import robots as sweep_robots
 from jaxact.loops.samples import explicit
 from jaxact.simulation import outside, plans
-from jaxact.tuning import (
-    robot,
-    robot_figures,
-    robot_rows,
-    robot_tracking,
-    robot_uncertainty,
-    spectrum,
-    validation,
-)
-from jaxact.tuning.ensemble import Sampling, ensemble
-from jaxact.tuning.exposure import exposed
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
-from jaxact.tuning.robot_loops import open_loops, situation
-from jaxact.tuning.robot_rows import RobotCase
-from jaxact.tuning.robot_tracking import Wish
-from jaxact.tuning.robot_uncertainty import read_spans
+from jaxact.tuning.joint import spectrum
+from jaxact.tuning.joint.ensemble import Sampling, ensemble
+from jaxact.tuning.robot import peaks, rows
+from jaxact.tuning.robot import search as robot
+from jaxact.tuning.robot import uncertainty as robot_uncertainty
+from jaxact.tuning.robot.loops import open_loops, situation
+from jaxact.tuning.robot.rows import RobotCase
+from jaxact.tuning.robot.uncertainty import read_spans
+from jaxact.tuning.rollouts import tracking as robot_tracking
+from jaxact.tuning.rollouts import validation
+from jaxact.tuning.rollouts.exposure import exposed
+from jaxact.tuning.rollouts.tracking import Wish
 
 SLIDER = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body name="block">
 <joint name="slide" type="slide" axis="1 0 0"/><geom size="0.05" mass="0.7"/></body></worldbody>
@@ -103,12 +100,12 @@ def _fine(loops, index, kp, kd, points=4000):
 
 def test_every_loop_meets_its_bounds_on_a_fine_grid_and_some_reach_them(tuned):
     assert tuned.certified and tuned.feasible
-    peaks = np.array(
+    highest = np.array(
         [[values.max() for values in _fine(tuned.loops, i, tuned.kp, tuned.kd)]
          for i in range(len(tuned.loops))]
     )  # fmt: skip
-    assert np.all(peaks <= 1.8 * (1.0 + 1e-9))
-    assert peaks.max() == pytest.approx(1.8, rel=1e-5)
+    assert np.all(highest <= 1.8 * (1.0 + 1e-9))
+    assert highest.max() == pytest.approx(1.8, rel=1e-5)
     assert tuned.certificate.corners == 8 and len(tuned.loops) >= 16
 
 
@@ -130,10 +127,10 @@ def test_random_points_of_the_box_meet_the_bounds_too(arm, tuned):
 def test_exact_peaks_have_the_slopes_of_differences(arm):
     situations, _ = arm
     loops = open_loops(situations[:1], robot_uncertainty.corners(read_spans(SPANS)))
-    table = robot_figures.tabulate(loops)
+    table = peaks.tabulate(loops)
     kp, kd = np.array([90.0, 60.0]), np.array([5.0, 1.2])
-    names = tuple(robot_figures.SHIFTS)
-    found = robot_figures.peaks(table, kp, kd, names)
+    names = tuple(peaks.SHIFTS)
+    found = peaks.peaks(table, kp, kd, names)
     fine = [_fine(loops, i, kp, kd) for i in range(len(loops))]
     highest = {name: np.exp(found[name].highest) for name in names}
     # Only the highest are refined.
@@ -148,7 +145,7 @@ def test_exact_peaks_have_the_slopes_of_differences(arm):
                 for sign in (1.0, -1.0):
                     gains = [kp.copy(), kd.copy()]
                     gains[kind][joint] *= 1.0 + sign * 1e-5
-                    ends.append(robot_figures.peaks(table, *gains, [name])[name].highest[top])
+                    ends.append(peaks.peaks(table, *gains, [name])[name].highest[top])
                 step = 2e-5 * (kp, kd)[kind][joint]
                 slope = found[name].slope[top, row, joint, kind]
                 assert slope == pytest.approx((ends[0] - ends[1]) / step, rel=3e-3, abs=1e-7)
@@ -215,7 +212,7 @@ def test_an_unstable_start_is_rescued(arm):
     groups = group([], situations[0].names)
     far = np.array([4e3, 3e3]), np.array([1.0, 0.02])
     loops = open_loops(situations, robot_uncertainty.corners(spans))
-    assert robot_figures.growth_rates(loops, *far).max() > 0.0
+    assert peaks.growth_rates(loops, *far).max() > 0.0
     tuned = robot.tune(situations, Goal(max_peak=1.8), groups, number=4, start=far, **QUICK)
     assert tuned.certified and tuned.improved and np.isnan(tuned.value_before)
 
@@ -255,24 +252,24 @@ def test_a_group_of_all_shares_its_gains(known):
 
 def test_smooth_peaks_become_the_exact_ones(arm, tuned):
     """In float32, and where no peak lies between two frequencies of the table."""
-    from jaxact.tuning import robot_smooth
+    from jaxact.tuning.robot import smooth
 
     table, groups = tuned.table, tuned.groups
     goal = Goal(max_peak=2.0)
     x = groups.log_gains(tuned.kp, tuned.kd)
     low, high = x - 5.0, x + 5.0
     case = RobotCase(table, groups, goal, low, high)
-    data = robot_smooth.data(table, groups, goal, low, high, table.angle.shape[1])
-    surrogate = robot_smooth.RobotSurrogate(goal, len(table.loops))
-    smooth = jax.jit(lambda x, sharpness: surrogate(x, data, sharpness))
-    seen = smooth(np.float32(x), np.float32(1e4))
-    over = robot_rows.excess(case, x).max()
+    data = smooth.data(table, groups, goal, low, high, table.angle.shape[1])
+    surrogate = smooth.RobotSurrogate(goal, len(table.loops))
+    seen_at = jax.jit(lambda x, sharpness: surrogate(x, data, sharpness))
+    seen = seen_at(np.float32(x), np.float32(1e4))
+    over = rows.excess(case, x).max()
     assert float(seen.violation) == pytest.approx(over, abs=3e-3)
     assert float(seen.value) == pytest.approx(np.log(tuned.value), rel=1e-5)
     # Its slope is that of the exact rows' mean.
-    slope = jax.jit(jax.jacfwd(lambda x: smooth(x, np.float32(60.0)).violation))(np.float32(x))
+    slope = jax.jit(jax.jacfwd(lambda x: seen_at(x, np.float32(60.0)).violation))(np.float32(x))
     ends = [
-        smooth(np.float32(x + side), np.float32(60.0)).violation
+        seen_at(np.float32(x + side), np.float32(60.0)).violation
         for side in 5e-3 * np.concatenate([np.eye(4), -np.eye(4)])
     ]
     numeric = (np.array(ends[:4]) - np.array(ends[4:])) / 1e-2

@@ -13,12 +13,14 @@ from jaxact.loops import robots as sweep_robots
 from jaxact.loops.samples import explicit
 from jaxact.plants import linearize
 from jaxact.simulation import outside, plans, spectra
-from jaxact.tuning import robot, robot_result, robot_uncertainty
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
-from jaxact.tuning.robot_figures import growth_rates
-from jaxact.tuning.robot_loops import open_loops, situation
-from jaxact.tuning.robot_uncertainty import read_spans
+from jaxact.tuning.robot import result as robot_result
+from jaxact.tuning.robot import search as robot
+from jaxact.tuning.robot import uncertainty as robot_uncertainty
+from jaxact.tuning.robot.loops import open_loops, situation
+from jaxact.tuning.robot.peaks import growth_rates
+from jaxact.tuning.robot.uncertainty import read_spans
 
 TEXT = """
 engine = "mujoco"

@@ -6,10 +6,11 @@ import robots
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.loops import reading
-from jaxact.tuning import robot, robot_front
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
-from jaxact.tuning.robot_loops import situation
+from jaxact.tuning.robot import front as robot_front
+from jaxact.tuning.robot import search as robot
+from jaxact.tuning.robot.loops import situation
 
 QUICK = {"starts": 2, "steps": 30}
 

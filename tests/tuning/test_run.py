@@ -10,13 +10,14 @@ from loops import largest_peaks, margins_of
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.errors import UserError
-from jaxact.tuning import joint, pareto
-from jaxact.tuning.ensemble import Sampling, ensemble
+from jaxact.tuning import pareto
 from jaxact.tuning.goal import Goal, tail_weights
-from jaxact.tuning.joint import Case
-from jaxact.tuning.response import timed
-from jaxact.tuning.robust import tune_box
-from jaxact.tuning.run import STARTS, tune, tune_all
+from jaxact.tuning.joint import problem as joint
+from jaxact.tuning.joint.ensemble import Sampling, ensemble
+from jaxact.tuning.joint.problem import Case
+from jaxact.tuning.joint.response import timed
+from jaxact.tuning.joint.robust import tune_box
+from jaxact.tuning.joint.search import STARTS, tune, tune_all
 from jaxact.tuning.uncertainty import read_box
 
 STARLETH = ensemble(0.7, 110.0, 0.9, 1e-3)

@@ -12,8 +12,8 @@ from robots import MONOPED, QUADRUPED
 from jaxact.errors import UserError
 from jaxact.loops import reading, robots
 from jaxact.loops.specification import Push
-from jaxact.tuning import simulated
-from jaxact.tuning.simulated_gradient import chosen, value_and_gradient, work
+from jaxact.tuning.rollouts import term as simulated
+from jaxact.tuning.rollouts.gradient import chosen, value_and_gradient, work
 
 SIZE = 1e-4
 

@@ -12,8 +12,8 @@ from jaxact.errors import UserError
 from jaxact.loops import reading, robots
 from jaxact.loops.specification import Push
 from jaxact.status import Verdict
-from jaxact.tuning.exposure import ERRORS, exposed, usual_push
-from jaxact.tuning.validation import validate
+from jaxact.tuning.rollouts.exposure import ERRORS, exposed, usual_push
+from jaxact.tuning.rollouts.validation import validate
 
 KP, KD = np.array([80.0, 30.0]), np.array([4.0, 1.0])
 PUSH = Push("lower", (0.0, 0.0, 0.2), 0.02, 0.03)

@@ -16,10 +16,10 @@ from jaxact.analysis.robot import disk as _disk
 from jaxact.analysis.robot import multiloop as _multiloop
 from jaxact.tuning.certificate import Certificate, Check
 from jaxact.tuning.goal import Goal
-from jaxact.tuning.robot_figures import SHIFTS, growth_rates, limits, peaks, sensitivity
-from jaxact.tuning.robot_loops import OpenLoops, Situation
-from jaxact.tuning.robot_rows import RobotCase, excess
-from jaxact.tuning.robot_uncertainty import Members
+from jaxact.tuning.robot.loops import OpenLoops, Situation
+from jaxact.tuning.robot.peaks import SHIFTS, growth_rates, limits, peaks, sensitivity
+from jaxact.tuning.robot.rows import RobotCase, excess
+from jaxact.tuning.robot.uncertainty import Members
 from jaxact.tuning.uncertainty import ascend, spread
 
 # Bounds this near (relative) are called binding.
@@ -61,7 +61,7 @@ def exact(loops: OpenLoops, kp: np.ndarray, kd: np.ndarray, figures: tuple[str, 
     """Stability and figures of every loop.
 
     kp, kd: gains of the joints, shape (m,)
-    figures: names of `jaxact.tuning.robot_figures.SHIFTS`
+    figures: names of `jaxact.tuning.robot.peaks.SHIFTS`
     """
     growth = growth_rates(loops, kp, kd)
     log = {name: np.full(len(loops), np.nan) for name in figures}

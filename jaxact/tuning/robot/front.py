@@ -18,11 +18,11 @@ import numpy as np
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.pareto import HIGHEST, LOWEST, peaks
 from jaxact.tuning.polish import MET
-from jaxact.tuning.robot_exchange import Reached, exchanged
-from jaxact.tuning.robot_loops import Situation
-from jaxact.tuning.robot_rows import Found, RobotCase, more, polished
-from jaxact.tuning.robot_search import approached, bounds
-from jaxact.tuning.robot_tuned import RobotTuned, Spent, judged, no_path
+from jaxact.tuning.robot.descent import approached, bounds
+from jaxact.tuning.robot.exchange import Reached, exchanged
+from jaxact.tuning.robot.loops import Situation
+from jaxact.tuning.robot.rows import Found, RobotCase, more, polished
+from jaxact.tuning.robot.tuned import RobotTuned, Spent, judged, no_path
 
 # The front begins so far above the smallest peak, and ends so far above it or above the bound that
 # was asked for.

@@ -8,18 +8,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jaxact.tuning import robot_certificate
 from jaxact.tuning.certificate import Certificate, Check, Effort, sentence
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import Groups
-from jaxact.tuning.optimize import Descended
+from jaxact.tuning.joint.search import wins
+from jaxact.tuning.optimise import Descended
 from jaxact.tuning.polish import MET
-from jaxact.tuning.robot_certificate import Exact, exact
-from jaxact.tuning.robot_exchange import Reached
-from jaxact.tuning.robot_figures import Table
-from jaxact.tuning.robot_loops import OpenLoops, Situation
-from jaxact.tuning.robot_rows import RobotCase
-from jaxact.tuning.run import wins
+from jaxact.tuning.robot.exact import Exact, certificate, exact
+from jaxact.tuning.robot.exchange import Reached
+from jaxact.tuning.robot.loops import OpenLoops, Situation
+from jaxact.tuning.robot.peaks import Table
+from jaxact.tuning.robot.rows import RobotCase
 
 Gains = tuple[np.ndarray, np.ndarray]
 
@@ -175,10 +174,8 @@ def _figures(
     if known is None or set(known.log) < set(wanted):
         known = exact(loops, *gains, wanted)
     corners = sum("corner" in name for name in loops.names)
-    certificate = robot_certificate.certificate(
-        loops, known, goal, gains, corners, reached.interior
-    )
-    return known, certificate, _value(goal, gains, known)
+    own = certificate(loops, known, goal, gains, corners, reached.interior)
+    return known, own, _value(goal, gains, known)
 
 
 def _agreeing(paths: Descended) -> float:

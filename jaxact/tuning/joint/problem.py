@@ -14,13 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.tuning import figures as _figures
-from jaxact.tuning.ensemble import PARAMETERS, Ensemble
-from jaxact.tuning.figures import Exact
 from jaxact.tuning.goal import Goal, tail_weights
+from jaxact.tuning.joint import metrics
+from jaxact.tuning.joint.ensemble import PARAMETERS, Ensemble
+from jaxact.tuning.joint.metrics import Exact
+from jaxact.tuning.joint.spectrum import Spectrum, log_figures, single_precision, tabulate
 from jaxact.tuning.objective import Smooth, combine
 from jaxact.tuning.polish import Problem, Rows
-from jaxact.tuning.spectrum import Spectrum, log_figures, single_precision, tabulate
 
 # Starts (a, b): kd = a m / lag, kp = b m / lag^2. Stable where b < a; the optima for peaks of 1.1
 # to 2.5 lie between them.
@@ -141,7 +141,7 @@ class JointSurrogate:
     """The smooth problem of a goal; its numbers come with the data, so that they may vary.
 
     goal: objective, kind of risk, and which constraints there are; see `family`
-    timed: `jaxact.tuning.response.Timed` for an objective in simulated time
+    timed: `jaxact.tuning.joint.response.Timed` for an objective in simulated time
     """
 
     goal: Goal
@@ -175,7 +175,7 @@ def exact(cases: Sequence[Case], x: np.ndarray, timed: Any = None) -> Exact:
     plants = {p: np.stack([getattr(c.members, p) for c in cases]) for p in PARAMETERS}
     first = cases[0]
     extra = tuple(name for name in first.goal.wanted if timed is None or name != timed.figure)
-    return _figures.evaluate(x[:, :1], x[:, 1:], plants, first.members.sampling, extra, timed)
+    return metrics.evaluate(x[:, :1], x[:, 1:], plants, first.members.sampling, extra, timed)
 
 
 def rows_of(case_goals: Sequence[Goal], x: np.ndarray, found: Exact) -> Rows:

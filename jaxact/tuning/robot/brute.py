@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.tuning import robot_smooth
 from jaxact.tuning.polish import MET
-from jaxact.tuning.robot_rows import Found, RobotCase, excess, rows
+from jaxact.tuning.robot import smooth
+from jaxact.tuning.robot.rows import Found, RobotCase, excess, rows
 
 MOST_GROUPS = 2
 # Points along each unknown, for two and for four of them.
@@ -37,16 +37,14 @@ def brute_force(case: RobotCase, centre: np.ndarray) -> Found:
     """
     size = len(centre)
     table = case.table.take(np.argsort(-excess(case, centre))[:_LOOPS])
-    data = robot_smooth.data(
-        table, case.groups, case.goal, case.low, case.high, table.angle.shape[1]
-    )
-    smooth = robot_smooth.RobotSurrogate(robot_smooth.family(case.goal), len(table.loops))
+    data = smooth.data(table, case.groups, case.goal, case.low, case.high, table.angle.shape[1])
+    surrogate = smooth.RobotSurrogate(smooth.family(case.goal), len(table.loops))
     offsets = np.array(list(itertools.product(np.linspace(-1.0, 1.0, _GRID[size]), repeat=size)))
     middle, width, tried = centre, _WIDTH, 0
     best = Found(centre, -np.inf, np.inf, 0, 0)
     for _ in range(_ROUNDS[size]):
         grid = np.clip(middle + width * offsets, case.low, case.high)
-        value, violation = map(np.asarray, _all(smooth, data, jnp.asarray(grid, jnp.float32)))
+        value, violation = map(np.asarray, _all(surrogate, data, jnp.asarray(grid, jnp.float32)))
         tried += len(grid)
         # Exact figures take long: no more points than it takes to find one that is fine.
         order = np.argsort(-np.where(violation <= _SLACK, value, -np.inf))[:_EXACTLY]

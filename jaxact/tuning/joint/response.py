@@ -26,8 +26,8 @@ from jaxact.drive.step import Drive
 from jaxact.loops.loop import Loop
 from jaxact.plants import Mass
 from jaxact.simulation import rollout
-from jaxact.tuning.ensemble import PARAMETERS, Ensemble, Sampling
 from jaxact.tuning.goal import Goal
+from jaxact.tuning.joint.ensemble import PARAMETERS, Ensemble, Sampling
 
 # Half-width of the band that counts as settled, relative to the step.
 BAND = 0.02

@@ -11,16 +11,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxact.tuning import joint, uncertainty
+from jaxact.tuning import uncertainty
 from jaxact.tuning.certificate import beyond, sentence
-from jaxact.tuning.ensemble import Ensemble, chosen, joined
 from jaxact.tuning.goal import Goal
-from jaxact.tuning.joint import Case
-from jaxact.tuning.optimize import Descent
+from jaxact.tuning.joint import problem as joint
+from jaxact.tuning.joint.ensemble import Ensemble, chosen, joined
+from jaxact.tuning.joint.problem import Case
+from jaxact.tuning.joint.response import timed as timed_of
+from jaxact.tuning.joint.search import STARTS, Tuned, result_of, tune
+from jaxact.tuning.optimise import Descent
 from jaxact.tuning.phases import Phase, silent
 from jaxact.tuning.polish import MET, polish
-from jaxact.tuning.response import timed as timed_of
-from jaxact.tuning.run import STARTS, Tuned, result_of, tune
 from jaxact.tuning.uncertainty import Box
 
 # How often the worst interior point may join the members.

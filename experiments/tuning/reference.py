@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxact.tuning import joint
 from jaxact.tuning.certificate import certify
-from jaxact.tuning.ensemble import Ensemble
-from jaxact.tuning.joint import Case
+from jaxact.tuning.joint import problem as joint
+from jaxact.tuning.joint.ensemble import Ensemble
+from jaxact.tuning.joint.problem import Case
 
 Gains = tuple[float, float, int]
 """kp [N/m], kd [N s/m], and the loops that had to be evaluated."""

@@ -3,9 +3,9 @@
     value - weight ln(rms),    rms = sqrt(mean of (q - r)^2)
 
 over ticks, joints, members and situations, in nonlinear rollouts after a push
-(`jaxact.tuning.simulated`). The weight says how many per cent of the objective one per cent less of
-the error is worth. The constraints stay what they are. One evaluation costs 1 + 2 g rollouts of
-every situation forwards, for g groups, or about ten backwards; and its compilation.
+(`jaxact.tuning.rollouts.term`). The weight says how many per cent of the objective one per cent
+less of the error is worth. The constraints stay what they are. One evaluation costs 1 + 2 g
+rollouts of every situation forwards, for g groups, or about ten backwards; and its compilation.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.tuning import simulated
-from jaxact.tuning.exposure import exposed
 from jaxact.tuning.groups import Groups
-from jaxact.tuning.robot_loops import Situation
-from jaxact.tuning.simulated import Term
-from jaxact.tuning.simulated_gradient import chosen, value_and_gradient
+from jaxact.tuning.robot.loops import Situation
+from jaxact.tuning.rollouts import term as simulated
+from jaxact.tuning.rollouts.exposure import exposed
+from jaxact.tuning.rollouts.gradient import chosen, value_and_gradient
+from jaxact.tuning.rollouts.term import Term
 
 # Length of the rollouts, whose first tenth ends with the push [s], and actuators in each situation.
 SECONDS, MEMBERS = 0.4, 2

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxact.tuning.polish import MET
-from jaxact.tuning.robot_figures import growth_rates, highest
-from jaxact.tuning.robot_rows import RobotCase, excess, part
+from jaxact.tuning.robot.peaks import growth_rates, highest
+from jaxact.tuning.robot.rows import RobotCase, excess, part
 
 # Factors on kp [ln], and, beside their square roots, on kd.
 _SCALES, _RATIOS = np.linspace(-7.0, 2.4, 9), np.linspace(-2.4, 2.4, 5)

@@ -13,12 +13,12 @@ from jaxact import __version__
 from jaxact.loops import robots, toml
 from jaxact.parameters import base
 from jaxact.robots import elements
-from jaxact.tuning.exposure import exposed
 from jaxact.tuning.goal import OBJECTIVES
-from jaxact.tuning.robot_loops import Situation
-from jaxact.tuning.robot_tuned import RobotTuned
-from jaxact.tuning.robot_uncertainty import OF_BODY
-from jaxact.tuning.validation import Validation, validate
+from jaxact.tuning.robot.loops import Situation
+from jaxact.tuning.robot.tuned import RobotTuned
+from jaxact.tuning.robot.uncertainty import OF_BODY
+from jaxact.tuning.rollouts.exposure import exposed
+from jaxact.tuning.rollouts.validation import Validation, validate
 
 
 @dataclass(frozen=True)

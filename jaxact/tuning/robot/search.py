@@ -17,18 +17,14 @@ from dataclasses import replace
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.tuning import robot_brute, robot_tracking
 from jaxact.tuning.certificate import Effort
 from jaxact.tuning.goal import Goal, check
 from jaxact.tuning.groups import Groups
-from jaxact.tuning.optimize import Descended, Descent
+from jaxact.tuning.optimise import Descended, Descent
 from jaxact.tuning.phases import Phase, silent
 from jaxact.tuning.polish import MET
-from jaxact.tuning.robot_exchange import Reached, exchanged
-from jaxact.tuning.robot_figures import tabulate
-from jaxact.tuning.robot_loops import Situation, open_loops
-from jaxact.tuning.robot_rows import Found, RobotCase, more, polished
-from jaxact.tuning.robot_search import (  # fmt: skip
+from jaxact.tuning.robot import brute
+from jaxact.tuning.robot.descent import (  # fmt: skip
     approached,
     best_of,
     bounds,
@@ -37,10 +33,15 @@ from jaxact.tuning.robot_search import (  # fmt: skip
     stabilised,
     usual,
 )
-from jaxact.tuning.robot_starts import Screened, apart, screened
-from jaxact.tuning.robot_tracking import Wish
-from jaxact.tuning.robot_tuned import Gains, RobotTuned, Spent, judged, no_path
-from jaxact.tuning.robot_uncertainty import NOMINAL, corners, joined, sample
+from jaxact.tuning.robot.exchange import Reached, exchanged
+from jaxact.tuning.robot.loops import Situation, open_loops
+from jaxact.tuning.robot.peaks import tabulate
+from jaxact.tuning.robot.rows import Found, RobotCase, more, polished
+from jaxact.tuning.robot.starts import Screened, apart, screened
+from jaxact.tuning.robot.tuned import Gains, RobotTuned, Spent, judged, no_path
+from jaxact.tuning.robot.uncertainty import NOMINAL, corners, joined, sample
+from jaxact.tuning.rollouts import tracking as robot_tracking
+from jaxact.tuning.rollouts.tracking import Wish
 
 STARTS, STEPS = 8, 80
 OBJECTIVES = ("stiffness", "disk-margin")
@@ -164,11 +165,11 @@ def _traded(reached: Reached, situations: Sequence[Situation], wish: Wish, seed:
 def _verified(reached: Reached) -> tuple[Reached, float]:
     """The best of a grid where that is better, and by how much it is."""
     found = reached.found
-    brute = robot_brute.brute_force(reached.case, found.x)
-    gap = float(np.expm1(max(brute.value - found.value, 0.0)))
-    if brute.value > found.value + 1e-3:
-        return replace(reached, found=more(brute, found.evaluations), known=None), gap
-    return replace(reached, found=more(found, brute.evaluations)), gap
+    best = brute.brute_force(reached.case, found.x)
+    gap = float(np.expm1(max(best.value - found.value, 0.0)))
+    if best.value > found.value + 1e-3:
+        return replace(reached, found=more(best, found.evaluations), known=None), gap
+    return replace(reached, found=more(found, best.evaluations)), gap
 
 
 def _instead(name: str, goal: Goal) -> str:
@@ -196,10 +197,10 @@ def _checked(wish: Wish | None, groups: Groups, *, verify: bool) -> Wish | None:
         wish = wish if wish.weight > 0.0 else None
     if wish is not None and verify:
         raise UserError("`verify`: cannot be combined with `tracking_weight`")
-    if verify and len(groups) > robot_brute.MOST_GROUPS:
+    if verify and len(groups) > brute.MOST_GROUPS:
         raise UserError(
             f"`verify`: tries {2 * len(groups)} gains against each other, which takes too long; "
-            f"group the joints, {robot_brute.MOST_GROUPS} groups at most"
+            f"group the joints, {brute.MOST_GROUPS} groups at most"
         )
     return wish
 

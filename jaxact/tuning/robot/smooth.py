@@ -2,7 +2,7 @@
 
 G of every loop is tabulated once. For each gain I + K G is inverted by elimination for all
 frequencies at once, and the largest singular value of S and T follows by the power method; its
-slope is known in closed form (`jaxact.tuning.robot_figures`), so nothing is differentiated through
+slope is known in closed form (`jaxact.tuning.robot.peaks`), so nothing is differentiated through
 either. Whether a loop is stable is not asked on the way. The descent begins where all loops are,
 peaks are infinite on the boundary, and its steps are shorter than they are high beside it. What
 comes out steers the descent; nothing is certified with it.
@@ -19,9 +19,8 @@ import numpy as np
 
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import Groups
-from jaxact.tuning.objective import Smooth, combine
-from jaxact.tuning.robot_figures import SHIFTS, Table
-from jaxact.tuning.spectrum import softmax
+from jaxact.tuning.objective import Smooth, combine, softmax
+from jaxact.tuning.robot.peaks import SHIFTS, Table
 
 # Frequencies of the table that are kept, and loops.
 POINTS, LOOPS = 60, 16

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.tuning.simulated import Term
+from jaxact.tuning.rollouts.term import Term
 
 FORWARD, REVERSE = 1.0, 9.4
 """Work of a tangent, and of a rollout with its derivatives backwards, in rollouts: measured on a
@@ -65,7 +65,7 @@ def chosen(mode: str, parameters: int) -> str:
 def value_and_gradient(term: Term, x: np.ndarray, mode: str = "auto") -> Slope:
     """Tracking, effort and the gradient of the objective, in float64.
 
-    term: from `jaxact.tuning.simulated.term`
+    term: from `jaxact.tuning.rollouts.term.term`
     x: log-gains, shape (2 g,)
     mode: "forward", "reverse", or "auto" by counting
 

@@ -9,16 +9,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.tuning import robot_smooth
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import Groups
-from jaxact.tuning.joint import STARTS as TABLE
-from jaxact.tuning.optimize import Descended, Descent, descend
+from jaxact.tuning.joint.problem import STARTS as TABLE
+from jaxact.tuning.optimise import Descended, Descent, descend
 from jaxact.tuning.phases import Phase, silent
 from jaxact.tuning.polish import MET
-from jaxact.tuning.robot_loops import Situation
-from jaxact.tuning.robot_rows import Found, RobotCase, excess, part, polished, rescued, rows
-from jaxact.tuning.robot_starts import closer
+from jaxact.tuning.robot import smooth
+from jaxact.tuning.robot.loops import Situation
+from jaxact.tuning.robot.rows import Found, RobotCase, excess, part, polished, rescued, rows
+from jaxact.tuning.robot.starts import closer
 
 # Log-gains stay this near to where the search begins.
 _REACH = 8.0
@@ -85,17 +85,17 @@ def hardest(case: RobotCase, x: np.ndarray) -> RobotCase:
     first = [int(np.flatnonzero(situation == s)[np.argmax(over[situation == s])])
              for s in np.unique(situation)]  # fmt: skip
     rest = [int(i) for i in np.argsort(-over) if int(i) not in first]
-    chosen = (first + rest)[: max(robot_smooth.LOOPS, len(first))]
+    chosen = (first + rest)[: max(smooth.LOOPS, len(first))]
     return part(case, np.sort(chosen))
 
 
 def descended(case: RobotCase, first: np.ndarray, how: Descent) -> Descended:
     """Where the descent leads from several log-gains, shape (starts, 2 g), for a few loops."""
-    smooth = robot_smooth.RobotSurrogate(robot_smooth.family(case.goal), len(case.table.loops))
-    data = robot_smooth.data(case.table, case.groups, case.goal, case.low, case.high)
+    surrogate = smooth.RobotSurrogate(smooth.family(case.goal), len(case.table.loops))
+    data = smooth.data(case.table, case.groups, case.goal, case.low, case.high)
     one = jax.tree.map(lambda leaf: leaf[None], data)
     still = np.zeros(first.shape[1], np.float32)
-    found = descend(smooth, one, jnp.asarray(first[None], jnp.float32), still, how)
+    found = descend(surrogate, one, jnp.asarray(first[None], jnp.float32), still, how)
     return jax.tree.map(np.asarray, found)
 
 

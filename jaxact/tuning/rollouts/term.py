@@ -36,7 +36,7 @@ from jaxact.simulation import kernel, plans, rollout
 from jaxact.simulation.kernel import Case
 from jaxact.simulation.metrics import SEGMENTS
 from jaxact.simulation.rollout import RolloutOptions
-from jaxact.tuning.validation import checked_members, with_gains
+from jaxact.tuning.rollouts.validation import checked_members, with_gains
 
 _QUANTISED = ("position_resolution", "velocity_resolution", "command_resolution")
 
@@ -75,8 +75,8 @@ def term(
 ) -> Term:
     """The tracking of a robot in one posture, averaged over members.
 
-    specification: with a plant, as for `jaxact.tuning.validation.validate`; its duration is rounded
-        up to whole chunks
+    specification: with a plant, as for `jaxact.tuning.rollouts.validation.validate`; its
+        duration is rounded up to whole chunks
     groups: number of the group of each joint, shape (m,)
     members: values of the parameters in which they differ by key, shape (n,) each
     effort_weight: of the mean squared command [rad^2/(N m)^2]

@@ -94,7 +94,8 @@ def validate(
     The same gains scaled, or other ones, compile nothing anew.
 
     situations: specifications with a plant by name of the posture; what they say of gains and of
-        what the members differ in does not matter. `jaxact.tuning.exposure.exposed` completes them.
+        what the members differ in does not matter. `jaxact.tuning.rollouts.exposure.exposed`
+        completes them.
     kp, kd: of the joints in the order of the first posture's robot, which the others have as well,
         shape (m,) [N m/rad or N/m], [N m s/rad or N s/m]
     members: values of the parameters in which they differ by key (see `jaxact.parameters`;

@@ -34,7 +34,7 @@ from jaxact.parameters import base
 from jaxact.parameters import check as in_bounds
 from jaxact.simulation import kernel, outside, plans, robot_loop
 from jaxact.simulation.kernel import Case
-from jaxact.tuning.robot_uncertainty import OF_BODY, Members, Span
+from jaxact.tuning.robot.uncertainty import OF_BODY, Members, Span
 
 # Parameters that the gains of a joint come from.
 _GAINS = ("kp", "kd", "gain_scale")

@@ -19,7 +19,8 @@ from jaxact.analysis.joint.frequency import JointLoop, servo_denominator
 from jaxact.analysis.sampled.period_map import SampledLoop
 from jaxact.analysis.sampled.pulse import plant_response, pulse_transfer
 from jaxact.compilation.programs import KEPT, Program
-from jaxact.tuning.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
+from jaxact.tuning.joint.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
+from jaxact.tuning.objective import softmax
 
 POINTS = 144
 # From well below the corner kp/kd of the softest feasible loops to beyond any crossover.
@@ -140,11 +141,6 @@ def _on_axis(real: jax.Array, imaginary: jax.Array) -> jax.Array:
     return real[:-1] + part * (real[1:] - real[:-1])
 
 
-def softmax(values: jax.Array, sharpness: jax.Array) -> jax.Array:
-    """ln(sum exp(s x)) / s over all values: their maximum as s grows."""
-    return jax.scipy.special.logsumexp(sharpness * values) / sharpness
-
-
 def log_figures(
     spectrum: Spectrum, kp: jax.Array, kd: jax.Array, names: tuple[str, ...], sharpness: jax.Array
 ) -> tuple[dict[str, jax.Array], jax.Array]:
@@ -205,7 +201,7 @@ def _log_delay_margin(
 
 
 def _log_noise_gain(spectrum: Spectrum, square: jax.Array) -> jax.Array:
-    """ln of `jaxact.tuning.noise.noise_gain` from |T|^2 on the table."""
+    """ln of `jaxact.tuning.joint.noise.noise_gain` from |T|^2 on the table."""
     w = spectrum.frequency
     top = jnp.pi / spectrum.period
     force = (spectrum.mass * w * w) ** 2 * square

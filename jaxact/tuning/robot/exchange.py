@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jaxact.tuning import robot_certificate
 from jaxact.tuning.polish import MET
-from jaxact.tuning.robot_certificate import Exact, exact
-from jaxact.tuning.robot_figures import extended, growth_rates, refined, tabulate
-from jaxact.tuning.robot_loops import OpenLoops, Situation, open_loops, together
-from jaxact.tuning.robot_rows import Found, RobotCase, excess, more, polished, rescued
+from jaxact.tuning.robot.exact import Exact, exact, worst_inside
+from jaxact.tuning.robot.loops import OpenLoops, Situation, open_loops, together
+from jaxact.tuning.robot.peaks import extended, growth_rates, refined, tabulate
+from jaxact.tuning.robot.rows import Found, RobotCase, excess, more, polished, rescued
 
 # How often it does, and how far a peak may be off where the bounds cannot be met anyway [ln].
 _EXCHANGES, _OFF = 12, 1e-3
@@ -72,7 +71,7 @@ def _inside_worse(
     if not case.goal.rows or not situations[0].spans:
         return None
     gains = case.groups.gains(found.x)
-    points = robot_certificate.worst_inside(situations, case, found.x, seed)
+    points = worst_inside(situations, case, found.x, seed)
     inside = together(*(
         open_loops([one], own) for one, own in zip(situations, points, strict=True)
     ))  # fmt: skip

@@ -22,8 +22,8 @@ from jaxact.analysis.joint.margins import margins
 from jaxact.analysis.sampled.margins import sampled_margins
 from jaxact.analysis.sampled.period_map import SampledLoop, delay_steps
 from jaxact.compilation.programs import KEPT, Program
-from jaxact.tuning.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
-from jaxact.tuning.noise import bandwidth, noise_gain
+from jaxact.tuning.joint.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
+from jaxact.tuning.joint.noise import bandwidth, noise_gain
 
 # Loops are computed in batches of one size, so that one program is compiled.
 _SIZE = 32
@@ -68,7 +68,7 @@ def evaluate(
     members: parameters that broadcast with them
     sampling: of the controller
     extra: figures beyond the margins, "noise_gain" and "bandwidth"; other names change nothing
-    timed: static `jaxact.tuning.response.Timed`, of figures from simulated time; None for none
+    timed: static `jaxact.tuning.joint.response.Timed`, of what takes simulated time, or None
     """
     rows = [members[n] if isinstance(members, Mapping) else getattr(members, n) for n in PARAMETERS]
     arrays = np.broadcast_arrays(log_kp, log_kd, *rows)

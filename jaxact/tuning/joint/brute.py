@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.tuning import joint
 from jaxact.tuning.certificate import over_all
-from jaxact.tuning.joint import Case, Table
-from jaxact.tuning.spectrum import single_precision, tabulate
+from jaxact.tuning.joint import problem as joint
+from jaxact.tuning.joint.problem import Case, Table
+from jaxact.tuning.joint.spectrum import single_precision, tabulate
 
 _POINTS = 600
 GRID = 64

@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxact.analysis.robot import disk as _disk
 from jaxact.analysis.robot.limits import MARGINAL
-from jaxact.tuning.robot_loops import OpenLoops, together
+from jaxact.tuning.robot.loops import OpenLoops, together
 
 # Figure -> (c, c0) of X = c S + c0 I.
 SHIFTS = {

@@ -16,9 +16,9 @@ from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import Groups
 from jaxact.tuning.newton import inside, newton
 from jaxact.tuning.polish import MET, Polished, Problem, Rows, polish
-from jaxact.tuning.robot_figures import Table, columns, growth_rates, peaks
-from jaxact.tuning.robot_loops import OpenLoops
-from jaxact.tuning.robot_tracking import Tracking
+from jaxact.tuning.robot.loops import OpenLoops
+from jaxact.tuning.robot.peaks import Table, columns, growth_rates, peaks
+from jaxact.tuning.rollouts.tracking import Tracking
 
 _ROUNDS = 12
 # Points before whose rows count as well: at each, few of many singular values are rows.

@@ -14,16 +14,17 @@ import jax
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.tuning import brute, joint
 from jaxact.tuning.certificate import Certificate, Check, Effort, certify, over_all, sentence
-from jaxact.tuning.ensemble import Ensemble
 from jaxact.tuning.goal import Goal, check
-from jaxact.tuning.joint import Case
-from jaxact.tuning.optimize import Descended, Descent, descend
+from jaxact.tuning.joint import brute
+from jaxact.tuning.joint import problem as joint
+from jaxact.tuning.joint.ensemble import Ensemble
+from jaxact.tuning.joint.problem import Case
+from jaxact.tuning.joint.rescue import SLOWER, rescue
+from jaxact.tuning.joint.response import timed as timed_of
+from jaxact.tuning.optimise import Descended, Descent, descend
 from jaxact.tuning.phases import Phase, silent
 from jaxact.tuning.polish import Polished, better, polish
-from jaxact.tuning.rescue import SLOWER, rescue
-from jaxact.tuning.response import timed as timed_of
 
 STARTS = 8
 # A smooth violation up to this is the smoothing's own.

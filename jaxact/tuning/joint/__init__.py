@@ -1,0 +1,1 @@
+"""Gains of single joints and ensembles of them: theory, smooth figures, search."""

@@ -1,0 +1,1 @@
+"""Gains of whole robots: linearised loops, singular values, search."""

@@ -1,0 +1,1 @@
+"""Gains in nonlinear rollouts: held against them, and tuned by them."""
