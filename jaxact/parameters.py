@@ -274,14 +274,14 @@ def check(name: str, value: object, key: str = "") -> float:
     value: what was given
     key: how the message names it, the parameter's own name by default
 
-    Raises UserError for anything that is no number, is not a number (NaN), or is out of bounds.
+    Raises UserError for anything that is not a number, is NaN, or is out of bounds.
     """
     parameter = of(name)
     key = key or name
     number = as_number(value)
     if number is None or math.isnan(number):
         raise UserError(
-            f"{key} = {shown(value)} is no number; allowed: {parameter.allowed}"
+            f"{key} = {shown(value)} is not a number; allowed: {parameter.allowed}"
             f" ({parameter.long_name})"
         )
     inside = parameter.minimum <= number <= parameter.maximum
@@ -299,7 +299,9 @@ def check_actuator(value: object, key: str = "actuator") -> str:
     Raises UserError for any other name.
     """
     if not isinstance(value, str) or value not in PRESETS:
-        raise UserError(f"{key} = {shown(value)} is no actuator preset; {nearest(value, PRESETS)}")
+        raise UserError(
+            f"{key} = {shown(value)} is not an actuator preset; {nearest(value, PRESETS)}"
+        )
     return value
 
 

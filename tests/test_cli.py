@@ -106,8 +106,8 @@ def test_version():
         (["sweep", "a.toml", "--sett", "kp=1"], "--set"),
         (["sweep", "a.toml", "b.toml"], "b.toml"),
         (["sweep", "absent.toml"], "absent.toml: no such file"),
-        (["sweep", ""], "no file"),
-        (["sweep", "."], "no file"),
+        (["sweep", ""], "not a file"),
+        (["sweep", "."], "not a file"),
         (["sweep", "small.toml", "--set"], "--set"),
         (["sweep", "small.toml", "--set", "mas=1"], "did you mean 'mass'"),
         (["sweep", "small.toml", "--set", "mass=-1"], "parameters.mass = -1"),
@@ -126,7 +126,7 @@ def test_version():
         (["sweep", "small.toml", "--workers", "dask"], "ray"),
         (["sweep", "small.toml", "--out", "nonsense://x"], "nonsense"),
         (["status", "absent"], "absent"),
-        (["validate", "."], "no result"),
+        (["validate", "."], "not a result"),
         (["plot", "absent"], "absent"),
         (["export", "absent", "x.nc"], "absent"),
         (["export", "."], "FILE"),
@@ -143,7 +143,7 @@ def test_a_mistake_is_one_line_exit_code_2_and_nothing_written(arguments, part, 
 def test_sweep_plot_export(small, tmp_path):
     ran = jaxact("sweep", small, cwd=tmp_path)
     assert ran.returncode == 0, ran.stderr
-    assert ran.stderr == "", "no progress bar where standard error is no terminal"
+    assert ran.stderr == "", "no progress bar where standard error is not a terminal"
     store = tmp_path / "results" / "small" / "sweep.zarr"
     assert "results/small/sweep.zarr" in ran.stdout and "6 loops" in ran.stdout
     assert "actuator = starleth" in ran.stdout

@@ -157,7 +157,7 @@ def test_margins_of_a_sweeps_specification(capsys):
         (["margins", "--control-rate", "1000", "--delay", "0", "5"], "4096 control periods"),
         (["tune", "--control-rate", "1000", "--delay", "5"], "4096 control periods"),
         (["bode", "--kp", *map(str, range(1, 20))], "too many for one picture"),
-        (["bode", "--out", "bode.jpg"], "no picture format"),
+        (["bode", "--out", "bode.jpg"], "not a picture format"),
         (["nyquist", "--delay", "-1"], "--delay = -1.0 is out of range"),
         (["sensitivity", "--zeta", "0"], "--zeta = 0.0 is out of range"),
         (["step", "--duration", "0"], "duration = 0.0"),

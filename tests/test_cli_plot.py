@@ -75,7 +75,7 @@ def test_random_sample(tmp_path, capsys):
         (["--x", "mass"], "unknown axis 'mass'"),
         (["--select", "delay"], "NAME=VALUE"),
         (["--select", "delay=0", "--x", "delay"], "single value 0 ms"),
-        (["--out", "map.jpg"], "'.jpg' is no picture format"),
+        (["--out", "map.jpg"], "'.jpg' is not a picture format"),
         (["--out", "map"], "no ending"),
         (["--out", "nowhere/map.png"], "the folder nowhere does not exist"),
         (["--kind", "pie"], "pie"),
@@ -97,7 +97,7 @@ def test_missing_and_foreign_results(tmp_path, capsys):
     assert main(["plot", str(tmp_path / "nothing")]) == 2
     assert "no such result" in capsys.readouterr().err
     assert main(["plot", str(tmp_path)]) == 2
-    assert "is no result of a sweep" in capsys.readouterr().err
+    assert "is not a result of a sweep" in capsys.readouterr().err
 
 
 def test_help_names_units_and_examples(capsys):

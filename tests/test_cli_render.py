@@ -134,7 +134,7 @@ def test_an_opengl_that_fails_leaves_the_other_commands_alone(folder):
     ("options", "message"),
     [
         (["--bare", "nothing.npz"], "nothing.npz: no such file"),
-        (["--bare", "text.npz"], "is no NPZ file"),
+        (["--bare", "text.npz"], "is not an NPZ file"),
         (["--bare", "none.npz"], "has no `time`"),
         (["--drive", "bad.npz"], "do not increase"),
         (["--drive", "short.npz"], "two steps or more"),
@@ -145,7 +145,7 @@ def test_an_opengl_that_fails_leaves_the_other_commands_alone(folder):
         (["--start", "7"], "lasts from 0 to 0.499 s"),
         (["--speed", "0.001"], "at most 3000"),
         (["--duration", "0"], "--duration 0: must be a positive number"),
-        (["--out", "film.avi"], "no film format"),
+        (["--out", "film.avi"], "not a film format"),
         (["--kp", "3"], "which --kp cannot change"),
         (["--keyframe", "home"], "which the others cannot change"),
     ],

@@ -157,7 +157,7 @@ def test_a_posture_that_is_no_equilibrium_is_warned_of(capsys):
         <actuator><position joint="arm" kp="50" kv="3"/></actuator></mujoco>"""
     )
     said = _said(capsys, "--model", "falling.xml", "--posture", "keyframe")
-    assert "warning: the posture is no equilibrium" in said and "rigid-body mode" in said
+    assert "warning: the posture is not an equilibrium" in said and "rigid-body mode" in said
 
 
 def test_a_picture_is_drawn(capsys):

@@ -204,7 +204,7 @@ def test_what_is_no_result_is_refused(results, tmp_path):
             opening.open_result(tmp_path / name)
     _write(results, tmp_path / "sweep.zarr")
     (tmp_path / "sweep.zarr" / "zarr.json").write_text("{")
-    with pytest.raises(UserError, match="no result"):
+    with pytest.raises(UserError, match="not a result"):
         opening.open_result(tmp_path)
 
 

@@ -40,7 +40,7 @@ gains within the bound were found for these, joints of one kind do (left and rig
 which is said. *stiffness*: kp over the published kp, the geometric mean of the joints, and the least
 and the most of them. *bears*: all the delay in the loop at which the tuned robot begins to shake.
 What is called not found was not found by this search, from the starts that `jaxact tune` makes; it
-is no proof that there are none. The gains are in [shipped_gains.json](shipped_gains.json).
+does not prove that there are none. The gains are in [shipped_gains.json](shipped_gains.json).
 
 | robot | gains of | published: Ms at {delay:g} ms | bear [ms] | tuned: Ms, Mt | stiffness | bear [ms] | shared by |
 |---|---|---|---|---|---|---|---|

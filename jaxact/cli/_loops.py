@@ -163,7 +163,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "is no UTF-8 text"
+        reason = getattr(error, "strerror", None) or "is not UTF-8 text"
         raise UserError(f"{path}: cannot be read ({reason}); give a TOML file of loops") from None
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: is not valid TOML: {str(error)[:200]}") from None
@@ -171,7 +171,9 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _listed(path: Path, rows: Any, chosen: Mapping[str, Any]) -> Loops:
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
-        raise UserError(f"{path}: loop is no list of tables; write [[loop]] above each loop's keys")
+        raise UserError(
+            f"{path}: loop is not a list of tables; write [[loop]] above each loop's keys"
+        )
     base = {name: parameter.default for name, parameter in PARAMETERS.items()}
     for name, values in chosen.items():
         if len(values) > 1:
@@ -182,7 +184,7 @@ def _listed(path: Path, rows: Any, chosen: Mapping[str, Any]) -> Loops:
         key = f"{path}: loop[{index}]"
         label = row.get("name", f"loop {index}")
         if not isinstance(label, str):
-            raise UserError(f"{key}.name = {shown(label)} is no text")
+            raise UserError(f"{key}.name = {shown(label)} is not text")
         own = base | _resolved({k: v for k, v in row.items() if k != "name"}, key, base)
         if "control_rate" in chosen or any(canonical(name) == "control_rate" for name in row):
             check_history(own, own["control_rate"], f"{key}: ")

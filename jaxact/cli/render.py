@@ -318,7 +318,7 @@ def _check_length(frames: float) -> None:
 def _motion(path: Path, label: str) -> Motion:
     """The motion in an NPZ file.
 
-    Raises UserError if there is no such file, or what it holds is no motion.
+    Raises UserError if there is no such file, or what it holds is not a motion.
     """
     from jaxact.plotting.film import Motion
 
@@ -331,7 +331,7 @@ def _motion(path: Path, label: str) -> Motion:
                 raise UserError(f"{path}: has no `{missing[0]}`; write it with jaxact simulate")
             time, qpos = (np.asarray(file[name], float) for name in ("time", "qpos"))
     except (ValueError, OSError, EOFError, TypeError) as error:
-        raise UserError(f"{path}: is no NPZ file of numbers ({error})") from error
+        raise UserError(f"{path}: is not an NPZ file of numbers ({error})") from error
     if time.ndim == 1 and qpos.ndim == 2 and len(qpos) > 0 and len(time) % len(qpos) == 0:
         # times of the physics steps, positions at the control ticks
         time = time[:: max(len(time) // len(qpos), 1)]

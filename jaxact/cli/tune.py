@@ -261,7 +261,7 @@ def _goal(objective: str, risk: str, *, max_peak: float, **bounds: float) -> Goa
     if max_peak is _loops.UNSET:
         max_peak = math.inf if name == "disk-margin" else 1.6
     if any(math.isnan(value) for value in (max_peak, *bounds.values())):
-        raise UserError("nan is no bound")
+        raise UserError("nan is not a bound")
     return check(Goal(objective=name, risk=risk, max_peak=max_peak, **bounds, **extra))
 
 

@@ -51,7 +51,9 @@ def main(
         )
     _warnings.older(result)
     if checked.foreign:
-        print(f"{len(checked.foreign):,} files are no part of the store: {checked.foreign[0]}, ...")
+        print(
+            f"{len(checked.foreign):,} files are not part of the store: {checked.foreign[0]}, ..."
+        )
     if not checked.chunks:
         print("every file has its checksum; nothing was swept here that could be computed again")
         return

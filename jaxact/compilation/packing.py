@@ -33,7 +33,7 @@ class Packed:
 
     Attributes:
         numbers: shape (..., n), one after another; leading axes are those of batches.
-        others: the leaves that are no real numbers.
+        others: the leaves that are not real numbers.
         layout: static.
     """
 

@@ -178,7 +178,7 @@ def drive_around(
         What begins, and takes control periods; see `Driven`.
 
     Raises:
-        UserError: the control period is no multiple of the physics step.
+        UserError: the control period is not a multiple of the physics step.
         TypeError: the loop is traced, and `longest` is not given.
     """
     if isinstance(loop, ControlLoop) and is_traced(loop) and longest is None:
@@ -193,7 +193,7 @@ def drive_around(
     substeps = round(ratio)
     if len(periods) > 1 or substeps < 1 or abs(ratio - substeps) > _ROUNDING * ratio:
         raise UserError(
-            f"control_rate: its period {periods[0]:g} s is no multiple of the physics step "
+            f"control_rate: its period {periods[0]:g} s is not a multiple of the physics step "
             f"{physics_step:g} s; allowed e.g. control_rate = {1 / physics_step:g}"
         )
     differenced = isinstance(static, ControlLoop) and static.kind.velocity == "differenced"

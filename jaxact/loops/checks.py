@@ -141,8 +141,8 @@ def _rates(specification: Specification, axes: dict[str, Axis]) -> np.ndarray:
     fixed = specification.engine == "mjx" or specification.physics_step is not None
     if axis.sampled and fixed:
         raise UserError(
-            "axes.control_rate: drawn from a range its period is no multiple of the physics step;"
-            " give a list of rates"
+            "axes.control_rate: drawn from a range its period is not a multiple of the physics "
+            "step; give a list of rates"
         )
     return np.array(axis.ends) if axis.sampled else axis.values
 
@@ -176,7 +176,7 @@ def _check_steps(specification: Specification, rates: np.ndarray) -> None:
         if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
             above = 1.0 / (rate * max(math.ceil(ratio), 1))
             raise UserError(
-                f"control_rate = {rate:g} Hz: its period {1 / rate:g} s is no multiple of the"
+                f"control_rate = {rate:g} Hz: its period {1 / rate:g} s is not a multiple of the"
                 f" physics step {step:g} s; allowed e.g.: physics_step = {above:.9g}"
             )
 

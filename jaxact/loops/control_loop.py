@@ -228,7 +228,9 @@ def _checked(name: str, value: Any, *, robot: bool) -> Any:
     """A value within the parameter's bounds; what JAX traces is taken as it is."""
     if not known(name):
         if "@" in name and base(name) in PARAMETERS:
-            raise UserError(f"{name}: what follows the @ is no pattern of joints, e.g. kp@.*_knee")
+            raise UserError(
+                f"{name}: what follows the @ is not a pattern of joints, e.g. kp@.*_knee"
+            )
         raise UserError(f"{name}: unknown parameter; {nearest(name, (*PARAMETERS, ACTUATOR))}")
     if not robot and ("@" in name or name in ROBOT_ONLY):
         raise UserError(f"{name}: only a robot has it; make one with jaxact.robot(model, ...)")
@@ -237,7 +239,7 @@ def _checked(name: str, value: Any, *, robot: bool) -> Any:
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
-        raise UserError(f"{name} = {shown(value)} is no number or array of numbers") from None
+        raise UserError(f"{name} = {shown(value)} is not a number or array of numbers") from None
     if not array.size:
         raise UserError(f"{name} = {shown(value)} is empty; give at least one value")
     if np.asarray(value).dtype.kind == "b":

@@ -104,12 +104,12 @@ def _read(path: Path) -> dict[str, Any]:
         if not path.exists():
             raise UserError("no such file; give the path of a TOML specification")
         if not path.is_file():
-            raise UserError("is no file; give the path of a TOML specification")
+            raise UserError("is not a file; give the path of a TOML specification")
         if path.stat().st_size > _LARGEST_FILE:
             raise UserError(f"is larger than {_LARGEST_FILE:,} bytes; is it a TOML specification?")
         return _loads(path.read_text(encoding="utf-8"))
     except UnicodeDecodeError:
-        raise UserError("is no UTF-8 text; give the path of a TOML specification") from None
+        raise UserError("is not UTF-8 text; give the path of a TOML specification") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise UserError(f"cannot be read ({reason})") from None
@@ -131,7 +131,7 @@ def _canonical(document: Mapping[str, Any]) -> dict[str, Any]:
         table = result.get(section, {})
         if not isinstance(table, dict):
             raise UserError(
-                f"{section} = {shown(table)} is no table; write [{section}] above its keys"
+                f"{section} = {shown(table)} is not a table; write [{section}] above its keys"
             )
         result[section] = _named(section, table)
     return result
@@ -179,7 +179,7 @@ def _apply(document: dict[str, Any], override: str) -> str:
     for key in keys[:-1]:
         table = table.setdefault(key, {})
         if not isinstance(table, dict):
-            raise UserError(f"{shown(override)}: {key} is no table, it has no keys in it")
+            raise UserError(f"{shown(override)}: {key} is not a table, it has no keys in it")
     table[keys[-1]] = value
     return ".".join(keys)
 
@@ -194,7 +194,7 @@ def _literal(text: str, override: str) -> Any:
         return tomllib.loads(f"value = {text}")["value"]
     except (ValueError, RecursionError):
         raise UserError(
-            f"{shown(override)}: {shown(text)} is no value; write a number, a word,"
+            f"{shown(override)}: {shown(text)} is not a value; write a number, a word,"
             " a list [1, 2] or a range {min=1, max=10, num=5}"
         ) from None
 
@@ -235,7 +235,7 @@ def _wrong_pattern(key: str, name: str) -> str:
     """What is wrong with a parameter for some joints."""
     if name in SHARED:
         return f"{key}: {name} is one number for all joints; write {name} alone"
-    return f"{key}: what follows the @ is no regular expression; write e.g. {name}@.*_knee"
+    return f"{key}: what follows the @ is not a regular expression; write e.g. {name}@.*_knee"
 
 
 def _parameters(table: Mapping[str, Any]) -> dict[str, float | str]:
@@ -255,7 +255,9 @@ def _sampling(table: Any) -> Sampling:
 def _filled(kind: type, section: str, table: Any, **changed: Any) -> Any:
     """A section as the dataclass that describes it."""
     if not isinstance(table, dict):
-        raise UserError(f"{section} = {shown(table)} is no table; write [{section}] above its keys")
+        raise UserError(
+            f"{section} = {shown(table)} is not a table; write [{section}] above its keys"
+        )
     names = tuple(field.name for field in dataclasses.fields(kind))
     for key in table:
         if key not in names:
@@ -286,7 +288,7 @@ def _patterns(given: Any) -> tuple[str, ...]:
             re.compile(pattern)
         except (re.error, TypeError):
             raise UserError(
-                f"plant.joints: {shown(pattern)} is no regular expression; write e.g. '.*_knee'"
+                f"plant.joints: {shown(pattern)} is not a regular expression; write e.g. '.*_knee'"
             ) from None
     return tuple(patterns)
 
@@ -318,7 +320,7 @@ _TABLE_READERS = {"plant": _plant, "motion": _motion, "push": _push}
 
 def _file(given: Any, folder: Path, key: str, kind: str) -> Path:
     if not isinstance(given, str) or not given or "\0" in given:
-        raise UserError(f"{key} = {shown(given)} is no path of {kind}")
+        raise UserError(f"{key} = {shown(given)} is not a path of {kind}")
     path = folder / given
     try:
         there = path.is_file()

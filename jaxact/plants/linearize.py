@@ -5,7 +5,7 @@
 is the derivative of the one physics step (`jax.jacfwd` of MJX, contacts as they are), in the
 tangent space of the configuration: x holds displacements [m or rad], velocities, and the states of
 actuators that are not driven. Where a floating robot may be anywhere on the plane, its position and
-heading are no part of its stability: such directions, in which nothing changes when the robot is
+heading are not part of its stability: such directions, in which nothing changes when the robot is
 displaced, are taken out (`without_neutral`).
 """
 
@@ -26,7 +26,7 @@ from jaxact.plants.tangent import difference, displaced
 from jaxact.robots.model import Robot
 from jaxact.robots.posture import Posture
 
-# Singular values below this share of the largest one are no motion at all.
+# Singular values below this share of the largest one are not a motion.
 _NEUTRAL = 1e-7
 # [rad/s^2 or m/s^2]
 _NUDGE = 1e-2
@@ -150,7 +150,7 @@ def linearise(plant: MjxPlant, force: np.ndarray, step: float) -> Linearisation 
 
     Returns:
         The linear plant without its neutral directions, and how far the posture is from rest; None
-        where the derivatives of MJX are no numbers, as at some contacts of meshes.
+        where the derivatives of MJX are not numbers, as at some contacts of meshes.
     """
     with jax.enable_x64(True):
         compute = jax.jit(lambda plant, force, step: _at(plant.prepare(step), force))

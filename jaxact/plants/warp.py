@@ -159,7 +159,7 @@ def _one(model: Any, template: Any, given: dict[str, jax.Array]) -> dict[str, ja
 
 
 def _lost() -> int:
-    """The bits of what costs contacts or constraints; solvers that stop early are no such thing."""
+    """The bits of what costs contacts or constraints; solvers that stop early do not count."""
     from mujoco.mjx.third_party.mujoco_warp._src.types import OverflowType as Bit
 
     return int(

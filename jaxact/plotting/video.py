@@ -31,7 +31,7 @@ def check_output(path: Path, fps: float) -> Path:
     """
     suffix = path.suffix.lower().lstrip(".")
     if suffix not in FORMATS:
-        said = f"'.{suffix}' is no film format" if suffix else "the name has no ending"
+        said = f"'.{suffix}' is not a film format" if suffix else "the name has no ending"
         raise UserError(f"output {path}: {said}; use .gif or .mp4")
     if not path.parent.is_dir():
         raise UserError(f"output {path}: the folder {path.parent} does not exist; create it first")

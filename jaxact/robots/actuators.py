@@ -160,7 +160,7 @@ def law(model: mujoco.MjModel, index: int, kind: str) -> Law:
     kind: the element it is written with
 
     Raises:
-        UndrivableError: it is no motor and no linear servo on a single slide or hinge joint.
+        UndrivableError: it is neither a motor nor a linear servo on a single slide or hinge joint.
     """
     joint, moment = transmission(model, index)
     _refuse_what_is_not_linear(model, index, kind)

@@ -7,7 +7,7 @@ keeps its contacts. Works on MuJoCo's own specification (`mujoco.MjSpec`) in mem
 The base of a robot is what moves it as a whole: the free joint of the tree that its driven joints
 belong to, or, of a robot that moves in a plane or along a rail, the slide joints between the world
 and the first joint with an actuator or a spring, and the hinges among them. A passive hinge or ball
-joint alone is no base but a joint. Loose objects and other robots keep their free joints.
+joint alone is not a base but a joint. Loose objects and other robots keep their free joints.
 """
 
 from __future__ import annotations

@@ -170,7 +170,7 @@ def under(robot: Robot, model: mujoco.MjModel, nominal: Posture) -> Posture:
     Args:
         robot: from `jaxact.robots.model.read`.
         model: of the same sizes.
-        nominal: of the robot as it is. Where this is no settled one, or the other model falls from
+        nominal: of the robot as it is. Where this is not settled, or the other model falls from
             it, the configuration stays, under the joint forces that inverse dynamics asks for.
     """
     other = replace(

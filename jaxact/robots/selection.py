@@ -29,7 +29,7 @@ def chosen(path: Path, model: mujoco.MjModel, patterns: Sequence[str]) -> list[i
     """The actuators that the patterns choose by their own or their joint's name.
 
     Raises:
-        UserError: a pattern is no regular expression, or matches nothing.
+        UserError: a pattern is not a regular expression, or matches nothing.
     """
     names = [names_of(model, index) for index in range(model.nactuator)]
     found: set[int] = set()
@@ -37,7 +37,9 @@ def chosen(path: Path, model: mujoco.MjModel, patterns: Sequence[str]) -> list[i
         try:
             matches = re.compile(pattern).fullmatch
         except re.error as error:
-            raise UserError(f"joints: {shown(pattern)} is no regular expression: {error}") from None
+            raise UserError(
+                f"joints: {shown(pattern)} is not a regular expression: {error}"
+            ) from None
         these = {i for i, pair in enumerate(names) if any(matches(name) for name in pair)}
         if not these:
             known = list(dict.fromkeys(pair[-1] for pair in names))
@@ -73,7 +75,7 @@ def laws(
 
     kinds: the element that each actuator of the model is written with
 
-    An actuator that the model switches off has no law, and that is no fault.
+    An actuator that the model switches off has no law, and that is not a fault.
     """
     found, findings = [], []
     for index in indices:

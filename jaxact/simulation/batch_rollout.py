@@ -241,7 +241,7 @@ _packed = Program(lambda: jax.vmap(pack), "pack")
 
 
 def _unpacked(packed: Packed) -> Any:
-    """The tree as NumPy's arrays: taking it apart is no work that is worth compiling."""
+    """The tree as NumPy's arrays: taking it apart is not work that is worth compiling."""
     return unpack(jax.tree.map(np.asarray, packed))
 
 

@@ -174,7 +174,7 @@ def with_rates(rows: dict[str, np.ndarray], rates: Rates) -> dict[str, np.ndarra
     if rates.shaking is None:
         return rows
     falls = (rates.growth > TOLERANCE) & (rates.shaking <= TOLERANCE)
-    # What is bounded, as it lies on the ground or hangs, but has not swung is no limit cycle.
+    # What is bounded, as it lies on the ground or hangs, but has not swung is not a limit cycle.
     still = (rows["verdict"] == Verdict.LIMIT_CYCLE) & np.isnan(rows["limit_cycle_frequency"])
     falls &= (rows["verdict"] == Verdict.UNSTABLE) | still
     amplitude = np.where(falls, np.nan, rows["limit_cycle_amplitude"])
@@ -282,7 +282,7 @@ def run(
         One array for each field of `jaxact.simulation.metrics.Metrics`, shape (samples,).
 
     Raises:
-        UserError: a control period is no multiple of the physics step, the model cannot be used,
+        UserError: a control period is not a multiple of the physics step, the model cannot be used,
             or there are fewer devices than asked for.
     """
     groups = plans.groups(specification, samples)

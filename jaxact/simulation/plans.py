@@ -82,7 +82,7 @@ def substeps(specification: Specification, control_rate: np.ndarray) -> np.ndarr
     """Physics steps in a control period for these control rates [Hz].
 
     Raises:
-        UserError: a control period is no multiple of the physics step.
+        UserError: a control period is not a multiple of the physics step.
     """
     step = specification.physics_step
     if step is None and specification.engine == "mass":
@@ -98,7 +98,7 @@ def substeps(specification: Specification, control_rate: np.ndarray) -> np.ndarr
     if np.any(wrong):
         rate = float(np.extract(wrong, control_rate)[0])
         raise UserError(
-            f"control_rate = {rate:g} Hz: its period of {1.0 / rate:g} s is no multiple of "
+            f"control_rate = {rate:g} Hz: its period of {1.0 / rate:g} s is not a multiple of "
             f"physics_step = {step:g} s"
         )
     return whole.astype(int)
@@ -153,8 +153,8 @@ def groups(
         together: loops that are computed together; None: about a second of work.
 
     Raises:
-        UserError: a control period is no multiple of the physics step, there are too few devices,
-            or this version of JAX could hang.
+        UserError: a control period is not a multiple of the physics step, there are too few
+            devices, or this version of JAX could hang.
     """
     specification = engines.resolved(specification)
     _refuse_deadlock(specification)

@@ -126,8 +126,8 @@ def run(
         The final state, the accumulators of the rollout, and those of its segments, stacked.
 
     Raises:
-        ValueError: the number of ticks is no multiple of the number of segments, or a random drive
-            has no key.
+        ValueError: the number of ticks is not a multiple of the number of segments, or a random
+            drive has no key.
     """
     if rollout.ticks % SEGMENTS:
         raise ValueError(f"ticks must be a multiple of {SEGMENTS}, got {rollout.ticks}")

@@ -236,7 +236,7 @@ def _polynomials(
 
 
 def _fed_back(matrices: np.ndarray) -> np.ndarray:
-    """The matrices without what no other state follows from: a clock is no mode of the loop."""
+    """The matrices without what no other state follows from: a clock is not a mode of the loop."""
     linked = (matrices != 0.0).any(axis=0)
     np.fill_diagonal(linked, False)
     kept = np.arange(len(linked))

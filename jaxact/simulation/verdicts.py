@@ -236,7 +236,7 @@ def of_motion(
     decaying = (last <= kept * previous) & ((scale.count == 0.0) | (previous <= kept * before))
     resting = last <= scale.rest
     # Friction ends a motion that would grow if it were larger: the smaller it is, the sooner. What
-    # approaches a cycle slows down instead. What does not turn, and shrinks, is no cycle either.
+    # approaches a cycle slows down instead. What does not turn, and shrinks, is not a cycle either.
     falling = (last <= _FALLING * previous) & (previous - last >= before - previous)
     falling &= (previous <= before) & (growth_rate >= 0.0)
     # Nor is what neither turns nor grows where small motions decay: it takes longer than was seen.

@@ -25,7 +25,7 @@ KICK = 0.02
 FAST = 0.5
 """A joint that becomes faster is not in a small motion any more [m/s or rad/s]."""
 
-_REST = 1e-6  # share of the first accelerations that is no motion at all
+_REST = 1e-6  # share of the first accelerations that is not a motion
 
 
 def growth_rates(specification: Specification, columns: Columns) -> np.ndarray:

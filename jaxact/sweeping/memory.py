@@ -29,7 +29,7 @@ def read_size(text: str) -> int:
     """A number of bytes from `800M`, `1.5 GiB` or `2000000`; raises UserError for anything else."""
     match = _SIZE.fullmatch(text.strip().lower())
     if match is None or float(match[1]) <= 0:
-        raise UserError(f"`memory` {shown(text)} is no size; write it as 800M or 2G")
+        raise UserError(f"`memory` {shown(text)} is not a size; write it as 800M or 2G")
     return int(float(match[1]) * _UNITS[match[2]])
 
 

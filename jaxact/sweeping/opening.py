@@ -46,7 +46,7 @@ def find(where: str | Path) -> Place:
                 return store
         there = inner.entries() or given.entries()
     if there or (isinstance(given, _place.Folder) and given.path.exists()):
-        raise UserError(f"{where}: is no result of a sweep; give a folder that holds a {STORE}")
+        raise UserError(f"{where}: is not a result of a sweep; give a folder that holds a {STORE}")
     raise UserError(f"{where}: no such result; give the results folder of a sweep, or its {STORE}")
 
 

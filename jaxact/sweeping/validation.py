@@ -30,7 +30,7 @@ class Checked:
 
     chunks, done: in all, and whole
     wrong: what of metadata, coordinates and chunks is not whole, and why
-    foreign: files that are no part of the store
+    foreign: files that are not part of the store
     older: it was made before metadata and coordinates had checksums
     """
 

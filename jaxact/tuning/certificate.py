@@ -168,7 +168,7 @@ def sentence(
     )
 
 
-_NO_PROOF = "this is no proof that there"
+_NO_PROOF = "this does not prove that there"
 
 
 def _percent(excess: float) -> str:

@@ -103,6 +103,8 @@ def _matching(pattern: str, names: Sequence[tuple[str, str]]) -> np.ndarray:
     try:
         expression = re.compile(pattern)
     except re.error as error:
-        raise UserError(f"`groups` {shown(pattern)}: is no regular expression ({error})") from None
+        raise UserError(
+            f"`groups` {shown(pattern)}: is not a regular expression ({error})"
+        ) from None
     hits = [any(expression.search(name) for name in pair) for pair in names]
     return np.flatnonzero(hits)

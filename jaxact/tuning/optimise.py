@@ -125,7 +125,7 @@ def _from_one(
     x = jnp.stack(ends)
     seen = jax.vmap(lambda end: surrogate(end, data, ladder[-1]))(x)
     final = loss(seen, ladder[-1])
-    # Not argmin, for which a loss that is no number would be the lowest.
+    # Not argmin, for which a loss that is not a number would be the lowest.
     last = (final[-1] < final[0]).astype(int) * (len(ends) - 1)
     x, seen = jax.tree.map(lambda a: a[last], (x, seen))
     lost = jnp.where(seen.stable, seen.violation, jnp.inf)

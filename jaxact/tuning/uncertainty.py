@@ -106,7 +106,7 @@ def _end(text: str, word: str, own: float, part: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise UserError(f"`uncertainty` {shown(part)}: {shown(text)} is no number")
+        raise UserError(f"`uncertainty` {shown(part)}: {shown(text)} is not a number")
     if factor and not math.isfinite(own):
         raise UserError(
             f"`uncertainty` {part}: the actuator is ideal, its {word} cannot vary by a factor; "

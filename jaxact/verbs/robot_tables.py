@@ -162,8 +162,9 @@ def _head(specification: Specification, label: str, found: WholeRobot) -> str:
         )
     if found.residual > RESIDUAL:
         lines.append(
-            f"warning: the posture is no equilibrium (accelerations up to {found.residual:.3g}); "
-            "the figures are those of the linearisation there, which the robot leaves"
+            "warning: the posture is not an equilibrium (accelerations up to "
+            f"{found.residual:.3g}); the figures are those of the linearisation there, which the "
+            "robot leaves"
         )
     return "\n".join(lines)
 

@@ -383,7 +383,7 @@ def test_what_cannot_be_driven_says_why_in_one_line(read, actuator, reason):
         ({"keyframe": 7}, "no keyframe 7; allowed: home"),
         ({"joints": ["hpi"]}, "no joint matches 'hpi'; did you mean 'hip'"),
         ({"joints": ["hip", ".*_knee"]}, "no joint matches '.*_knee'"),
-        ({"joints": ["("]}, "no regular expression"),
+        ({"joints": ["("]}, "not a regular expression"),
     ],
 )
 def test_a_name_that_is_not_there_is_refused_with_the_known_ones(read, options, reason):

@@ -112,7 +112,7 @@ def test_an_mjcf_without_actuators_gets_a_motor_for_each_joint(tmp_path):
     assert [joint.name for joint in one.joints] == ["hinge"] and one.model.nactuator == 1
     with pytest.raises(UserError, match="no joint matches 'knee'; .*hinge"):
         _read(tmp_path, BODY.format(""), "robot.xml", joints=["knee"])
-    with pytest.raises(UserError, match="is no regular expression"):
+    with pytest.raises(UserError, match="is not a regular expression"):
         _read(tmp_path, BODY.format(""), "robot.xml", joints=["("])
     some = _read(tmp_path, BODY.format('<actuator><motor joint="hinge"/></actuator>'), "some.xml")
     assert [one.name for one in some.joints] == ["hinge"]

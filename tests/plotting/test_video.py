@@ -216,7 +216,7 @@ def test_a_film_that_fails_leaves_nothing_and_spares_the_old_one(tmp_path):
 @pytest.mark.parametrize(
     ("name", "fps", "message"),
     [
-        ("film.avi", 25.0, "'.avi' is no film format"),
+        ("film.avi", 25.0, "'.avi' is not a film format"),
         ("film", 25.0, "no ending"),
         ("nowhere/film.gif", 25.0, "does not exist"),
         ("film.gif", 30.0, "cannot show 30 frames"),

@@ -358,7 +358,7 @@ def test_a_url_that_cannot_be_is_one_line():
 
 
 def test_what_a_remote_store_complains_of_is_one_line(monkeypatch, capsys):
-    """Its library's own exceptions are no OSError."""
+    """Its library's own exceptions are not OSErrors."""
     pytest.importorskip("fsspec")
     memory = pytest.importorskip("fsspec.implementations.memory").MemoryFileSystem
 

@@ -317,7 +317,7 @@ def test_any_control_rate_suits_a_robot_without_a_step_of_its_own(folder):
     """The step is the longest that divides the period and is no longer than the model's 1 ms."""
     asked = _parsed(folder, HOME, "control_rate = 333", duration=0.1)
     assert [plan.case.drive.substeps for plan in plans.groups(asked, expand(asked))] == [4]
-    with pytest.raises(UserError, match="no multiple of the physics step 0.002 s"):
+    with pytest.raises(UserError, match="not a multiple of the physics step 0.002 s"):
         _parsed(folder, HOME, "control_rate = 333", duration=0.1, physics_step=0.002)
 
 

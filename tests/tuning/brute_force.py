@@ -90,7 +90,7 @@ def stiffest(members, max_peak, coarse=(64, 64), fine=(33, 33), refinements=6):
 
 
 def _apart(candidates, distance, most):
-    """The best candidates that are no neighbours of a better one."""
+    """The best candidates that are not neighbours of a better one."""
     kept = []
     for _, kp, kd in candidates:
         here = np.array([kp, kd])

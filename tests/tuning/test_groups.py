@@ -37,7 +37,7 @@ def test_without_patterns_every_joint_is_a_group():
         (["hip", "left"], "joint 'left_hip' matches both 'hip' and 'left'"),
         (["hip"], "joint 'left_knee' is in no group"),
         (["hip", ""], "a pattern is empty"),
-        (["hip", "("], "is no regular expression"),
+        (["hip", "("], "is not a regular expression"),
         (["hip", "hip"], "given twice"),
     ],
 )

@@ -126,7 +126,7 @@ def test_what_does_not_fit_is_refused(folder, pendulum):
     hopper = _asked(folder, "hopper")
     with pytest.raises(UserError, match="other joints"):
         validate({**pendulum, "hopper": hopper}, KP, KD, {})
-    with pytest.raises(UserError, match="no parameter"):
+    with pytest.raises(UserError, match="not a parameter"):
         validate(pendulum, KP, KD, {"weight": np.zeros(2)})
     with pytest.raises(UserError, match="out of range"):
         validate(pendulum, KP, KD, {"zeta": np.array([0.5, -0.5])})

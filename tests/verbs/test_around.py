@@ -101,7 +101,7 @@ def test_joints_may_have_drives_of_their_own_and_noise_of_their_own():
 
 
 def test_a_control_period_that_does_not_fit_is_refused():
-    with pytest.raises(UserError, match="no multiple of the physics step"):
+    with pytest.raises(UserError, match="not a multiple of the physics step"):
         jx.drive_around(step, jx.joint(control_rate=300.0), measure=measure, physics_step=H)
 
 

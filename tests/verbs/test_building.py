@@ -70,9 +70,9 @@ def test_a_loop_is_a_pytree_of_its_values():
     [
         ({"kq": 3}, "unknown parameter; did you mean 'kp'"),
         ({"mass": -1.0}, "out of range"),
-        ({"kp": "stiff"}, "no number"),
-        ({"kp": [1.0, float("nan")]}, "no number"),
-        ({"kp": True}, "no number"),
+        ({"kp": "stiff"}, "not a number"),
+        ({"kp": [1.0, float("nan")]}, "not a number"),
+        ({"kp": True}, "not a number"),
         ({"kp": []}, "empty"),
         ({"kp": [1, 2], "kd": [1, 2, 3]}, "do not broadcast"),
         ({"actuator": "hy"}, "did you mean 'hyq'"),

@@ -35,8 +35,8 @@ _BESIDE = 1e-4
 _STILL = 1e-9
 # Imaginary parts below this share are rounding.
 _ROUNDING = 1e-9
-# Periods within which all delays are tried, and how finely: a delay that is no whole period changes
-# the loop near the Nyquist frequency by more than its phase.
+# Periods within which all delays are tried, and how finely: a delay that is not a whole period
+# changes the loop near the Nyquist frequency by more than its phase.
 _TRIED, _PARTS = 4, 4
 
 

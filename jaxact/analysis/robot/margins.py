@@ -139,7 +139,7 @@ class RobotMargins:
     @property
     def _faults(self) -> list[str]:
         words = {"shakes": self.shaking_rate, "topples": self.toppling_rate}
-        growing = math.log1p(_limits.MARGINAL)  # a period's share of it is no growth
+        growing = math.log1p(_limits.MARGINAL)  # a period's share of it does not count as growth
         return [word for word, rate in words.items() if rate * self.period > growing]
 
     @property

@@ -192,7 +192,7 @@ def _best_root(loop: DelayedLoop, at: _Sampled, sigma: jax.Array) -> jax.Array:
     far = jnp.hypot(*at.step)
     far = jnp.where(jnp.isfinite(far), far, jnp.inf)
     left, right = jnp.insert(far[:-1], 0, jnp.inf), jnp.append(far[1:], jnp.inf)
-    # Elsewhere the step is no prediction: it leads past what bends L.
+    # Elsewhere the step is not a prediction: it leads past what bends L.
     gap = jnp.diff(at.angle)
     local = jnp.maximum(jnp.append(gap, gap[-1]), jnp.insert(gap, 0, gap[0]))
     nearest = (far <= left) & (far <= right) & (far < 3.0 * (local + jnp.abs(sigma)))

@@ -101,7 +101,7 @@ def _number(text: str, part: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise UserError(f"`uncertainty` {shown(part)}: {shown(text)} is no number")
+        raise UserError(f"`uncertainty` {shown(part)}: {shown(text)} is not a number")
     return value
 
 

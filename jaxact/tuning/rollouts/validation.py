@@ -141,7 +141,7 @@ def _scene(specification: Specification, name: str) -> Scene:
 def checked_members(members: Columns) -> dict[str, np.ndarray]:
     """The members' values, shape (n,) each; a column that changes nothing where there is none.
 
-    Raises UserError for columns of different length, and for what is no parameter or out of bounds.
+    Raises UserError for columns of different length, unknown parameters and values out of bounds.
     """
     columns = {key: np.atleast_1d(np.asarray(values)) for key, values in members.items()}
     if len({values.shape for values in columns.values()}) > 1:
@@ -150,7 +150,7 @@ def checked_members(members: Columns) -> dict[str, np.ndarray]:
         if key == "actuator":
             continue
         if not known(key):
-            raise UserError(f"{key}: no parameter that members can differ in")
+            raise UserError(f"{key}: not a parameter that members can differ in")
         for value in values:
             check(key, float(value))
     return columns or {"feedforward": np.zeros(1)}

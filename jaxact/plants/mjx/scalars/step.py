@@ -32,7 +32,7 @@ def written_out(function: Callable[..., Any], largest: int = _LARGEST) -> Callab
     without `vmap`; they have no derivative in reverse.
 
     Args:
-        function: of trees; what is no JAX array in them is taken as it is.
+        function: of trees; what is not a JAX array in them is taken as it is.
         largest: most numbers of an array that is written out.
     """
 
@@ -302,7 +302,7 @@ def _flag(body: Any, begin: int, carried: int) -> int | None:
 
 
 def _packed(value: Any, shaped: Any) -> Any:
-    """A value as an array of JAX, which is no tracer where all of its numbers are known."""
+    """A value as an array of JAX, which is not a tracer where all of its numbers are known."""
     if not isinstance(value, np.ndarray):
         return value
     if is_known(value):
