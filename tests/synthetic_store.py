@@ -7,7 +7,7 @@ from scipy.linalg import expm
 
 from jaxact.loops import reading
 from jaxact.loops.samples import expand
-from jaxact.sweeping import conduct, opening, place, store
+from jaxact.sweeping import execution, location, opening, store
 from jaxact.sweeping.planning import Planned
 
 GRID = """
@@ -118,12 +118,12 @@ def teller(results, *, upto=None):
 
 def run(folder, specification, samples, results, *, upto=None, loops=10**6, **options):
     """Run a sweep whose results are known already."""
-    how = conduct.How(
+    how = execution.SweepOptions(
         planner=lambda asked, all_: fake_plan(asked, all_, loops=loops),
         workers=teller(results, upto=upto),
         **options,
     )
-    return conduct.sweep(specification, place.at(folder), how)
+    return execution.sweep(specification, location.at(folder), how)
 
 
 def dataset_of(specification, samples, results):

@@ -13,7 +13,7 @@ from jaxact.errors import UserError
 from jaxact.loops import reading
 from jaxact.loops.samples import expand
 from jaxact.status import Verdict
-from jaxact.sweeping import at_once, opening, store
+from jaxact.sweeping import atomic_store, opening, store
 from jaxact.sweeping.summary import summary
 
 TEXT = """
@@ -45,8 +45,8 @@ def _results(text):
 
 
 def _write(results, path, **options):
-    with at_once.destination(path, **options) as folder:
-        at_once.write(results, folder)
+    with atomic_store.destination(path, **options) as folder:
+        atomic_store.write(results, folder)
 
 
 @pytest.mark.parametrize("loops", [1, 4, 100])
@@ -166,13 +166,13 @@ def test_nothing_but_a_store_of_ours_is_ever_replaced(results, tmp_path):
 
 def test_failure_leaves_nothing_behind_and_the_old_store_whole(results, tmp_path):
     path = tmp_path / "deep" / "er" / "sweep.zarr"
-    with pytest.raises(KeyboardInterrupt), at_once.destination(path) as folder:
+    with pytest.raises(KeyboardInterrupt), atomic_store.destination(path) as folder:
         (folder / "half").write_text("half")
         raise KeyboardInterrupt
     assert list(tmp_path.iterdir()) == []
     _write(results, path)
-    with pytest.raises(ZeroDivisionError), at_once.destination(path, overwrite=True) as folder:
-        at_once.write(results.isel(kd=[0]), folder)
+    with pytest.raises(ZeroDivisionError), atomic_store.destination(path, overwrite=True) as folder:
+        atomic_store.write(results.isel(kd=[0]), folder)
         raise ZeroDivisionError
     assert opening.open_result(path).sizes["kd"] == 3
     assert [item.name for item in path.parent.iterdir()] == ["sweep.zarr"]
@@ -181,7 +181,7 @@ def test_failure_leaves_nothing_behind_and_the_old_store_whole(results, tmp_path
 def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file" / "sweep.zarr", tmp_path / ("x" * 300) / "sweep.zarr"):
-        with pytest.raises(UserError, match="cannot be written"), at_once.destination(path):
+        with pytest.raises(UserError, match="cannot be written"), atomic_store.destination(path):
             raise AssertionError("the work must not begin")
     assert [item.name for item in tmp_path.iterdir()] == ["file"]
 
@@ -189,7 +189,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
 def test_a_full_disk_is_one_line_and_leaves_nothing(results, tmp_path):
     with (
         pytest.raises(UserError, match="No space left"),
-        at_once.destination(tmp_path / "s") as out,
+        atomic_store.destination(tmp_path / "s") as out,
     ):
         assert out.is_dir()
         raise OSError(28, "No space left on device")

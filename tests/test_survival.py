@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from jaxact.cli.main import main
 from jaxact.errors import UserError
-from jaxact.sweeping import at_once, conduct, opening, place, seal
-from jaxact.sweeping.seal import Seal
+from jaxact.sweeping import atomic_store, checksums, execution, location, opening
+from jaxact.sweeping.checksums import ChecksumState
 
 ROOT = Path(__file__).resolve().parent.parent
 SMALL = "[axes]\nkp = [1, 2, 3]\nkd = [1, 2]"
@@ -38,17 +38,17 @@ def test_a_small_campaign_finds_nothing_wrong(what, number, tmp_path):
 )
 def test_any_changed_bit_of_a_sealed_file_is_found(more, data):
     document = {"zarr_format": 3, "attributes": more | {"created": "now", "command": "jaxact x"}}
-    content = seal.sealed(document)
-    assert seal.state(content) is Seal.INTACT
-    assert seal.sealed(json.loads(content)) == content
+    content = checksums.sealed(document)
+    assert checksums.state(content) is ChecksumState.INTACT
+    assert checksums.sealed(json.loads(content)) == content
     changed = bytearray(content)
     changed[data.draw(st.integers(0, len(content) - 1))] ^= 1 << data.draw(st.integers(0, 7))
-    assert seal.state(bytes(changed)) is not Seal.INTACT
+    assert checksums.state(bytes(changed)) is not ChecksumState.INTACT
 
 
 def test_when_a_sweep_was_begun_changes_no_other_checksum():
     one, other = (
-        json.loads(seal.sealed({"attributes": {"created": when, "command": "jaxact", "a": 1}}))
+        json.loads(checksums.sealed({"attributes": {"created": when, "command": "jaxact", "a": 1}}))
         for when in ("monday", "friday")
     )
     assert one["attributes"].pop("created") != other["attributes"].pop("created")
@@ -88,7 +88,7 @@ def test_an_older_store_is_read_with_a_word_and_sealed_by_resume(tmp_path, capsy
     whole = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     for path in (tmp_path / "sweep.zarr/zarr.json", tmp_path / "sweep.zarr/progress/zarr.json"):
         root = json.loads(path.read_text())
-        root["attributes"] = seal.plain(root["attributes"])
+        root["attributes"] = checksums.plain(root["attributes"])
         path.write_text(json.dumps(root, indent=2))
     assert main(["status", str(tmp_path)]) == 0
     said = capsys.readouterr().err
@@ -100,8 +100,8 @@ def test_an_older_store_is_read_with_a_word_and_sealed_by_resume(tmp_path, capsy
 
 def test_a_store_that_is_written_at_once_has_checksums_too(tmp_path, capsys):
     results = synthetic_store.dataset(SMALL).drop_vars("verdict")
-    with at_once.destination(tmp_path / "margins.zarr") as folder:
-        at_once.write(results, folder)
+    with atomic_store.destination(tmp_path / "margins.zarr") as folder:
+        atomic_store.write(results, folder)
     assert main(["status", str(tmp_path / "margins.zarr")]) == 0
     path = tmp_path / "margins.zarr/growth_rate/c/0/0"
     content = bytearray(path.read_bytes())
@@ -117,7 +117,9 @@ def test_what_is_named_rounds_and_is_not_ours_stays(tmp_path):
     assert (tmp_path / "rounds/thesis.txt").read_text() == "years of work"
     specification, _, _ = synthetic_store.exact(SMALL)
     with pytest.raises(UserError, match="stays"):
-        conduct.sweep(specification, place.at(tmp_path), conduct.How(width=0.1, overwrite=True))
+        execution.sweep(
+            specification, location.at(tmp_path), execution.SweepOptions(width=0.1, overwrite=True)
+        )
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -102,7 +102,7 @@ def serve() -> None:
     import zarr  # noqa: F401
 
     from jaxact.cli import main, sweep  # noqa: F401
-    from jaxact.plotting import look  # noqa: F401
+    from jaxact.plotting import theme  # noqa: F401
     from jaxact.simulation import execute, kernel, spectra  # noqa: F401
 
     small_chunks()

@@ -17,11 +17,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
-from jaxact.plotting import look, wording
-from jaxact.plotting.sheet import Sheet, sheet
+from jaxact.plotting import theme, wording
+from jaxact.plotting.page import Page, page
 from results import Results
 
-_COLOURS = (look.BLUE, look.GREEN, look.VERMILION)
+_COLOURS = (theme.BLUE, theme.GREEN, theme.VERMILION)
 _DASHES: tuple[Any, ...] = ((0, (5, 1.8)), "-")
 _MARKS = ("o", "s")
 _ROBOT_MARKS = {"hyq": "*", "starleth": "P"}
@@ -39,7 +39,7 @@ def gain_margin(results: Results) -> Figure:
 
     results: from `results.compute`
     """
-    with look.look():
+    with theme.applied():
         paper, grid = _sheet(
             1, 3.7, "Gain margin over the actuator's natural frequency",
             f"{_STUDY} 2. {_GAINS}; factor on both gains at which the loop turns unstable. Marks: "
@@ -62,7 +62,7 @@ def phase_and_delay_margin(results: Results) -> Figure:
 
     results: from `results.compute`
     """
-    with look.look():
+    with theme.applied():
         paper, grid = _sheet(
             2, 5.9, "Phase margin and delay margin over the actuator's natural frequency",
             f"{_STUDY} 3. {_GAINS}. Above: what the study calls delay margin is a phase margin, in "
@@ -91,7 +91,7 @@ def sensitivity_peak(results: Results) -> Figure:
 
     results: from `results.compute`
     """
-    with look.look():
+    with theme.applied():
         paper, grid = _sheet(
             2, 5.9, "Peak of the sensitivity over the actuator's natural frequency",
             f"{_STUDY} 4. {_GAINS}. Above: Ms, the peak of |S|. Below: the frequency of the peak; "
@@ -107,7 +107,7 @@ def sensitivity_peak(results: Results) -> Figure:
             _families(lower, results, kind, "sensitivity_peak_frequency", jumps=True)
             _ideal(lower, results, kind, "sensitivity_peak_frequency")
             _log_axis(lower, 25.0, 300.0, (30, 40, 50, 70, 100, 150, 200, 300))
-            lower.axhline(40.0, color=look.INK, linewidth=0.9, linestyle=":", zorder=1.5)
+            lower.axhline(40.0, color=theme.INK, linewidth=0.9, linestyle=":", zorder=1.5)
             upper.set_title("sampled at 1 kHz, exact" if kind == "sampled" else _COLUMNS[kind])
         grid[0, 0].set_ylabel("sensitivity peak Ms [-]")
         grid[1, 0].set_ylabel("frequency of the peak [rad/s]")
@@ -120,9 +120,9 @@ def sensitivity(results: Results) -> Figure:
 
     results: from `results.compute`
     """
-    with look.look():
+    with theme.applied():
         handles = _sensitivity_legend()
-        paper = sheet(
+        paper = page(
             9.4, 5.8, title="Sensitivity over frequency", entries=len(handles), entry_width=1.85,
             footer=f"{_STUDY} 4. {_GAINS}. Marks: measured from one simulated step response each, "
             "the command over kp times the setpoint. The dotted line is the study's 40 rad/s.",
@@ -142,9 +142,9 @@ def sensitivity(results: Results) -> Figure:
 
 def _sheet(
     rows: int, height: float, title: str, footer: str, *, marks: bool = True
-) -> tuple[Sheet, np.ndarray]:
-    """A sheet with `rows` of panels over the natural frequency, one column for each kind."""
-    paper = sheet(
+) -> tuple[Page, np.ndarray]:
+    """A page with `rows` of panels over the natural frequency, one column for each kind."""
+    paper = page(
         8.6, height, title=title, footer=footer, entries=len(_legend(marks=marks)),
         entry_width=2.1 if marks else 2.8,
     )  # fmt: skip
@@ -215,7 +215,7 @@ def _families(
             for d, value in enumerate(values):
                 axes.plot(
                     results.robot_frequency[r], value, marker=_ROBOT_MARKS[robot], markersize=9.5,
-                    color=_COLOURS[d], markeredgecolor=look.INK, markeredgewidth=0.6, zorder=5,
+                    color=_COLOURS[d], markeredgecolor=theme.INK, markeredgewidth=0.6, zorder=5,
                 )  # fmt: skip
 
 
@@ -250,19 +250,19 @@ def _legend(*, marks: bool = True) -> list[Artist]:
         for colour, delay in zip(_COLOURS, study.DELAYS, strict=True)
     ]
     for zeta, dash in zip(study.DAMPING_RATIOS, _DASHES, strict=True):
-        handles.append(Line2D([], [], color=look.INK, linestyle=dash, label=f"ζ {zeta:g}"))
+        handles.append(Line2D([], [], color=theme.INK, linestyle=dash, label=f"ζ {zeta:g}"))
     for robot, mark in _ROBOT_MARKS.items():
         handles.append(
             Line2D(
-                [], [], linestyle="none", marker=mark, markersize=9.0, color=look.FAINT,
-                markeredgecolor=look.INK, markeredgewidth=0.6, label=wording.display_name(robot),
+                [], [], linestyle="none", marker=mark, markersize=9.0, color=theme.FAINT,
+                markeredgecolor=theme.INK, markeredgewidth=0.6, label=wording.display_name(robot),
             )
         )  # fmt: skip
     if marks:
         for zeta, mark in zip(study.DAMPING_RATIOS, _MARKS, strict=True):
             handles.append(
                 Line2D(
-                    [], [], linestyle="none", marker=mark, markersize=4.2, color=look.INK,
+                    [], [], linestyle="none", marker=mark, markersize=4.2, color=theme.INK,
                     markerfacecolor="white", markeredgewidth=0.9, label=f"simulated, ζ {zeta:g}",
                 )
             )  # fmt: skip
@@ -281,8 +281,8 @@ def _sensitivities(axes: Axes, results: Results, z: int, d: int) -> None:
             marker="o", markersize=3.2, color=colour, markerfacecolor="white",
             markeredgewidth=0.8, zorder=4,
         )  # fmt: skip
-    axes.axvline(40.0, color=look.INK, linewidth=0.9, linestyle=":", zorder=1.5)
-    axes.axhline(1.0, color=look.FAINT, linewidth=0.8, zorder=1.5)
+    axes.axvline(40.0, color=theme.INK, linewidth=0.9, linestyle=":", zorder=1.5)
+    axes.axhline(1.0, color=theme.FAINT, linewidth=0.8, zorder=1.5)
     axes.set_xscale("log")
     axes.set_xlim(results.frequency[0], results.frequency[-1])
     _log_axis(axes, 0.02, 30.0, (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20))
@@ -299,10 +299,10 @@ def _sensitivity_legend() -> list[Artist]:
         for colour, wn in zip(_SHADES, study.SHOWN, strict=True)
     ]
     lower = [
-        Line2D([], [], color=look.INK, ls=(0, (4, 1.6)), lw=1.0, label="continuous time"),
-        Line2D([], [], color=look.INK, lw=1.3, label="sampled at 1 kHz"),
+        Line2D([], [], color=theme.INK, ls=(0, (4, 1.6)), lw=1.0, label="continuous time"),
+        Line2D([], [], color=theme.INK, lw=1.3, label="sampled at 1 kHz"),
         Line2D(
-            [], [], linestyle="none", marker="o", markersize=4.0, color=look.INK,
+            [], [], linestyle="none", marker="o", markersize=4.0, color=theme.INK,
             markerfacecolor="white", label="simulated",
         ),
     ]  # fmt: skip

@@ -17,7 +17,7 @@ from claims import claims
 from pictures import PICTURES
 from report import report
 
-from jaxact.plotting import look
+from jaxact.plotting import theme
 from results import Results, compute
 
 OUT = Path(__file__).resolve().parent.parent.parent / "results" / "paper"
@@ -28,7 +28,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Compute and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=OUT, help="folder of the results")
-    parser.add_argument("--format", choices=look.FORMATS, default="png", help="of the pictures")
+    parser.add_argument("--format", choices=theme.FORMATS, default="png", help="of the pictures")
     options = parser.parse_args(arguments)
     write(compute(), options.out, options.format)
 
@@ -37,7 +37,7 @@ def write(results: Results, folder: Path, kind: str = "png") -> None:
     """Write the pictures and the page, and say which claims hold."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, picture in PICTURES.items():
-        look.write(picture(results), folder / f"{name}.{kind}", title=name.replace("_", " "))
+        theme.write(picture(results), folder / f"{name}.{kind}", title=name.replace("_", " "))
     (folder / CLAIMS).write_text(report(results), encoding="utf-8")
     for claim in claims(results):
         print(f"{claim.holds}: {claim.says}")

@@ -14,8 +14,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from motions import Runs
 from study import Situation
 
-from jaxact.plotting import look, wording
-from jaxact.plotting.sheet import sheet
+from jaxact.plotting import theme, wording
+from jaxact.plotting.page import page
 
 TITLES = {"stand": "on four feet", "three": "on three feet", "hang": "hanging"}
 # Growth rates [1/s]: linear within the first, all colours used up at the second.
@@ -34,8 +34,8 @@ def stability_map(found: Mapping[str, Situation], rollout: float) -> Figure:
         " at 1 kHz. Delay: half of it on measurements, half on commands. Circles: largest gain"
         f" scale at which nonlinear rollouts of {rollout:g} s still die out."
     )
-    with look.look():
-        paper = sheet(8.6, 2.35 * len(found) + 0.4, footer=footer, entries=3,
+    with theme.applied():
+        paper = page(8.6, 2.35 * len(found) + 0.4, footer=footer, entries=3,
                       title="Where the quadruped is stable: gains, delay, actuator")  # fmt: skip
         grid = paper.figure.subplots(
             len(found), len(cases.ACTUATORS), sharex=True, sharey=True, squeeze=False
@@ -54,7 +54,7 @@ def stability_map(found: Mapping[str, Situation], rollout: float) -> Figure:
         for axes in grid[-1]:
             axes.set_xlabel("gain scale")
         bar = paper.figure.colorbar(
-            ScalarMappable(norm, look.diverging()), ax=grid, extend="both", fraction=0.05,
+            ScalarMappable(norm, theme.diverging()), ax=grid, extend="both", fraction=0.05,
             pad=0.012, aspect=32, shrink=0.97,
         )  # fmt: skip
         bar.set_label("growth rate [1/s]")
@@ -66,7 +66,7 @@ def stability_map(found: Mapping[str, Situation], rollout: float) -> Figure:
                 Line2D([], [], color="black", label="limit of the linearised loop"),
                 Line2D([], [], color="white", markerfacecolor="white", markeredgecolor="black",
                        marker="o", markersize=6, label="limit of nonlinear rollouts"),
-                Line2D([], [], color=look.INK, ls=(0, (4, 2)), lw=1.0,
+                Line2D([], [], color=theme.INK, ls=(0, (4, 2)), lw=1.0,
                        label="nominal and tripled gains"),
             ]
         )  # fmt: skip
@@ -77,7 +77,7 @@ def _panel(axes, situation: Situation, column: int, norm: SymLogNorm) -> None:
     shown = situation.map
     growth = shown.growth_rates[column]
     axes.pcolormesh(
-        _log_edges(shown.scales), _edges(1e3 * shown.delays), growth, cmap=look.diverging(),
+        _log_edges(shown.scales), _edges(1e3 * shown.delays), growth, cmap=theme.diverging(),
         norm=norm, rasterized=True,
     )  # fmt: skip
     if (growth > 0.0).any() and (growth < 0.0).any():
@@ -87,7 +87,7 @@ def _panel(axes, situation: Situation, column: int, norm: SymLogNorm) -> None:
             colors="black", linewidths=1.4,
         )  # fmt: skip
     for scale in cases.SCALES:
-        axes.axvline(scale, color=look.INK, linestyle=(0, (4, 2)), linewidth=1.0)
+        axes.axvline(scale, color=theme.INK, linestyle=(0, (4, 2)), linewidth=1.0)
     here = [one for one in situation.critical if one.actuator == cases.ACTUATORS[column]]
     axes.plot(
         [one.rollouts for one in here], [1e3 * one.delay for one in here], "o", clip_on=False,
@@ -127,15 +127,15 @@ def traces(runs: Runs, joint: str, words: str, until: float) -> Figure:
         f" {1e3 * push.duration:g} ms from {push.time:g} s (grey). Sensors: the specification's"
         " noise, quantisation and bias."
     )  # fmt: skip
-    with look.look():
-        paper = sheet(8.6, 4.4, footer=footer, entries=2, title=f"{joint}, {words}")
+    with theme.applied():
+        paper = page(8.6, 4.4, footer=footer, entries=2, title=f"{joint}, {words}")
         grid = paper.figure.subplots(2, 2, sharex=True, sharey="row")
         for axes, (name, pair) in zip(grid.T, columns.items(), strict=True):
             axes[0].set_title(name, pad=4)
             # the tripled ones below, as they may cover everything
             for number in (1, 0):
                 path = pair[number].trajectory
-                color = (look.BLUE, look.VERMILION)[number]
+                color = (theme.BLUE, theme.VERMILION)[number]
                 moved = 1e3 * (path.position[:, place] - path.setpoint[0, place])
                 axes[0].plot(path.time, moved, color=color, linewidth=1.1)
                 axes[1].plot(path.time, path.force[:, place], color=color, linewidth=0.9)
@@ -143,14 +143,14 @@ def traces(runs: Runs, joint: str, words: str, until: float) -> Figure:
                 each.grid(visible=True)
                 each.set_xlim(0.0, until)
                 if push is not None:
-                    each.axvspan(push.time, push.time + push.duration, color=look.GRID, lw=0)
+                    each.axvspan(push.time, push.time + push.duration, color=theme.GRID, lw=0)
             axes[1].set_xlabel("time [s]")
         grid[0, 0].set_ylabel("position from posture [mrad]")
         grid[1, 0].set_ylabel("torque [N m]")
         paper.legend(
             [
-                Line2D([], [], color=look.BLUE, label="nominal gains"),
-                Line2D([], [], color=look.VERMILION, label="tripled gains"),
+                Line2D([], [], color=theme.BLUE, label="nominal gains"),
+                Line2D([], [], color=theme.VERMILION, label="tripled gains"),
             ]
         )
         paper.figure.align_ylabels()

@@ -21,7 +21,7 @@ import study
 from motions import Runs, motions
 
 from jaxact.errors import UserError
-from jaxact.plotting import film, look, scene, video, wording
+from jaxact.plotting import film, scene, theme, video, wording
 
 OUT = cases.HERE.parent.parent / "results" / "quadruped"
 COMMAND = "make quadruped"
@@ -62,14 +62,14 @@ def _run(out: Path, *, quick: bool, filmed: bool) -> None:
         print(f"{time.monotonic() - began:5.0f} s  {name}", flush=True)
         found[name] = study.situation(one, size)
     shown = {"stability_map.png": "Stability over gain scale and delay"}
-    look.write(
+    theme.write(
         pictures.stability_map(found, size.rollout), out / "stability_map.png",
         title="quadruped: stability map",
     )  # fmt: skip
     name, actuator, delay = SHOWN if not quick else (*size.situations[:1], *SHOWN[1:])
     print(f"{time.monotonic() - began:5.0f} s  motions", flush=True)
     runs = motions(specifications[name], actuator, delay, size.duration or DURATION)
-    look.write(
+    theme.write(
         pictures.traces(runs, JOINT, WORDS, TRACED),
         out / "traces.png",
         title="quadruped: joint traces",

@@ -9,14 +9,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxact.plotting import look
+from jaxact.plotting import theme
 
 # Delay that is in the loop by where it closes [ms]: orders of magnitude, not measurements.
 PLACES = ((0.1, 1.0, "usual in a motor's drive"), (2.0, 10.0, "usual on a host, over a bus"))
 LOOKS = {
-    "ideal": (look.BLUE, "o", "ideal actuator (bar)"),
-    "hyq": (look.GREEN, "s", "HyQ's actuator"),
-    "starleth": (look.VERMILION, "D", "StarLETH's actuator"),
+    "ideal": (theme.BLUE, "o", "ideal actuator (bar)"),
+    "hyq": (theme.GREEN, "s", "HyQ's actuator"),
+    "starleth": (theme.VERMILION, "D", "StarLETH's actuator"),
 }
 LOW, HIGH = 0.1, 100.0
 BAR = "#BFD9EC"
@@ -24,13 +24,13 @@ BAR = "#BFD9EC"
 
 def write(found: list[dict[str, Any]], folder: Path) -> None:
     """Write delay_margins.png."""
-    look.write(margins(found), folder / "delay_margins.png", title="delay that gains bear")
+    theme.write(margins(found), folder / "delay_margins.png", title="delay that gains bear")
 
 
 def margins(found: list[dict[str, Any]]) -> Figure:
     """Delay borne on a stand, one robot a line, the least at the top."""
     order = sorted(found, key=lambda row: row["stand"]["ideal"]["delay"] or 0.0)
-    with look.look():
+    with theme.applied():
         figure = Figure(figsize=(10.4, 2.1 + 0.36 * len(order)), layout="constrained")
         figure.set_layout_engine("constrained", rect=(0.0, 0.0, 0.96, 1.0))
         axes = figure.add_subplot()
@@ -58,7 +58,7 @@ def margins(found: list[dict[str, Any]]) -> Figure:
 def _places(axes: Axes, rows: int) -> None:
     """Where the PD loop may close, and the delay that is usual there."""
     for low, high, words in PLACES:
-        axes.axvspan(low, high, color=look.GRID, alpha=0.55, linewidth=0.0, zorder=0)
+        axes.axvspan(low, high, color=theme.GRID, alpha=0.55, linewidth=0.0, zorder=0)
         axes.text(np.sqrt(low * high), -0.75, words, ha="center", va="center", fontsize=8)
     for place in range(rows):
         axes.axhline(place + 0.5, color="white", linewidth=0.8, zorder=0.5)
@@ -78,8 +78,8 @@ def _robot(axes: Axes, place: int, row: dict[str, Any]) -> None:
             left *= 1.3
     tuned = row["tuned"]
     if tuned["delay"] and tuned["certified"]:
-        axes.plot([1e3 * tuned["delay"]], [place], "*", color=look.YELLOW, markersize=10.0,
-                  markeredgecolor=look.INK, markeredgewidth=0.7, zorder=2.5)  # fmt: skip
+        axes.plot([1e3 * tuned["delay"]], [place], "*", color=theme.YELLOW, markersize=10.0,
+                  markeredgecolor=theme.INK, markeredgewidth=0.7, zorder=2.5)  # fmt: skip
 
 
 def _columns(axes: Axes, order: list[dict[str, Any]]) -> None:
@@ -104,7 +104,7 @@ def stiffness(row: dict[str, Any]) -> str:
 def _legend(figure: Figure, axes: Axes) -> None:
     for colour, marker, words in LOOKS.values():
         axes.plot([], [], marker, color=colour, label=words)
-    axes.plot([], [], "x", color=look.INK, label="shakes without any delay")
-    axes.plot([], [], "*", color=look.YELLOW, markersize=10.0, markeredgecolor=look.INK,
+    axes.plot([], [], "x", color=theme.INK, label="shakes without any delay")
+    axes.plot([], [], "*", color=theme.YELLOW, markersize=10.0, markeredgecolor=theme.INK,
               markeredgewidth=0.7, label="gains tuned for Ms ≤ 2 at 5 ms, ideal")  # fmt: skip
     figure.legend(loc="outside lower center", ncols=5)

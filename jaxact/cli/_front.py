@@ -120,7 +120,7 @@ def write(folder: Path, front: Front, marked: float) -> None:
 
     marked: the peak that was asked for
     """
-    from jaxact.plotting import look, tuning
+    from jaxact.plotting import theme, tuning
 
     names = [name.replace(" ", "_") for name, _ in front.columns]
     rows = [",".join(["max_peak", *names, "objective", "certified"])]
@@ -138,4 +138,4 @@ def write(folder: Path, front: Front, marked: float) -> None:
         label=f"{front.objective} [{front.units[2]}]", kd_unit=front.units[1],
         groups=front.groups, marked=None if at is None else (marked, at),
     )  # fmt: skip
-    look.write(figure, folder / "front.png", title="jaxact tune: front")
+    theme.write(figure, folder / "front.png", title="jaxact tune: front")

@@ -107,9 +107,9 @@ def draw(
     out: Path,
 ) -> None:
     """Compute the responses of the loops, draw the picture, write it and say so."""
-    from jaxact.plotting import look
+    from jaxact.plotting import theme
 
-    look.check_output(out)
+    theme.check_output(out)
     chosen = chosen_loops(parameters, file, velocity)
 
     from jaxact.verbs.responses import responses
@@ -117,7 +117,7 @@ def draw(
     loops = named(chosen.loops)
     drawn = responses(loops, sampled=chosen.sampled, velocity=chosen.velocity)
     figure = picture(drawn, title=title, footer=footer(loops, chosen.velocity))
-    look.write(figure, out, title=title or f"jaxact {picture.__name__}")
+    theme.write(figure, out, title=title or f"jaxact {picture.__name__}")
     print(f"wrote {out}")
 
 

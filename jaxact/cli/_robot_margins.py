@@ -111,7 +111,7 @@ def show(options: Options, given: dict[str, Any], velocity: str, *, json: bool) 
     Raises UserError for anything that does not fit.
     """
     if options.out is not None:
-        from jaxact.plotting.look import check_output
+        from jaxact.plotting.theme import check_output
 
         check_output(options.out)
     specification = specified(options, given, velocity)
@@ -135,8 +135,8 @@ def show(options: Options, given: dict[str, Any], velocity: str, *, json: bool) 
     rows = zip(labels, found, held, strict=True)
     print("\n".join(printed(specification, *row) for row in rows))
     if options.out is not None:
-        from jaxact.plotting.look import write
         from jaxact.plotting.robot import whole_robot as picture
+        from jaxact.plotting.theme import write
 
         title = f"{robot_tables.title(specification)}: all joints at once"
         figure = picture(found[0].curves, found[0].margins, title=title)

@@ -241,8 +241,8 @@ def write_folder(folder: Path, tuned: RobotTuned, held: Held | None, command: st
     command: that made it
     """
     from jaxact.cli import _tuning_pictures
-    from jaxact.plotting import look
     from jaxact.plotting import robot_tuning as pictures
+    from jaxact.plotting import theme
     from jaxact.plotting.convergence import convergence
     from jaxact.plotting.robot_gains import gains
     from jaxact.tuning.robot import result as robot_result
@@ -274,7 +274,7 @@ def write_folder(folder: Path, tuned: RobotTuned, held: Held | None, command: st
         "gains": gains(groups.names, before, after, ends, units=robot_result.units(tuned)),
     }  # fmt: skip
     for name, figure in drawn.items():
-        look.write(figure, folder / f"{name}.png", title=f"jaxact tune: {name}")
+        theme.write(figure, folder / f"{name}.png", title=f"jaxact tune: {name}")
 
 
 def _bands(tuned: RobotTuned, gains: tuple[np.ndarray, np.ndarray]) -> list[Any]:

@@ -164,7 +164,7 @@ def write_folder(
     nominal: figures of the nominal loop with the gains, as `report` has them
     """
     from jaxact.cli import _tuning_pictures
-    from jaxact.plotting import look
+    from jaxact.plotting import theme
     from jaxact.plotting.sensitivity import sensitivity
     from jaxact.tuning.result import mjcf_text, toml_text
     from jaxact.verbs import responses as _responses
@@ -177,7 +177,7 @@ def write_folder(
     drawn.sort(key=lambda response: -(response.loop or 0))
     pictures["sensitivity"] = sensitivity(drawn, footer=tuned.verdict)
     for name, figure in pictures.items():
-        look.write(figure, folder / f"{name}.png", title=f"jaxact tune: {name.replace('_', ' ')}")
+        theme.write(figure, folder / f"{name}.png", title=f"jaxact tune: {name.replace('_', ' ')}")
 
 
 def loops_of(loops: _loops.Loops, tuned: Tuned) -> _loops.Loops:

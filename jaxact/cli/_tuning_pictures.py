@@ -12,7 +12,7 @@ from jaxact.plotting.wording import quantity
 from jaxact.verbs import naming
 
 if TYPE_CHECKING:
-    from jaxact.plotting.convergence import Missed
+    from jaxact.plotting.convergence import UnmetBound
     from jaxact.plotting.tuning_map import Boundary
     from jaxact.tuning.joint.ensemble import Ensemble
     from jaxact.tuning.joint.search import Tuned
@@ -47,22 +47,24 @@ def of_joint(tuned: Tuned, loops: _loops.Loops) -> dict[str, Any]:
     }
 
 
-def missed(tuned: Tuned | RobotTuned) -> Missed | None:
+def missed(tuned: Tuned | RobotTuned) -> UnmetBound | None:
     """What a tuning did not reach, None where it reached everything."""
-    from jaxact.plotting.convergence import Missed
+    from jaxact.plotting.convergence import UnmetBound
 
     if tuned.feasible:
         return None
     checks = [check for check in tuned.closest if not check.met]
     if not tuned.certificate.stable:
-        return Missed("not reached: no gains found that make every member stable", math.inf)
+        return UnmetBound("not reached: no gains found that make every member stable", math.inf)
     if not checks:
-        return Missed("not reached: no gains found that meet the constraints together", math.inf)
+        return UnmetBound(
+            "not reached: no gains found that meet the constraints together", math.inf
+        )
     worst = max(checks, key=lambda check: check.excess)
     sign = "≤" if worst.constraint.startswith("max") else "≥"
     figure = worst.figure.replace("_", " ")
     words = f"not reached: {figure} {worst.value:.4g} at best, asked for {sign} {worst.bound:g}"
-    return Missed(words, math.exp(worst.excess))
+    return UnmetBound(words, math.exp(worst.excess))
 
 
 def _binding(tuned: Tuned) -> Ensemble:

@@ -85,7 +85,7 @@ def main(
         _robot_margins.show(robot, _loops.given(parameters), velocity, json=json)
         return
 
-    from jaxact.sweeping import at_once
+    from jaxact.sweeping import atomic_store
 
     _files.check_output(csv, ".csv", overwrite=overwrite)
     asked = chosen_loops(parameters, loops, velocity)
@@ -99,9 +99,9 @@ def main(
     if csv is not None:
         _files.write(csv, lambda file: file.write(_csv_text(chosen, found).encode()))
     if store is not None:
-        with at_once.destination(store, overwrite=overwrite) as partial:
+        with atomic_store.destination(store, overwrite=overwrite) as partial:
             grid = loops is not None and chosen.source is not None
-            at_once.write((_grid if grid else _dataset)(chosen, found), partial)
+            atomic_store.write((_grid if grid else _dataset)(chosen, found), partial)
     print(
         _json_lines(chosen, found)
         if json

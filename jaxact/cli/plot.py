@@ -118,16 +118,16 @@ def main(
       jaxact margins --loops sweep.toml --store m.zarr && jaxact plot m.zarr --variable gain_margin
       jaxact plot results/paper_gain_map --kind lines --x kd --y delay --select kp=400
     """
-    from jaxact.plotting import field, look, panels, regular
+    from jaxact.plotting import even_grid, field, panels, theme
     from jaxact.sweeping import opening
 
     if out is not None:
-        look.check_output(out)
+        theme.check_output(out)
     _warnings.older(result)
     results = opening.load_result(result)
-    computed = results if regular.refined(results) else None
+    computed = results if even_grid.refined(results) else None
     if computed is not None:
-        results = regular.regular(computed)
+        results = even_grid.resampled(computed)
     shown = field.usual(results) if variable is None else variable
     arrangement = panels.arrange(
         results,
@@ -145,7 +145,7 @@ def main(
         if out is not None
         else _default_output(result, arrangement.kind, shown, usual=shown == field.usual(results))
     )
-    look.write(figure, path, title=f"jaxact: {shown}")
+    theme.write(figure, path, title=f"jaxact: {shown}")
     print(said)
     print(f"wrote {path}")
 
@@ -204,7 +204,7 @@ def _pairs(given: tuple[str, ...]) -> dict[str, str]:
 
 def _default_output(result: str, kind: str, variable: str, *, usual: bool) -> Path:
     """`stability_map.png` beside the store, or of another than the usual variable its name."""
-    from jaxact.sweeping.place import is_url
+    from jaxact.sweeping.location import is_url
     from jaxact.sweeping.store import STORE
 
     path = Path() / STORE if is_url(result) else Path(result)

@@ -276,7 +276,7 @@ def _simulated(specification: Specification, labels: tuple[str, str], start: flo
     from jaxact.plotting.film import Motion
     from jaxact.simulation import engines, single
     from jaxact.status import Verdict
-    from jaxact.sweeping.bare import pair
+    from jaxact.sweeping.without_drive import pair
 
     specification = engines.resolved(specification)
     motions = []

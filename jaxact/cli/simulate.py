@@ -144,9 +144,9 @@ def main(
       jaxact simulate --spec experiments/paper_gain_map.toml --set engine=mjx --duration 2
       jaxact simulate --model robot.xml --keyframe home --actuator hyq --delay 0.001 --npz run.npz
     """
-    from jaxact.plotting import look
+    from jaxact.plotting import theme
 
-    look.check_output(out)
+    theme.check_output(out)
     for path, ending in ((csv, ".csv"), (npz, ".npz")):
         _files.check_output(path, ending, overwrite=overwrite)
     static = {
@@ -206,7 +206,7 @@ def _write(
     csv: Path | None,
     npz: Path | None,
 ) -> None:
-    from jaxact.plotting import caption, look
+    from jaxact.plotting import caption, theme
     from jaxact.plotting.trajectory import trajectory
 
     columns = _columns(run)
@@ -231,7 +231,7 @@ def _write(
         units=units,
         resolution=run.values["position_resolution"],
     )
-    look.write(figure, out, title="jaxact: one loop over time")
+    theme.write(figure, out, title="jaxact: one loop over time")
 
 
 def _joint(run: Single, joint: int) -> Joint:

@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 from jaxact.cli import _warnings
 
 if TYPE_CHECKING:
-    from jaxact.sweeping.place import Entry
+    from jaxact.sweeping.location import Entry
 
 
 def main(
@@ -38,10 +38,10 @@ def main(
 
 def _show(result: str, *, quick: bool) -> None:
     from jaxact.sweeping import adaptive, integrity, lock, opening, progress, store
-    from jaxact.sweeping import place as _place
+    from jaxact.sweeping import location as _location
     from jaxact.sweeping.progress import State
 
-    folder = _place.at(result.rstrip("/").removesuffix(f"/{store.STORE}"))
+    folder = _location.at(result.rstrip("/").removesuffix(f"/{store.STORE}"))
     owner = lock.holder(folder)
     rounds = folder.inside(adaptive.ROUNDS)
     if rounds.entries() and adaptive.are_rounds(rounds):

@@ -49,9 +49,9 @@ def main(
       jaxact step --actuator ideal hyq starleth --delay 0.005
       jaxact step --actuator starleth --kp 200 400 800 --duration 1 --out step.svg
     """
-    from jaxact.plotting import look
+    from jaxact.plotting import theme
 
-    look.check_output(out)
+    theme.check_output(out)
     static: dict[str, Any] = {
         "engine": engine, "velocity": velocity, "duration": duration, "seed": seed,
         "precision": "float64",
@@ -76,7 +76,7 @@ def main(
 
     runs = single.simulate_all(specification, chosen.samples)
     drawn = [_response(run, label) for run, label in zip(runs, chosen.labels, strict=True)]
-    look.write(
+    theme.write(
         step(drawn, title=title, footer=footer(chosen, velocity), until=duration),
         out,
         title=title or "jaxact step",

@@ -21,8 +21,8 @@ from jaxact.errors import UserError
 if TYPE_CHECKING:
     from jaxact.loops.samples import Samples
     from jaxact.loops.specification import Specification
-    from jaxact.sweeping.conduct import How
-    from jaxact.sweeping.place import Place
+    from jaxact.sweeping.execution import SweepOptions
+    from jaxact.sweeping.location import Location
     from jaxact.sweeping.planning import Planned
 
 
@@ -112,8 +112,8 @@ def main(
       jaxact sweep experiments/paper_gain_map.toml --adaptive --out results/boundary
     """
     from jaxact.loops import reading
+    from jaxact.sweeping import location as _location
     from jaxact.sweeping import memory as _memory
-    from jaxact.sweeping import place as _place
 
     asked = reading.load(specification, set)
     if resume and overwrite:
@@ -125,12 +125,12 @@ def main(
     if address is not None and workers != "ray":
         raise UserError(f"--address {address}: is for --workers ray")
     budget = None if memory is None else _memory.read_size(memory)
-    folder = _place.at(out if out is not None else Path("results") / specification.stem)
+    folder = _location.at(out if out is not None else Path("results") / specification.stem)
     _cache.prepare(wanted=not no_cache)
     _xla.call_at_once(asked)
-    from jaxact.sweeping.conduct import How
+    from jaxact.sweeping.execution import SweepOptions
 
-    how = How(resume=resume, overwrite=overwrite)
+    how = SweepOptions(resume=resume, overwrite=overwrite)
     if adaptive:
         how = dataclasses.replace(how, width=0.001 if width is None else width)
     if workers == "local" and not no_cache:
@@ -148,8 +148,8 @@ def main(
         _run(asked, folder, how, quiet=quiet)
 
 
-def _run(asked: Specification, folder: Place, how: How, *, quiet: bool) -> None:
-    from jaxact.sweeping import conduct, opening
+def _run(asked: Specification, folder: Location, how: SweepOptions, *, quiet: bool) -> None:
+    from jaxact.sweeping import execution, opening
 
     _signals.keep(f"interrupted; what is done is kept, {_continued()}")
     started, done = time.perf_counter(), [0, 0]
@@ -160,28 +160,28 @@ def _run(asked: Specification, folder: Place, how: How, *, quiet: bool) -> None:
             move(count, total)
 
         try:
-            filled = conduct.sweep(asked, folder, dataclasses.replace(how, moved=moved))
+            filled = execution.sweep(asked, folder, dataclasses.replace(how, moved=moved))
         except (KeyboardInterrupt, Terminated) as stop:
             begun = done[1] > 0 or not how.overwrite
             raise type(stop)(_how_to_resume(folder, begun=begun)) from None
     if quiet:
         return
     seconds = time.perf_counter() - started
-    results = opening.opened(filled.place)
-    print(f"{filled.place.name}: {results['verdict'].size:,} loops, {seconds:.1f} s in all")
+    results = opening.opened(filled.location)
+    print(f"{filled.location.name}: {results['verdict'].size:,} loops, {seconds:.1f} s in all")
     print(results.attrs["summary"])
 
 
 @contextlib.contextmanager
 def _computed_by(
-    how: How,
+    how: SweepOptions,
     workers: str,
     address: str | None,
     budget: int | None,
     *,
     measure: bool,
     quiet: bool,
-) -> Iterator[How]:
+) -> Iterator[SweepOptions]:
     """Planner and workers: this process, or a Ray cluster that stays attached meanwhile."""
     from jaxact.sweeping import planning
 
@@ -202,7 +202,7 @@ def _computed_by(
 
 
 def _settled(
-    asked: Specification, folder: Place, how: How, *, measure: bool, quiet: bool
+    asked: Specification, folder: Location, how: SweepOptions, *, measure: bool, quiet: bool
 ) -> Specification:
     """The specification with an engine in place of "auto": a sweep that goes on keeps its own."""
     from jaxact.loops.samples import expand
@@ -223,7 +223,7 @@ def _settled(
     return dataclasses.replace(asked, engine=engine)
 
 
-def _forecast(asked: Specification, how: How) -> str:
+def _forecast(asked: Specification, how: SweepOptions) -> str:
     """What a sweep would take, in a few lines."""
     from jaxact.loops.samples import expand
     from jaxact.sweeping import adaptive, memory
@@ -282,7 +282,7 @@ def duration(seconds: float) -> str:
     return f"{seconds / 86400:,.3g} days"
 
 
-def _how_to_resume(folder: Place, *, begun: bool) -> str:
+def _how_to_resume(folder: Location, *, begun: bool) -> str:
     """What to say of an interrupted sweep: what is kept, and how to continue.
 
     folder: of the results

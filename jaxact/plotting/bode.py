@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
-from jaxact.plotting import look, wording
+from jaxact.plotting import theme, wording
+from jaxact.plotting.page import column, lines, page
 from jaxact.plotting.response import LoopResponse, curve_styles, decibel, frequency_axis, number
-from jaxact.plotting.sheet import column, lines, sheet
 
 # The phase of a delay falls without end; below this it is cut off [deg].
 LOWEST_PHASE = -450.0
@@ -23,9 +23,9 @@ def bode(responses: Sequence[LoopResponse], *, title: str = "", footer: str = ""
     responses: at least one loop
     title, footer: above and below
     """
-    with look.look():
+    with theme.applied():
         labels = column([_described(response) for response in responses], 7.4)
-        paper = sheet(7.4, 5.6, title=title, footer=footer, entries=lines(labels), entry_width=7.4)
+        paper = page(7.4, 5.6, title=title, footer=footer, entries=lines(labels), entry_width=7.4)
         magnitude, phase = paper.figure.subplots(2, 1, sharex=True)
         draw((magnitude, phase), responses, labels)
         paper.legend(magnitude.get_legend_handles_labels()[0])
@@ -92,7 +92,7 @@ def _bar(axes: Axes, at: float, start: float, end: float, color: object) -> None
 def _dress(magnitude: Axes, phase: Axes, responses: Sequence[LoopResponse]) -> None:
     frequency_axis(magnitude, responses, label=False)
     frequency_axis(phase, responses)
-    magnitude.axhline(0.0, color=look.INK, linewidth=0.9, zorder=2)
+    magnitude.axhline(0.0, color=theme.INK, linewidth=0.9, zorder=2)
     levels = np.concatenate([decibel(r.open_loop) for r in responses])
     levels = levels[np.isfinite(levels)]
     magnitude.set_ylim(max(levels.min(), -80.0) - 4.0, min(levels.max(), 120.0) + 4.0)
@@ -106,9 +106,9 @@ def _dress(magnitude: Axes, phase: Axes, responses: Sequence[LoopResponse]) -> N
     for turn in range(-3, 1):
         level = -180.0 + 360.0 * turn
         if lowest - 15.0 <= level <= highest + 15.0:
-            phase.axhline(level, color=look.INK, linewidth=0.9, zorder=2)
+            phase.axhline(level, color=theme.INK, linewidth=0.9, zorder=2)
     phase.set_ylabel("phase of L [deg]")
     for response in responses:
         if np.isfinite(response.nyquist_frequency):
             for axes in (magnitude, phase):
-                axes.axvline(response.nyquist_frequency, color=look.FAINT, linewidth=0.8, ls="-.")
+                axes.axvline(response.nyquist_frequency, color=theme.FAINT, linewidth=0.8, ls="-.")

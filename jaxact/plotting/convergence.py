@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from jaxact.plotting import look, ticks
-from jaxact.plotting.sheet import sheet
+from jaxact.plotting import theme, ticks
+from jaxact.plotting.page import page
 from jaxact.plotting.tuning import AFTER, BEFORE
 
 _REACHED, _BEYOND = "#DDEFE4", "#F7E3D8"
@@ -23,7 +23,7 @@ _FLAT = 1.1
 
 
 @dataclass(frozen=True)
-class Missed:
+class UnmetBound:
     """What a tuning did not reach.
 
     words: a short sentence
@@ -42,7 +42,7 @@ def convergence(
     label: str,
     given: bool,
     stable: np.ndarray | None = None,
-    missed: Missed | None = None,
+    missed: UnmetBound | None = None,
     title: str = "",
     footer: str = "",
 ) -> Figure:
@@ -58,9 +58,9 @@ def convergence(
     title, footer: above and below
     """
     stable = np.ones(len(values), bool) if stable is None else np.asarray(stable)
-    with look.look():
+    with theme.applied():
         handles = _handles(stable, given=given, missed=missed)
-        paper = sheet(6.8, 4.8, title=title, footer=footer, entries=len(handles), entry_width=3.3)
+        paper = page(6.8, 4.8, title=title, footer=footer, entries=len(handles), entry_width=3.3)
         upper, lower = paper.figure.subplots(
             2, 1, sharex=True, gridspec_kw={"height_ratios": (1.5, 1)}
         )
@@ -73,7 +73,7 @@ def convergence(
         _objective_axis(upper, values, label)
         _bound_axis(lower, violations[stable], missed)
         if missed is not None:
-            upper.set_title(missed.words, color=look.VERMILION, fontweight="bold")
+            upper.set_title(missed.words, color=theme.VERMILION, fontweight="bold")
         for axes in (upper, lower):
             axes.grid(visible=True)
         paper.figure.align_ylabels()
@@ -83,7 +83,7 @@ def convergence(
 
 def _line(*, own: bool, stable: bool) -> dict[str, object]:
     line: dict[str, object] = {"color": BEFORE if own else AFTER, "linewidth": 1.6 if own else 1.0}
-    return line if stable else line | {"color": look.FAINT, "linestyle": ":"}
+    return line if stable else line | {"color": theme.FAINT, "linestyle": ":"}
 
 
 def _objective_axis(axes: Axes, values: np.ndarray, label: str) -> None:
@@ -100,7 +100,7 @@ def _objective_axis(axes: Axes, values: np.ndarray, label: str) -> None:
         ticks.label(axes.yaxis)
 
 
-def _bound_axis(axes: Axes, ratios: np.ndarray, missed: Missed | None) -> None:
+def _bound_axis(axes: Axes, ratios: np.ndarray, missed: UnmetBound | None) -> None:
     """Figures as ratios to their bounds, with the region that was to be reached."""
     axes.set_ylabel("times the bound")
     axes.set_xlabel("step")
@@ -115,20 +115,20 @@ def _bound_axis(axes: Axes, ratios: np.ndarray, missed: Missed | None) -> None:
         axes.set_yscale("log")
         ticks.label(axes.yaxis)
     axes.axhspan(low, 1.0, color=_REACHED, zorder=0)
-    axes.axhline(1.0, color=look.INK, linewidth=0.9)
+    axes.axhline(1.0, color=theme.INK, linewidth=0.9)
     if missed is None:
         return
     axes.axhspan(1.0, high, color=_BEYOND, zorder=0)
     if math.isfinite(missed.ratio):
-        axes.axhline(missed.ratio, color=look.VERMILION, linewidth=1.2, linestyle="--")
+        axes.axhline(missed.ratio, color=theme.VERMILION, linewidth=1.2, linestyle="--")
     else:
         axes.text(
             0.5, 0.6, "no stable gains found", transform=axes.transAxes, ha="center", va="center",
-            color=look.VERMILION,
+            color=theme.VERMILION,
         )  # fmt: skip
 
 
-def _handles(stable: np.ndarray, *, given: bool, missed: Missed | None) -> list[Artist]:
+def _handles(stable: np.ndarray, *, given: bool, missed: UnmetBound | None) -> list[Artist]:
     default = stable[:-1] if given else stable
     handles: list[Artist] = []
     if default.any():
@@ -142,7 +142,7 @@ def _handles(stable: np.ndarray, *, given: bool, missed: Missed | None) -> list[
     if missed is not None and math.isfinite(missed.ratio):
         handles.append(
             Line2D(
-                [], [], color=look.VERMILION, linewidth=1.2, ls="--",
+                [], [], color=theme.VERMILION, linewidth=1.2, ls="--",
                 label=f"best found, {missed.ratio:.4g} times the bound",
             )
         )  # fmt: skip

@@ -12,7 +12,7 @@ from matplotlib.colors import Colormap, LogNorm, Normalize, SymLogNorm
 from matplotlib.ticker import FixedLocator, FuncFormatter, Locator, NullLocator
 
 from jaxact.errors import UserError, nearest
-from jaxact.plotting import look, ticks
+from jaxact.plotting import theme, ticks
 from jaxact.status import Verdict
 
 # Symmetric-log colours: linear within this fraction of the largest growth rate shown.
@@ -94,7 +94,7 @@ def field(dataset: xr.Dataset, variable: str) -> Field:
         return _signed(variable, label, finite)
     low, high = (float(v) for v in np.percentile(finite, [0.5, 99.5]))
     extend = _extend(finite, low, high)
-    colors = look.sequential()
+    colors = theme.sequential()
     if variable == OF_LIMIT_CYCLES[0] and low == high:
         low, high = low / 2.0, high * 2.0
     # Of a peak what matters is between 1 and 3, and loops beside the boundary have any.
@@ -145,7 +145,7 @@ def _signed(variable: str, label: str, finite: np.ndarray) -> Field:
     limit, linear = signed_scale(finite)
     norm = SymLogNorm(linthresh=linear, linscale=0.6, vmin=-limit, vmax=limit)
     ticks, _ = signed_ticks(limit, linear)
-    return Field(variable, label, look.diverging(), norm, ticks, _extend(finite, -limit, limit))
+    return Field(variable, label, theme.diverging(), norm, ticks, _extend(finite, -limit, limit))
 
 
 def _extend(finite: np.ndarray, low: float, high: float) -> str:

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator
 
-from jaxact.plotting import look, ticks, wording
+from jaxact.plotting import theme, ticks, wording
 from jaxact.plotting.field import RATES, field, settled, signed_scale, signed_ticks, variable_label
 from jaxact.plotting.panels import Arrangement, Panel
 from jaxact.plotting.stability_map import finish, frame, positions
@@ -48,7 +48,7 @@ def lines(
     field(dataset, variable)  # refuses unknown names and empty variables
     growth = variable in RATES
     values = dataset[variable].values if growth else settled(dataset, variable)
-    with look.look():
+    with theme.applied():
         handles = _legend(arrangement, growth, nominal)
         drawn = frame(arrangement, title, footer=footer, entries=len(handles))
         for panel in arrangement.panels:
@@ -59,9 +59,9 @@ def lines(
             axes.grid(visible=True, which="major")
             _curves(axes, arrangement, panel, variable)
             if nominal is not None:
-                axes.axvline(nominal, color=look.FAINT, linewidth=0.9, linestyle=":", zorder=1.5)
+                axes.axvline(nominal, color=theme.FAINT, linewidth=0.9, linestyle=":", zorder=1.5)
         finish(drawn, None, handles)
-    return drawn.sheet.figure
+    return drawn.page.figure
 
 
 def _value_axis(axes: Axes, finite: np.ndarray, growth: bool) -> None:
@@ -74,7 +74,7 @@ def _value_axis(axes: Axes, finite: np.ndarray, growth: bool) -> None:
         axes.yaxis.set_minor_locator(NullLocator())
         axes.yaxis.set_major_formatter(formatter)
         axes.axhspan(0.0, limit, facecolor="#F6E7DA", zorder=0)
-        axes.axhline(0.0, color=look.INK, linewidth=0.9, zorder=1)
+        axes.axhline(0.0, color=theme.INK, linewidth=0.9, zorder=1)
     elif finite.min() > 0 and finite.max() / finite.min() > 100:
         axes.set_yscale("log")
         ticks.label(axes.yaxis)
@@ -89,7 +89,7 @@ def _curves(axes: Axes, arrangement: Arrangement, panel: Panel, variable: str) -
         values, verdict = values[None], verdict[None]
     joined = "" if arrangement.x.scale == "category" else None
     for number, (line, kinds) in enumerate(zip(values, verdict, strict=True)):
-        look_of = look.style(number)
+        look_of = theme.style(number)
         axes.plot(x, line, zorder=3, **(look_of | ({"linestyle": joined} if joined == "" else {})))
         every = math.ceil(len(x) / 32)
         for kind, face in _FACES.items():
@@ -110,15 +110,15 @@ def _legend(arrangement: Arrangement, growth: bool, nominal: float | None) -> li
         for number, value in enumerate(family.values):
             words = wording.quantity(value, family.units)
             label = words if family.scale == "category" else f"{family.name} {words}"
-            handles.append(Line2D([], [], label=label, **look.style(number)))
+            handles.append(Line2D([], [], label=label, **theme.style(number)))
     present = {int(v) for panel in arrangement.panels for v in np.unique(panel.data["verdict"])}
     for kind, face in _FACES.items():
         if int(kind) in present and (growth or kind not in (Verdict.UNSTABLE, Verdict.TOPPLES)):
             handles.append(
                 Line2D(
-                    [], [], linestyle="none", color=look.INK, markersize=4.5, label=kind.label,
+                    [], [], linestyle="none", color=theme.INK, markersize=4.5, label=kind.label,
                     marker=_UNSTABLE_MARK if kind is Verdict.UNSTABLE else "o",
-                    markerfacecolor=look.INK if face is None else face,
+                    markerfacecolor=theme.INK if face is None else face,
                 )
             )  # fmt: skip
     if growth:
@@ -126,5 +126,5 @@ def _legend(arrangement: Arrangement, growth: bool, nominal: float | None) -> li
     if nominal is not None:
         words = wording.quantity(nominal, arrangement.x.units)
         label = f"nominal: {arrangement.x.name} {words}"
-        handles.append(Line2D([], [], color=look.FAINT, linewidth=0.9, ls=":", label=label))
+        handles.append(Line2D([], [], color=theme.FAINT, linewidth=0.9, ls=":", label=label))
     return handles

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
 
-from jaxact.plotting import look
+from jaxact.plotting import theme
+from jaxact.plotting.page import column, lines, page
 from jaxact.plotting.response import LoopResponse, curve_styles, number
-from jaxact.plotting.sheet import column, lines, sheet
 
 # Disks of more curves than this are drawn as circles only: their colours would mix to mud.
 _MOST_FILLED = 3
@@ -37,10 +37,10 @@ def nyquist(
     with a the balanced disk margin: L stays outside and touches it (Seiler, Packard and Gahinet,
     "An introduction to disk margins", 2020).
     """
-    with look.look():
+    with theme.applied():
         labels = column([_described(response) for response in responses], 6.6)
         small_print = "\n".join(part for part in (footer, _MARKS) if part)
-        paper = sheet(
+        paper = page(
             6.6, 6.2, title=title, footer=small_print, entries=lines(labels), entry_width=6.6
         )
         axes = paper.figure.subplots()
@@ -59,7 +59,7 @@ def draw(
     labels: what each is called in a legend
     reach: as for `nyquist`
     """
-    circle = Circle((0.0, 0.0), 1.0, fill=False, edgecolor=look.FAINT, linewidth=0.9, zorder=1)
+    circle = Circle((0.0, 0.0), 1.0, fill=False, edgecolor=theme.FAINT, linewidth=0.9, zorder=1)
     axes.add_patch(circle)
     drawn = list(zip(responses, labels, curve_styles(responses), strict=True))
     filled = len(responses) <= _MOST_FILLED
@@ -70,8 +70,8 @@ def draw(
         _arrow(axes, curve, line["color"], reach)
         _margins(axes, response, line["color"])
     _critical_point(axes)
-    axes.axhline(0.0, color=look.GRID, linewidth=0.7, zorder=0)
-    axes.axvline(0.0, color=look.GRID, linewidth=0.7, zorder=0)
+    axes.axhline(0.0, color=theme.GRID, linewidth=0.7, zorder=0)
+    axes.axvline(0.0, color=theme.GRID, linewidth=0.7, zorder=0)
     axes.set_aspect("equal")
     axes.set_xlim(-reach, 1.25)
     axes.set_ylim(-0.5 * (reach + 1.25), 0.5 * (reach + 1.25))

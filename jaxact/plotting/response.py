@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from jaxact.plotting import look, ticks
+from jaxact.plotting import theme, ticks
 
 
 @dataclass(frozen=True)
@@ -72,16 +72,16 @@ def curve_styles(responses: Sequence[LoopResponse]) -> list[dict[str, Any]]:
         of_loop.setdefault(own, []).append(index)
     styles: list[dict[str, Any]] = [{} for _ in responses]
     for number, indices in enumerate(of_loop.values()):
-        line = look.style(number)
+        line = theme.style(number)
         sampled = [i for i in indices if math.isfinite(responses[i].nyquist_frequency)]
         for index in indices:
             styles[index] = {"zorder": 3} | line
             if len(indices) > 1 and index not in sampled:
-                pale = look.shade(str(line["color"]), 0.6)
+                pale = theme.shade(str(line["color"]), 0.6)
                 styles[index] = {"color": pale, "linestyle": "-", "linewidth": 3.4, "zorder": 2.5}
             elif len(sampled) > 1:
                 darker = -0.6 * sampled.index(index) / (len(sampled) - 1)
-                styles[index]["color"] = look.shade(str(line["color"]), darker)
+                styles[index]["color"] = theme.shade(str(line["color"]), darker)
     return styles
 
 

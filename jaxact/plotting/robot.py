@@ -10,9 +10,9 @@ from jaxact.analysis.robot.changes import Change
 from jaxact.analysis.robot.margins import RobotMargins
 from jaxact.analysis.robot.modes import Mode
 from jaxact.analysis.robot.multiloop import Curves
-from jaxact.plotting import look, ticks
+from jaxact.plotting import theme, ticks
+from jaxact.plotting.page import page
 from jaxact.plotting.response import number
-from jaxact.plotting.sheet import sheet
 
 # Joints whose curves are named in the legend: the nearest to shaking, or those that move most.
 MOST_NAMED = 5
@@ -34,8 +34,8 @@ def whole_robot(
     """
     shares = margins.critical.participation
     named = (margins.ranking or np.argsort(-shares, kind="stable").tolist())[:MOST_NAMED]
-    with look.look():
-        paper = sheet(9.4, 5.6, title=title, footer=footer, entries=1 + len(named), entry_width=1.9)
+    with theme.applied():
+        paper = page(9.4, 5.6, title=title, footer=footer, entries=1 + len(named), entry_width=1.9)
         grid = paper.figure.add_gridspec(2, 2, width_ratios=(2.1, 1.0))
         upper = paper.figure.add_subplot(grid[0, 0])
         lower = paper.figure.add_subplot(grid[1, 0], sharex=upper)
@@ -47,7 +47,7 @@ def whole_robot(
             _peak(upper, whole.sensitivity_peak, whole.sensitivity_peak_frequency, "Ms")
             _peak(lower, whole.complementary_peak, whole.complementary_peak_frequency, "Mt")
         else:
-            upper.set_title("unstable: its peaks say nothing", color=look.VERMILION)
+            upper.set_title("unstable: its peaks say nothing", color=theme.VERMILION)
         _shares(paper.figure.add_subplot(grid[:, 1]), curves.names, margins)
         paper.legend(upper.get_legend_handles_labels()[0])
     return paper.figure
@@ -61,16 +61,16 @@ def _sensitivities(axes: Axes, curves: Curves, named: list[int], symbol: str) ->
     )
     for joint in range(own.shape[1]):
         if joint not in named:
-            axes.plot(curves.frequency, own[:, joint], color=look.FAINT, linewidth=0.7, alpha=0.7)
-    axes.plot(curves.frequency, largest, color=look.BLACK, linewidth=2.0, label="all joints: σmax")
+            axes.plot(curves.frequency, own[:, joint], color=theme.FAINT, linewidth=0.7, alpha=0.7)
+    axes.plot(curves.frequency, largest, color=theme.BLACK, linewidth=2.0, label="all joints: σmax")
     for place, joint in enumerate(named):
-        style = look.style(place) | {"linewidth": 1.1, "label": curves.names[joint]}
+        style = theme.style(place) | {"linewidth": 1.1, "label": curves.names[joint]}
         axes.plot(curves.frequency, own[:, joint], **style)
     top = float(np.nanmax(largest))
     axes.set_yscale("log")
     axes.set_ylim(_LOWEST, max(2.0, min(1.4 * top, 1e3)))
     ticks.label(axes.yaxis)
-    axes.axhline(1.0, color=look.INK, linewidth=0.9, zorder=1)
+    axes.axhline(1.0, color=theme.INK, linewidth=0.9, zorder=1)
     axes.grid(visible=True, which="major")
     axes.set_ylabel(f"σmax({symbol}), |{symbol}ii|")
 
@@ -90,7 +90,7 @@ def _peak(axes: Axes, peak: float, at: float, symbol: str) -> None:
     """The peak, marked; at no frequency it is said only."""
     text = f"{symbol} {number(peak)}"
     if at > axes.get_xlim()[0]:
-        axes.plot([at], [peak], "o", markersize=5.5, markerfacecolor="white", color=look.BLACK)
+        axes.plot([at], [peak], "o", markersize=5.5, markerfacecolor="white", color=theme.BLACK)
         text += f" at {number(at)} rad/s"
     # Above the curves, whose peak may be anywhere.
     axes.set_title(text, loc="right", fontsize=8, pad=3.0)
@@ -102,15 +102,17 @@ def _shares(axes: Axes, names: tuple[str, ...], margins: RobotMargins) -> None:
     critical = margins.critical
     kind = "least damped mode" if margins.stable else "fastest growing mode"
     motions: list[tuple[Mode | Change, str, str]] = [
-        (critical, look.BLUE, f"{kind}, {number(critical.frequency)} rad/s")
+        (critical, theme.BLUE, f"{kind}, {number(critical.frequency)} rad/s")
     ]
     later = margins.changes.more_delay
     if later is not None:
         label = f"shakes {number(1e3 * later.value)} ms later, {number(later.frequency)} rad/s"
-        motions.append((later, look.VERMILION, label))
+        motions.append((later, theme.VERMILION, label))
     if margins.at_peak is not None:
         at_peak = margins.at_peak
-        motions.append((at_peak, look.ORANGE, f"response at Ms, {number(at_peak.frequency)} rad/s"))
+        motions.append(
+            (at_peak, theme.ORANGE, f"response at Ms, {number(at_peak.frequency)} rad/s")
+        )
     height = 0.8 / len(motions)
     for row, (motion, colour, label) in enumerate(motions):
         offset = (row - 0.5 * (len(motions) - 1)) * height

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jaxact.plotting import look, ticks
-from jaxact.plotting.sheet import sheet
+from jaxact.plotting import theme, ticks
+from jaxact.plotting.page import page
 from jaxact.plotting.tuning import AFTER, BEFORE
 
 # The axis goes this many times the spread of the middle half beyond it, or decades at least.
@@ -40,10 +40,10 @@ def gains(
     A gain that is far from all others is drawn as an arrow at the edge, with its value, so that
     the others are not squeezed.
     """
-    with look.look():
+    with theme.applied():
         width = min(max(5.2, 1.4 + 0.9 * len(names)), 12.0)
         handles = _handles(before is not None)
-        paper = sheet(width, 4.6, title=title, footer=footer, entries=len(handles), entry_width=1.9)
+        paper = page(width, 4.6, title=title, footer=footer, entries=len(handles), entry_width=1.9)
         grid = paper.figure.subplots(2, 1, sharex=True)
         places = np.arange(len(names))
         for row, (axes, symbol) in enumerate(zip(grid, ("kp", "kd"), strict=True)):
@@ -53,7 +53,7 @@ def gains(
             axes.set_ylim(low, high)
             ticks.label(axes.yaxis)
             for end in ends[:, row]:
-                _marks(axes, places, end, marker="_", color=look.INK, markersize=9, alpha=0.5)
+                _marks(axes, places, end, marker="_", color=theme.INK, markersize=9, alpha=0.5)
             if before is not None:
                 _marks(axes, places, before[row], value=True, marker="X", color=BEFORE,
                        markersize=8, markeredgecolor="white")  # fmt: skip
@@ -113,4 +113,4 @@ def _handles(before: bool) -> list[Artist]:
     handles = [mark("o", AFTER, "after")]
     if before:
         handles.append(mark("X", BEFORE, "before"))
-    return [*handles, mark("_", look.INK, "ends of the starts", 9.0)]
+    return [*handles, mark("_", theme.INK, "ends of the starts", 9.0)]

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from jaxact.plotting import look, ticks
-from jaxact.plotting.sheet import sheet
+from jaxact.plotting import theme, ticks
+from jaxact.plotting.page import page
 from jaxact.plotting.tuning import AFTER, BEFORE
 
 _LOWEST, _HIGHEST = 0.05, 50.0
@@ -44,14 +44,16 @@ def sensitivities(
     title, footer: above and below
     """
     number = len(after)
-    with look.look():
+    with theme.applied():
         handles: list[Artist] = [Patch(color=AFTER, alpha=0.7, label="after")]
         if before:
             handles.append(Patch(color=BEFORE, alpha=0.7, label="before"))
         if np.isfinite(max_peak):
-            handles.append(Line2D([], [], color=look.INK, ls="--", lw=1.0, label="largest allowed"))
+            handles.append(
+                Line2D([], [], color=theme.INK, ls="--", lw=1.0, label="largest allowed")
+            )
         width = max(5.2, 3.1 * number + 0.6)
-        paper = sheet(width, 4.9, title=title, footer=footer, entries=len(handles), entry_width=1.5)
+        paper = page(width, 4.9, title=title, footer=footer, entries=len(handles), entry_width=1.5)
         grid = paper.figure.subplots(2, number, sharex="col", sharey=True, squeeze=False)
         for column in range(number):
             for bands, color in ((before, BEFORE), (after, AFTER)):
@@ -63,7 +65,7 @@ def sensitivities(
             row[0].set_ylabel(f"σmax({symbol})")
             for axes in row:
                 if np.isfinite(max_peak):
-                    axes.axhline(max_peak, color=look.INK, linestyle="--", linewidth=1.0)
+                    axes.axhline(max_peak, color=theme.INK, linestyle="--", linewidth=1.0)
                 axes.grid(visible=True, which="major")
         paper.legend(handles)
     return paper.figure

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jaxact.plotting import look
+from jaxact.plotting import theme
 from jaxact.plotting.field import OF_LIMIT_CYCLES, RATES, Field, field, settled
 from jaxact.plotting.panels import Arrangement, Axis, Panel
 from jaxact.plotting.stability_map import (
@@ -59,7 +59,7 @@ def scatter(
     title, footer: above and below
     """
     shown = field(dataset, variable)
-    with look.look():
+    with theme.applied():
         handles = _legend(arrangement, boundaries, nominal, variable)
         drawn = frame(arrangement, title, footer=footer, entries=len(handles))
         for number, panel in enumerate(arrangement.panels):
@@ -71,7 +71,7 @@ def scatter(
             if nominal is not None:
                 mark_nominal(axes, arrangement, nominal)
         finish(drawn, shown, handles)
-    return drawn.sheet.figure
+    return drawn.page.figure
 
 
 def _points(axes: Axes, arrangement: Arrangement, panel: Panel, shown: Field) -> None:

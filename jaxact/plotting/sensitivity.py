@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxact.plotting import look, ticks
+from jaxact.plotting import theme, ticks
+from jaxact.plotting.page import column, lines, page
 from jaxact.plotting.response import LoopResponse, curve_styles, frequency_axis, number
-from jaxact.plotting.sheet import column, lines, sheet
 
 
 def sensitivity(responses: Sequence[LoopResponse], *, title: str = "", footer: str = "") -> Figure:
@@ -19,9 +19,9 @@ def sensitivity(responses: Sequence[LoopResponse], *, title: str = "", footer: s
     responses: at least one loop; an unstable one is drawn faint, its peaks say nothing
     title, footer: above and below
     """
-    with look.look():
+    with theme.applied():
         labels = column([_described(response) for response in responses], 7.4)
-        paper = sheet(7.4, 5.6, title=title, footer=footer, entries=lines(labels), entry_width=7.4)
+        paper = page(7.4, 5.6, title=title, footer=footer, entries=lines(labels), entry_width=7.4)
         upper, lower = paper.figure.subplots(2, 1, sharex=True)
         draw((upper, lower), responses, labels)
         paper.legend(upper.get_legend_handles_labels()[0])
@@ -76,5 +76,5 @@ def _dress(upper: Axes, lower: Axes, responses: Sequence[LoopResponse]) -> None:
         axes.set_yscale("log")
         axes.set_ylim(0.01, max(2.0, min(1.3 * peak, 100.0)))
         ticks.label(axes.yaxis)
-        axes.axhline(1.0, color=look.INK, linewidth=0.9, zorder=1)
+        axes.axhline(1.0, color=theme.INK, linewidth=0.9, zorder=1)
         axes.set_ylabel(f"|{symbol}(jω)|")

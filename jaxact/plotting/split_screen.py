@@ -10,13 +10,13 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from jaxact.plotting import look
+from jaxact.plotting import theme
 
 _GAP = 4  # pixels between the two
 _HEAD, _STRIP = 0.085, 0.2  # heights of the label and of the strip below, as shares of an image's
 _SMALL = 0.75  # height of the small print, as a share of the label's
 _STILL = 1e-3  # joints that are slower stand still, whatever rounding makes of them [rad/s or m/s]
-_COLOURS = (look.BLUE, look.VERMILION)
+_COLOURS = (theme.BLUE, theme.VERMILION)
 
 
 @dataclass(frozen=True)
@@ -71,19 +71,19 @@ def side_by_side(
             paper.paste(Image.fromarray(picture), (x, head))
             _centred(draw, x + width / 2, head / 2, side.label, head, _COLOURS[number], bold=True)
             if side.note:
-                _centred(draw, x + width / 2, 1.6 * head, side.note, 0.8 * head, look.VERMILION)
+                _centred(draw, x + width / 2, 1.6 * head, side.note, 0.8 * head, theme.VERMILION)
             box = (x, head + height + 0.36 * strip, x + width, head + height + strip)
             _strip(draw, box, side.speed[: index + 1] / highest, len(side.speed), _COLOURS[number])
             words = f"joint speed, rms: {side.speed[index]:.3g} {unit}"
             font = _font(0.23 * strip, bold=False)
             draw.text(
-                (x + 0.16 * strip, head + height + 0.08 * strip), words, fill=look.INK, font=font
+                (x + 0.16 * strip, head + height + 0.08 * strip), words, fill=theme.INK, font=font
             )
         below = head + height + strip
-        _centred(draw, size[0] / 2, below + head / 2, f"{time:.2f} s{pace}", head, look.INK)
+        _centred(draw, size[0] / 2, below + head / 2, f"{time:.2f} s{pace}", head, theme.INK)
         if caption:
             room = (size[0] / 2, below + (1.0 + 0.5 * _SMALL) * head)
-            _centred(draw, *room, caption, _fitting(caption, _SMALL * head, size[0]), look.INK)
+            _centred(draw, *room, caption, _fitting(caption, _SMALL * head, size[0]), theme.INK)
         yield np.asarray(paper)
 
 
@@ -104,7 +104,7 @@ def _strip(
     x = np.linspace(left + margin, right - margin, max(frames, 2))
     y = bottom - margin - (bottom - top - 2.0 * margin) * heights
     ground = [(float(x[0]), bottom - margin), (float(x[-1]), bottom - margin)]
-    draw.line(ground, fill=look.FAINT, width=1)
+    draw.line(ground, fill=theme.FAINT, width=1)
     points = [(float(a), float(b)) for a, b in zip(x, y, strict=False)]
     if len(points) > 1:
         draw.line(points, fill=colour, width=2)

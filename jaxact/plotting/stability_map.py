@@ -20,7 +20,7 @@ from matplotlib.ticker import (
     FuncFormatter,
 )
 
-from jaxact.plotting import look, ticks, wording
+from jaxact.plotting import theme, ticks, wording
 from jaxact.plotting.field import (
     OF_LIMIT_CYCLES,
     RATES,
@@ -30,8 +30,8 @@ from jaxact.plotting.field import (
     settled,
     usual,
 )
+from jaxact.plotting.page import Page, page
 from jaxact.plotting.panels import Arrangement, Axis, Panel
-from jaxact.plotting.sheet import Sheet, sheet
 from jaxact.plotting.zero_line import zero_line
 from jaxact.status import Verdict
 
@@ -56,9 +56,9 @@ LINEARISED = {
 
 @dataclass(frozen=True)
 class Frame:
-    """A sheet with its grid of axes, shape (rows, columns)."""
+    """A page with its grid of axes, shape (rows, columns)."""
 
-    sheet: Sheet
+    page: Page
     grid: np.ndarray
 
 
@@ -85,7 +85,7 @@ def stability_map(
     title, footer: above and below
     """
     shown = field(dataset, variable)
-    with look.look():
+    with theme.applied():
         rate = variable if variable in RATES else usual(dataset)
         zero = [
             zero_line(arrangement, panel, rate) if linearised else ()
@@ -100,7 +100,7 @@ def stability_map(
             axes = drawn.grid[panel.row, panel.column]
             draw(axes, arrangement, panel, shown, exact=exact, zero=zero[number], nominal=nominal)
         finish(drawn, shown, handles)
-    return drawn.sheet.figure
+    return drawn.page.figure
 
 
 def draw(
@@ -143,7 +143,7 @@ def frame(arrangement: Arrangement, title: str, *, footer: str = "", entries: in
     rows, columns = arrangement.rows, arrangement.columns
     side = {1: 4.6, 2: 3.2}.get(columns, 2.55)
     width, height = max(side * columns + 1.9, 6.2), 0.9 * side * rows + 0.55
-    paper = sheet(width, height, title=title, footer=footer, entries=entries)
+    paper = page(width, height, title=title, footer=footer, entries=entries)
     grid = paper.figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     _dress(grid, arrangement)
     return Frame(paper, grid)
@@ -178,12 +178,12 @@ def finish(frame: Frame, shown: Field | None, handles: list[Artist]) -> None:
     """Colour bar at the right and legend below."""
     if shown is not None:
         mappable = ScalarMappable(norm=shown.norm, cmap=shown.colors)
-        bar = frame.sheet.figure.colorbar(
+        bar = frame.page.figure.colorbar(
             mappable, ax=frame.grid, extend=shown.extend, fraction=0.05, pad=0.012, aspect=32,
             shrink=0.97,
         )  # fmt: skip
         dress_colorbar(bar, shown)
-    frame.sheet.legend(handles)
+    frame.page.legend(handles)
 
 
 def dress_axis(axes: Axes, which: str, shown: Axis) -> None:
@@ -294,7 +294,7 @@ def mark_nominal(axes: Axes, arrangement: Arrangement, nominal: tuple[float, flo
     if x is None or y is None:
         return
     axes.plot(
-        x, y, marker="*", markersize=12, markerfacecolor=look.YELLOW, markeredgecolor="black",
+        x, y, marker="*", markersize=12, markerfacecolor=theme.YELLOW, markeredgecolor="black",
         markeredgewidth=0.8, linestyle="none", zorder=6, scalex=False, scaley=False,
     )  # fmt: skip
 
@@ -334,7 +334,7 @@ def nominal_handle(arrangement: Arrangement, nominal: tuple[float, float]) -> Ar
         for axis, value in zip((arrangement.x, arrangement.y), nominal, strict=True)
     )
     return Line2D(
-        [], [], marker="*", markersize=11, markerfacecolor=look.YELLOW, markeredgecolor="black",
+        [], [], marker="*", markersize=11, markerfacecolor=theme.YELLOW, markeredgecolor="black",
         linestyle="none", label=f"nominal: {words}",
     )  # fmt: skip
 
@@ -380,7 +380,7 @@ def _cycle_handles(arrangement: Arrangement, present: set[int], variable: str) -
 
 
 def _empty(words: str) -> Artist:
-    return Patch(facecolor=EMPTY_FILL, edgecolor=look.GRID, label=words)
+    return Patch(facecolor=EMPTY_FILL, edgecolor=theme.GRID, label=words)
 
 
 def _lacks_value(data: xr.Dataset, variable: str) -> bool:

@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxact.plotting import look
-from jaxact.plotting.dust import spans, widen
-from jaxact.plotting.sheet import column, lines, sheet
+from jaxact.plotting import theme
+from jaxact.plotting.axis_spans import spans, widen
+from jaxact.plotting.page import column, lines, page
 from jaxact.plotting.trajectory import Joint, seconds_or_milliseconds
 
 # Of the panels of position and force, relative to each other.
@@ -50,9 +50,9 @@ def step(
     band: half width of the settling band as a fraction of the step [-]
     until: end of the time axis [s], where it is before the end of the runs
     """
-    with look.look():
+    with theme.applied():
         labels = column([response.label for response in responses], 7.4)
-        paper = sheet(
+        paper = page(
             7.4, 5.2, title=title, footer=footer, entries=lines(labels) + 1, entry_width=7.4
         )
         heights = {"height_ratios": HEIGHTS}
@@ -85,7 +85,7 @@ def draw(
     scale = 1e3 if label == "time [ms]" else 1.0
     _setpoint(upper, responses[0].run, scale, band)
     for index, response in enumerate(responses):
-        line = look.style(index) | ({} if response.stable else {"linewidth": 0.9})
+        line = theme.style(index) | ({} if response.stable else {"linewidth": 0.9})
         time = response.run.time * scale
         upper.plot(time, response.run.position, label=labels[index], zorder=3, **line)
         lower.plot(time, response.run.force, zorder=3, **line)
@@ -101,7 +101,7 @@ def draw(
     widen(lower, least.force)
     upper.set_ylabel(f"position [{units[0]}]")
     lower.set_ylabel(f"force [{units[1]}]")
-    lower.axhline(0.0, color=look.FAINT, linewidth=0.6, zorder=1)
+    lower.axhline(0.0, color=theme.FAINT, linewidth=0.6, zorder=1)
     lower.set_xlabel(label)
     lower.set_xlim(0.0, min(float(longest[-1]), until) * scale)
     for panel in axes:
@@ -113,7 +113,7 @@ def _setpoint(axes: Axes, run: Joint, scale: float, band: float) -> None:
     half = band * abs(final - start)
     axes.axhspan(final - half, final + half, color="#E4E4E4", zorder=0)
     axes.plot(
-        run.time * scale, run.setpoint, "--", color=look.INK, linewidth=1.0, zorder=2,
+        run.time * scale, run.setpoint, "--", color=theme.INK, linewidth=1.0, zorder=2,
         label=f"setpoint, band of ±{band:.0%}",
     )  # fmt: skip
 

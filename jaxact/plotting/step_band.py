@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from jaxact.plotting import look
-from jaxact.plotting.sheet import sheet
+from jaxact.plotting import theme
+from jaxact.plotting.page import page
 from jaxact.plotting.tuning import AFTER, BEFORE
 
 # Responses are drawn up to here; an unstable one goes on without end.
@@ -50,10 +50,10 @@ def step_band(
     before, after: None for no start
     title, footer: above and below
     """
-    with look.look():
+    with theme.applied():
         sides = [(before, BEFORE, "before"), (after, AFTER, "after")]
         handles = [handle for side in sides if side[0] for handle in _handles(*side)]
-        paper = sheet(
+        paper = page(
             7.0, 4.0, title=title, footer=footer, entries=len(handles),
             entry_width=3.4 if len(after.rows) > 1 else 1.5,
         )  # fmt: skip
@@ -62,7 +62,7 @@ def step_band(
         for responses, color, _ in sides:
             if responses is not None:
                 _draw(axes, time * scale, responses, color)
-        axes.axhline(1.0, color=look.INK, linewidth=0.9, linestyle=":", zorder=1)
+        axes.axhline(1.0, color=theme.INK, linewidth=0.9, linestyle=":", zorder=1)
         axes.axhspan(0.98, 1.02, color="#E4E4E4", zorder=0)
         peaks = [np.nanmax(side.rows) for side, *_ in sides if side is not None]
         axes.set_ylim(-0.1, max(1.3, min(1.1 * float(max(peaks)), _HIGHEST)))
@@ -89,7 +89,7 @@ def _draw(axes: Axes, time: np.ndarray, responses: Responses, color: str) -> Non
     )
     axes.plot(time, rows[worst(rows)], color=color, linewidth=1.2, linestyle=(0, (5, 1.5)))
     if responses.nominal is not None:
-        axes.plot(time, responses.nominal, color=look.shade(color, -0.25), linewidth=1.8)
+        axes.plot(time, responses.nominal, color=theme.shade(color, -0.25), linewidth=1.8)
 
 
 def _handles(responses: Responses, color: str, name: str) -> list[Artist]:
@@ -102,7 +102,7 @@ def _handles(responses: Responses, color: str, name: str) -> list[Artist]:
         Patch(color=color, alpha=0.22, label=f"{name}: all {len(responses.rows)} members")
     ]
     if responses.nominal is not None:
-        dark = look.shade(color, -0.25)
+        dark = theme.shade(color, -0.25)
         handles.append(Line2D([], [], color=dark, linewidth=1.8, label="nominal"))
     dash = {"color": color, "linewidth": 1.2, "linestyle": (0, (5, 1.5))}
     handles.append(Line2D([], [], **dash, label=f"overshoots most: {member}"))  # type: ignore[arg-type]

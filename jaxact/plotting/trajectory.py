@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from jaxact.plotting import look, wording
-from jaxact.plotting.dust import note as at_rest
-from jaxact.plotting.dust import spans, widen
-from jaxact.plotting.sheet import sheet
+from jaxact.plotting import theme, wording
+from jaxact.plotting.axis_spans import note as at_rest
+from jaxact.plotting.axis_spans import spans, widen
+from jaxact.plotting.page import page
 
 # A response this many times the step is not drawn any further.
 DIVERGED = 20.0
@@ -58,10 +58,10 @@ def trajectory(
     resolution: of the encoder, 0 where it is not known [m or rad]
 
     A motion that diverges is drawn until it is DIVERGED times as large as the step. Axes show at
-    least what `jaxact.plotting.dust` says, so that rounding does not look like a motion.
+    least what `jaxact.plotting.axis_spans` says, so that rounding does not look like a motion.
     """
-    with look.look():
-        figure = sheet(7.4, 6.0, title=title, footer=footer).figure
+    with theme.applied():
+        figure = page(7.4, 6.0, title=title, footer=footer).figure
         panels = figure.subplots(3, 1, sharex=True, gridspec_kw={"height_ratios": HEIGHTS})
         draw(panels, run, units=units, resolution=resolution)
         figure.align_ylabels()
@@ -85,11 +85,11 @@ def draw(
     run = replace(run, **{item.name: getattr(run, item.name)[:kept] for item in fields(run)})
     top, middle, bottom = axes
     time, label = seconds_or_milliseconds(run.time)
-    top.plot(time, run.setpoint, "--", color=look.INK, linewidth=1.1, label="setpoint")
-    top.plot(time, run.position, color=look.BLUE, label="position")
+    top.plot(time, run.setpoint, "--", color=theme.INK, linewidth=1.1, label="setpoint")
+    top.plot(time, run.position, color=theme.BLUE, label="position")
     top.set_ylabel(f"position [{length}]")
-    middle.plot(time, run.velocity, color=look.BLUE)
-    middle.axhline(0.0, color=look.FAINT, linewidth=0.6, zorder=1)
+    middle.plot(time, run.velocity, color=theme.BLUE)
+    middle.axhline(0.0, color=theme.FAINT, linewidth=0.6, zorder=1)
     middle.set_ylabel(f"velocity [{length}/s]")
     _forces(bottom, time, run)
     bottom.set_ylabel(f"force [{force}]")
@@ -108,7 +108,7 @@ def draw(
     if note:
         top.text(
             0.01, 0.93, note, transform=top.transAxes, va="top", fontsize=8,
-            color=look.VERMILION, backgroundcolor="white",
+            color=theme.VERMILION, backgroundcolor="white",
         )  # fmt: skip
 
 
@@ -118,12 +118,17 @@ def _forces(axes: Axes, time: np.ndarray, run: Joint) -> None:
     Held values are steps, the force is continuous.
     """
     held = {"drawstyle": "steps-post"}
-    axes.plot(time, run.command, color=look.SKY, linewidth=3.2, label="command", **held)
+    axes.plot(time, run.command, color=theme.SKY, linewidth=3.2, label="command", **held)
     axes.plot(
-        time, run.delayed_command, color=look.ORANGE, linewidth=1.8, label="delayed command", **held
+        time,
+        run.delayed_command,
+        color=theme.ORANGE,
+        linewidth=1.8,
+        label="delayed command",
+        **held,
     )
-    axes.plot(time, run.force, color=look.BLACK, linewidth=0.9, label="force")
-    axes.axhline(0.0, color=look.FAINT, linewidth=0.6, zorder=1)
+    axes.plot(time, run.force, color=theme.BLACK, linewidth=0.9, label="force")
+    axes.axhline(0.0, color=theme.FAINT, linewidth=0.6, zorder=1)
 
 
 def until_divergence(run: Joint) -> tuple[int, str]:

@@ -9,12 +9,12 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jaxact.plotting import look, ticks
-from jaxact.plotting.sheet import sheet
+from jaxact.plotting import theme, ticks
+from jaxact.plotting.page import page
 
-BEFORE, AFTER = look.VERMILION, look.BLUE
+BEFORE, AFTER = theme.VERMILION, theme.BLUE
 # Green comes here in the cycle of line styles, and blue is the objective's.
-_FIRST = look.CYCLE.index(look.GREEN)
+_FIRST = theme.CYCLE.index(theme.GREEN)
 
 
 def front(
@@ -40,25 +40,25 @@ def front(
     marked: a point (peak, value) to mark
     title, footer: above and below
     """
-    with look.look():
+    with theme.applied():
         rows = np.reshape(kd, (len(peaks), -1)).T
         named = [name for name in groups if name]
         entries = len(named) + (1 if marked else 0)
-        paper = sheet(6.4, 4.8, title=title, footer=footer, entries=entries)
+        paper = page(6.4, 4.8, title=title, footer=footer, entries=entries)
         upper, lower = paper.figure.subplots(
             2, 1, sharex=True, gridspec_kw={"height_ratios": (1.6, 1)}
         )
         upper.plot(peaks, values, marker="o", markersize=4, color=AFTER)
         handles: list[Artist] = []
         for index, (row, name) in enumerate(zip(rows, groups, strict=True)):
-            color = look.CYCLE[(_FIRST + index) % len(look.CYCLE)]
-            style = {"marker": look.MARKERS[index // len(look.CYCLE)], "markersize": 4,
+            color = theme.CYCLE[(_FIRST + index) % len(theme.CYCLE)]
+            style = {"marker": theme.MARKERS[index // len(theme.CYCLE)], "markersize": 4,
                      "color": color}  # fmt: skip
             lower.plot(peaks, row, **style)
             if name:
                 handles.append(Line2D([], [], **style, label=f"kd of {name}"))
         if marked is not None:
-            upper.plot(*marked, marker="*", markersize=13, color=look.YELLOW,
+            upper.plot(*marked, marker="*", markersize=13, color=theme.YELLOW,
                        markeredgecolor="black", zorder=5)  # fmt: skip
             handles.append(star("the bound asked for"))
         upper.set_yscale("log")
@@ -79,6 +79,6 @@ def front(
 def star(label: str) -> Artist:
     """Legend entry of the star that marks a result."""
     return Line2D(
-        [], [], marker="*", color=look.YELLOW, markersize=12, markeredgecolor="black", ls="none",
+        [], [], marker="*", color=theme.YELLOW, markersize=12, markeredgecolor="black", ls="none",
         label=label,
     )  # fmt: skip

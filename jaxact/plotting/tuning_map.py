@@ -17,8 +17,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 from scipy.ndimage import distance_transform_edt
 
 from jaxact.analysis.boundary.curves import BoundaryCurve
-from jaxact.plotting import look, ticks, wording
-from jaxact.plotting.sheet import sheet
+from jaxact.plotting import theme, ticks, wording
+from jaxact.plotting.page import page
 from jaxact.plotting.tuning import BEFORE, star
 
 _HIGHEST = 10.0
@@ -74,9 +74,9 @@ def tuning_map(
     """
     finite = plane.peak[np.isfinite(plane.peak)]
     bound = bool(finite.size and finite.min() < max_peak < finite.max())
-    with look.look():
+    with theme.applied():
         handles = _handles(plane, before, after, max_peak if bound else np.inf, reached=reached)
-        paper = sheet(6.4, 4.9, title=title, footer=footer, entries=len(handles), entry_width=3.2)
+        paper = page(6.4, 4.9, title=title, footer=footer, entries=len(handles), entry_width=3.2)
         axes = paper.figure.subplots()
         mesh = _peaks(axes, plane)
         if bound:
@@ -86,15 +86,15 @@ def tuning_map(
             )  # fmt: skip
         elif np.isfinite(max_peak) and not (finite < max_peak).any():
             above = f"max(Ms, Mt) above {max_peak:g}" if finite.size else "unstable"
-            axes.set_title(f"{above} everywhere here", color=look.VERMILION)
+            axes.set_title(f"{above} everywhere here", color=theme.VERMILION)
         for index, boundary in enumerate(plane.boundaries):
             for curve in boundary.curves:
                 if curve.separates:
                     axes.plot(curve.kp, curve.kd, **_line(index), scalex=False, scaley=False)
         if before is not None:
             axes.plot(*before, marker="X", color=BEFORE, markersize=9, markeredgecolor="white")
-            axes.annotate("", after, before, arrowprops={"arrowstyle": "->", "color": look.INK})
-        axes.plot(*after, marker="*", color=look.YELLOW, markersize=14, markeredgecolor="black")
+            axes.annotate("", after, before, arrowprops={"arrowstyle": "->", "color": theme.INK})
+        axes.plot(*after, marker="*", color=theme.YELLOW, markersize=14, markeredgecolor="black")
         _dress(axes, plane)
         bar = paper.figure.colorbar(mesh, ax=axes, extend="max")
         several = ", worst of the members named" if len(plane.boundaries) > 1 else ""
@@ -119,7 +119,7 @@ def _peaks(axes: Axes, plane: Plane) -> QuadMesh:
             color="#7A4A22", fontsize=9, zorder=2,
         )  # fmt: skip
     return axes.pcolormesh(
-        plane.kp, plane.kd, np.ma.masked_invalid(plane.peak), cmap=look.sequential(),
+        plane.kp, plane.kd, np.ma.masked_invalid(plane.peak), cmap=theme.sequential(),
         norm=LogNorm(1.0, _HIGHEST), shading="nearest", rasterized=True,
     )  # fmt: skip
 
@@ -142,7 +142,11 @@ def _dress(axes: Axes, plane: Plane) -> None:
 
 def _line(index: int) -> dict[str, Any]:
     """Of the index-th boundary: black, each with a dash of its own."""
-    return {"color": "black", "linewidth": 1.4, "linestyle": look.DASHES[index % len(look.DASHES)]}
+    return {
+        "color": "black",
+        "linewidth": 1.4,
+        "linestyle": theme.DASHES[index % len(theme.DASHES)],
+    }
 
 
 def _handles(

@@ -25,7 +25,7 @@ from jaxact.plants.mujoco import JointPush
 from jaxact.robot_margins import whole_robot
 from jaxact.robot_margins.whole_robot import WholeRobot
 from jaxact.robots import friction as _friction
-from jaxact.simulation import outside, plans
+from jaxact.simulation import mujoco_batch, plans
 from jaxact.simulation.rollout import Trajectory
 
 START, PUSH = 0.05, 0.05
@@ -228,7 +228,7 @@ class _Runs:
         force = np.zeros((_NUMBER, joints))
         force[:, self._place] = pushes
         with jax.enable_x64(True):
-            _, kept, _ = outside.followed(
+            _, kept, _ = mujoco_batch.followed(
                 self._case,
                 setting,
                 self._values,

@@ -20,7 +20,7 @@ from jaxact.loops.samples import Samples, expand
 from jaxact.loops.specification import Setting, Specification
 from jaxact.loops.template import Template
 from jaxact.robots import friction, mounting
-from jaxact.simulation import engines, kernel, outside, plans, robot_loop
+from jaxact.simulation import engines, kernel, mujoco_batch, plans, robot_loop
 from jaxact.simulation.kernel import Case
 
 
@@ -80,7 +80,7 @@ def evaluate(specification: Specification, samples: Samples | None = None) -> li
         case, setting = kernel.linear_part(plan.case, specification.setting)
         with jax.enable_x64(True):
             template, compiled = _compiled(case, setting)
-        moved = outside.moved(plan.case, specification.setting, samples.take(numbers))
+        moved = mujoco_batch.moved(plan.case, specification.setting, samples.take(numbers))
         for place, number in enumerate(numbers):
             values = {
                 name: float(row[0]) for name, row in samples.take(numbers[place, None]).items()

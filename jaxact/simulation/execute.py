@@ -46,7 +46,7 @@ class _Batch:
 
 
 @dataclass(frozen=True)
-class Begun:
+class RunningBatches:
     """Samples that devices are simulating.
 
     Attributes:
@@ -153,11 +153,11 @@ def _outside(
     growth: np.ndarray,
 ) -> Metrics:
     """Metrics of a batch whose physics is C MuJoCo's."""
-    from jaxact.simulation import outside  # imports MuJoCo
+    from jaxact.simulation import mujoco_batch  # imports MuJoCo
 
     values = samples.take(numbers)
     setting, seed = specification.setting, specification.seed
-    return outside.metrics(plan.case, setting, values, growth, seed, samples.first + numbers)
+    return mujoco_batch.metrics(plan.case, setting, values, growth, seed, samples.first + numbers)
 
 
 def _rows(batch: _Batch) -> dict[str, np.ndarray]:
@@ -212,7 +212,7 @@ def begin(
     samples: Samples,
     numbers: np.ndarray,
     growth: Sequence[Rates],
-) -> Begun:
+) -> RunningBatches:
     """Set devices to simulate some samples, without waiting for them.
 
     Args:
@@ -229,10 +229,10 @@ def begin(
         found = _simulated(plan, specification, samples, batch, rates)
         begun.append((places, count, found))
         done += count
-    return Begun(numbers.size, begun)
+    return RunningBatches(numbers.size, begun)
 
 
-def finish(begun: Begun) -> dict[str, np.ndarray]:
+def finish(begun: RunningBatches) -> dict[str, np.ndarray]:
     """What `compute` returns, once it is there."""
     results: dict[str, np.ndarray] = {}
     for places, count, batch in begun.batches:

@@ -168,9 +168,9 @@ def _followed(
     double = specification.precision == "float64"
     with jax.enable_x64(True) if double else nullcontext():
         if case.engine == "mujoco":
-            from jaxact.simulation import outside  # imports MuJoCo
+            from jaxact.simulation import mujoco_batch  # imports MuJoCo
 
-            figures, kept, judged = outside.followed(case, *loops)
+            figures, kept, judged = mujoco_batch.followed(case, *loops)
         else:
             figures, kept, judged = _in_jax(case, *loops)
     rows = {
@@ -190,7 +190,7 @@ def _in_jax(
     seed: int,
     numbers: np.ndarray,
 ) -> tuple[Metrics, Trajectory, Judgement]:
-    """The counterpart of `jaxact.simulation.outside.followed` for plants in JAX."""
+    """The counterpart of `jaxact.simulation.mujoco_batch.followed` for plants in JAX."""
 
     def make() -> Callable[..., tuple[Metrics, Trajectory, Judgement]]:
         template = kernel.template_of(case, setting, "metrics")

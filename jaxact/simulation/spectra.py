@@ -121,9 +121,9 @@ def _of_robots(
     look = tiles.compiled("slow_modes", case, plan.devices, setting, True)
     inputs: list[Any] = [*tiles.tiled(plan, samples, numbers, np.float64)]
     if plan.case.varied:
-        from jaxact.simulation import outside  # imports MuJoCo
+        from jaxact.simulation import mujoco_batch  # imports MuJoCo
 
-        moved = outside.moved(plan.case, specification.setting, samples.take(numbers))
+        moved = mujoco_batch.moved(plan.case, specification.setting, samples.take(numbers))
         assert moved is not None
         rows = plan.devices * plan.tiles, plan.tile
         inputs.append([part.reshape(*rows, *part.shape[1:]) for part in moved])

@@ -26,14 +26,14 @@ from jaxact.status import Verdict
 from jaxact.sweeping import fill, integrity, planning, progress
 from jaxact.sweeping import store as _store
 from jaxact.sweeping.layout import Layout
-from jaxact.sweeping.place import Place
+from jaxact.sweeping.location import Location
 from jaxact.sweeping.planning import Planned
 from jaxact.sweeping.progress import State, Store
 from jaxact.sweeping.refinement import Lattice, Refinement
 
 if TYPE_CHECKING:
-    from jaxact.sweeping.computer import Work
-    from jaxact.sweeping.conduct import How
+    from jaxact.sweeping.computer import ChunkTask
+    from jaxact.sweeping.execution import SweepOptions
     from jaxact.sweeping.fill import Workers
 
 ROUNDS = "rounds"
@@ -111,7 +111,11 @@ def samples_at(
 
 
 def refine(
-    folder: Place, specification: Specification, samples: Samples, width: float, how: How
+    folder: Location,
+    specification: Specification,
+    samples: Samples,
+    width: float,
+    how: SweepOptions,
 ) -> Store:
     """Refine the border of stability, and make one store of all rounds.
 
@@ -136,7 +140,7 @@ def refine(
     if source == target:
         if integrity.is_whole(target):
             return _existing(target)
-        known = Known.of(_existing(target))
+        known = KnownSamples.of(_existing(target))
         if not _same(rounds.inside(_FIRST), specification, planned, width):
             rounds.remove()
     refinement = Refinement(grid)
@@ -163,7 +167,7 @@ def refine(
     return _joined(target, specification, grid, points, results, planned, width, origin)
 
 
-def are_rounds(rounds: Place) -> bool:
+def are_rounds(rounds: Location) -> bool:
     """Whether a folder holds rounds of a sweep, or nothing."""
     names = {key.partition("/")[0] for key in rounds.entries()}
     if not names:
@@ -173,8 +177,8 @@ def are_rounds(rounds: Place) -> bool:
 
 
 def _source(
-    target: Place, rounds: Place, specification: Specification, planned: Planned, width: float
-) -> Place | None:
+    target: Location, rounds: Location, specification: Specification, planned: Planned, width: float
+) -> Location | None:
     """The store that is continued: the whole, or the first round; None where there is neither.
 
     Raises UserError if all that is there belongs to another sweep.
@@ -188,14 +192,14 @@ def _source(
     return None
 
 
-def _existing(target: Place) -> Store:
+def _existing(target: Location) -> Store:
     store = progress.existing(target)
     if store is None:
         raise UserError(f"{target.name}: does not say how it is cut up; `overwrite` begins anew")
     return store
 
 
-def _taken_over(source: Place, planned: Planned) -> Planned:
+def _taken_over(source: Location, planned: Planned) -> Planned:
     """The plan with the tiles and chunks of the sweep that is continued."""
     there = _store.identity_of(source) or {}
     return dataclasses.replace(
@@ -215,7 +219,7 @@ def _more(planned: Planned, width: float) -> dict[str, object]:
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownSamples:
     """Results that a damaged or unfinished whole still has.
 
     there: which loops they are of, shape (n,)
@@ -226,7 +230,7 @@ class Known:
     values: Rows
 
     @staticmethod
-    def of(store: Store) -> Known:
+    def of(store: Store) -> KnownSamples:
         """What a store has."""
         size = math.prod(store.layout.shape)
         there = np.zeros(size, bool)
@@ -236,7 +240,7 @@ class Known:
             for name, part in store.attempt(number)[1].items():
                 values[name][first : first + count] = part
                 there[first : first + count] = True
-        return Known(there, values)
+        return KnownSamples(there, values)
 
     def rows(self, first: int, count: int) -> Rows | None:
         """The results of a run of loops, None where not all are known."""
@@ -248,7 +252,7 @@ class Known:
     def workers(self, others: Workers) -> Workers:
         """Those who compute what is not known."""
 
-        def work(work: Work, numbers: list[int], begin: Callable[[], None]) -> Iterator[int]:
+        def work(work: ChunkTask, numbers: list[int], begin: Callable[[], None]) -> Iterator[int]:
             begin_once = functools.cache(begin)
             left = []
             for number in numbers:
@@ -266,15 +270,15 @@ class Known:
 
 
 def _round(
-    rounds: Place,
+    rounds: Location,
     number: int,
     specification: Specification,
     outline: Samples,
     samples: Samples,
     planned: Planned,
     width: float,
-    known: Known | None,
-    how: How,
+    known: KnownSamples | None,
+    how: SweepOptions,
 ) -> Rows:
     """The results of one round, from its store where they are there already."""
     store = fill.fill(
@@ -288,7 +292,7 @@ def _round(
 
 
 def _demand_same(
-    target: Place, specification: Specification, planned: Planned, width: float
+    target: Location, specification: Specification, planned: Planned, width: float
 ) -> None:
     there = _store.identity_of(target) or {}
     layout = Layout(tuple(there["shape"]), tuple(there["chunk"]))
@@ -296,7 +300,7 @@ def _demand_same(
     fill.same(target, specification, wanted)
 
 
-def _same(target: Place, specification: Specification, planned: Planned, width: float) -> bool:
+def _same(target: Location, specification: Specification, planned: Planned, width: float) -> bool:
     """Whether a store is of this sweep."""
     if _store.identity_of(target) is None:
         return False
@@ -308,7 +312,7 @@ def _same(target: Place, specification: Specification, planned: Planned, width: 
 
 
 def _joined(
-    target: Place,
+    target: Location,
     specification: Specification,
     grid: Lattice,
     points: np.ndarray,

@@ -18,7 +18,7 @@ from jaxact.errors import UserError
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.sweeping import planning
-from jaxact.sweeping.computer import Computer, Work
+from jaxact.sweeping.computer import ChunkTask, Computer
 from jaxact.sweeping.planning import Planned
 
 # How often a task is started again after its worker was lost.
@@ -58,7 +58,7 @@ class Cluster:
         seconds = planned.seconds / self.slots
         return dataclasses.replace(planned, loops=loops, device=together, seconds=seconds)
 
-    def work(self, work: Work, numbers: list[int], begin: Callable[[], None]) -> Iterator[int]:
+    def work(self, work: ChunkTask, numbers: list[int], begin: Callable[[], None]) -> Iterator[int]:
         """Compute chunks; see `jaxact.sweeping.fill.Workers`."""
         if not numbers:
             return
@@ -150,7 +150,7 @@ def _plan(specification: Specification, samples: Samples, budget: int | None) ->
     return planning.plan(specification, samples, budget=budget)
 
 
-def _compute(work: Work, number: int) -> int:
+def _compute(work: ChunkTask, number: int) -> int:
     """Compute and write a chunk, in a worker, which keeps what it has compiled."""
     results, tile = Computer(work)(number)
     work.store.write(number, results, tile)

@@ -17,13 +17,13 @@ from jaxact.loops.specification import Specification
 from jaxact.sweeping.progress import Store
 
 if TYPE_CHECKING:
-    from jaxact.simulation.execute import Begun
+    from jaxact.simulation.execute import RunningBatches
     from jaxact.simulation.plans import Plan
     from jaxact.simulation.spectra import Rates
 
 
 @dataclass(frozen=True)
-class Work:
+class ChunkTask:
     """All that is needed to compute any chunk of a store, here or on another machine.
 
     specification: checked; its tile is that of the store
@@ -47,7 +47,7 @@ class Computer:
     not wait for what is done outside them; nobody does where it is None.
     """
 
-    def __init__(self, work: Work, helper: Executor | None = None) -> None:
+    def __init__(self, work: ChunkTask, helper: Executor | None = None) -> None:
         from jaxact.simulation import engines
 
         self._work = work
@@ -75,7 +75,7 @@ class Computer:
         """The results of a chunk by variable, and the tile they were computed with."""
         return self.finish(number, self.begin(number))
 
-    def begin(self, number: int, following: int | None = None) -> tuple[Begun, int] | None:
+    def begin(self, number: int, following: int | None = None) -> tuple[RunningBatches, int] | None:
         """Set the devices to compute a chunk, for `finish`.
 
         number: of the chunk
@@ -97,7 +97,7 @@ class Computer:
         return begun, self._tile
 
     def finish(
-        self, number: int, begun: tuple[Begun, int] | None
+        self, number: int, begun: tuple[RunningBatches, int] | None
     ) -> tuple[dict[str, np.ndarray], int]:
         """The results of a chunk by variable, and the tile they were computed with."""
         from jaxact.simulation import execute
@@ -127,7 +127,7 @@ class Computer:
         self, numbers: Iterable[int]
     ) -> Iterator[tuple[int, tuple[dict[str, np.ndarray], int]]]:
         """The results of chunks in order; with a helper, devices begin one before they end one."""
-        running: deque[tuple[int, tuple[Begun, int] | None]] = deque()
+        running: deque[tuple[int, tuple[RunningBatches, int] | None]] = deque()
         for number, following in _in_pairs(numbers):
             running.append((number, self.begin(number, following)))
             if len(running) > (self._helper is not None):

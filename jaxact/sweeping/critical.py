@@ -99,7 +99,7 @@ def _motion(specification: Specification, plan, samples: Samples, batch):
     Returns the root mean square of the accelerations of each quarter, shape (4, batch), and the
     largest speed of any joint, shape (batch,).
     """
-    from jaxact.simulation import outside  # imports MuJoCo
+    from jaxact.simulation import mujoco_batch  # imports MuJoCo
 
     kept: list[np.ndarray] = []
 
@@ -107,7 +107,7 @@ def _motion(specification: Specification, plan, samples: Samples, batch):
         return lambda *_: kept.append(simulations.measure()[:, 1])
 
     with jax.enable_x64(True):
-        outside.metrics(
+        mujoco_batch.metrics(
             plan.case, specification.setting, samples.take(batch), np.zeros(len(batch)),
             specification.seed, batch, watch=watch,
         )  # fmt: skip

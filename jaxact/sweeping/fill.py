@@ -16,8 +16,8 @@ from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.sweeping import planning, progress
 from jaxact.sweeping import store as _store
-from jaxact.sweeping.computer import Computer, Work
-from jaxact.sweeping.place import Place
+from jaxact.sweeping.computer import ChunkTask, Computer
+from jaxact.sweeping.location import Location
 from jaxact.sweeping.planning import Planned
 from jaxact.sweeping.progress import State, Store
 
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 _WAITING = 1
 
 # Computes chunks by their numbers and says, for each that is in the store, which it was.
-Workers = Callable[[Work, list[int], Callable[[], None]], Iterator[int]]
+Workers = Callable[[ChunkTask, list[int], Callable[[], None]], Iterator[int]]
 
 
 def fill(
-    target: Place,
+    target: Location,
     specification: Specification,
     samples: Samples,
     planned: Planned,
@@ -96,7 +96,7 @@ def fill(
             progress.repair(target, files)
 
     together = layout.loops if outline is None else planned.loops
-    work = Work(specification, samples, outline or samples, together, store)
+    work = ChunkTask(specification, samples, outline or samples, together, store)
     for number in workers(work, numbers, begin):
         done += layout.span(number)[1]
         moved(done, len(samples))
@@ -104,7 +104,7 @@ def fill(
 
 
 def same(
-    target: Place, specification: Specification, wanted: dict[str, object]
+    target: Location, specification: Specification, wanted: dict[str, object]
 ) -> dict[str, object]:
     """The identity of the store that is continued; raises UserError if it is another sweep's."""
     there = _store.identity_of(target) or {}
@@ -120,7 +120,7 @@ def same(
     return wanted | taken
 
 
-def _whole(target: Place, description: dict[str, bytes]) -> bool:
+def _whole(target: Location, description: dict[str, bytes]) -> bool:
     """Whether a finished store has all of its description."""
     root = _store.attributes_of(target) or {}
     return bool(root.get("complete")) and all(
@@ -129,7 +129,7 @@ def _whole(target: Place, description: dict[str, bytes]) -> bool:
 
 
 def here(
-    work: Work,
+    work: ChunkTask,
     numbers: Iterable[int],
     begin: Callable[[], None],
     *,

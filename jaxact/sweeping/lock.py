@@ -19,13 +19,13 @@ from pathlib import Path
 from typing import Any
 
 from jaxact.errors import UserError
-from jaxact.sweeping.place import Folder, Place
+from jaxact.sweeping.location import Folder, Location
 
 NAME = "sweep.lock"
 
 
 @contextlib.contextmanager
-def held(folder: Place) -> Iterator[None]:
+def held(folder: Location) -> Iterator[None]:
     """Hold the lock of a results folder, which must be there.
 
     Raises UserError that names process and host if another process holds it, OSError where the
@@ -36,7 +36,7 @@ def held(folder: Place) -> Iterator[None]:
         yield
 
 
-def holder(folder: Place) -> str:
+def holder(folder: Location) -> str:
     """Who holds the lock: "process 12 on host", or "" where nobody does."""
     content = folder.read(NAME)
     owner = _owner(content)
@@ -85,7 +85,7 @@ def _open_locked(path: Path) -> int:
 
 
 @contextlib.contextmanager
-def _remote(folder: Place) -> Iterator[None]:
+def _remote(folder: Location) -> Iterator[None]:
     content = folder.read(NAME)
     if content is not None and holder(folder):
         raise UserError(_refusal(f"{folder.name}/{NAME}", _owner(content)))

@@ -12,9 +12,9 @@ import numpy as np
 
 from jaxact import files
 from jaxact.errors import UserError
-from jaxact.sweeping import integrity, seal
-from jaxact.sweeping import place as _place
-from jaxact.sweeping.place import Place
+from jaxact.sweeping import checksums, integrity
+from jaxact.sweeping import location as _location
+from jaxact.sweeping.location import Location
 from jaxact.sweeping.progress import Finding, Store
 from jaxact.sweeping.store import STORE, is_ours, unwritable
 
@@ -31,21 +31,21 @@ def readable(where: str | Path) -> Iterator[None]:
         raise UserError(f"{where}: cannot be read ({error.strerror or error})") from error
 
 
-def find(where: str | Path) -> Place:
+def find(where: str | Path) -> Location:
     """The store that a user means: a results folder with a `sweep.zarr` in it, or the store itself.
 
     where: path or URL
 
     Raises UserError if there is none, or it is none of jaxact's.
     """
-    given = _place.at(where)
+    given = _location.at(where)
     inner = given.inside(STORE)
     with readable(where):
         for store in (inner, given):
             if is_ours(store):
                 return store
         there = inner.entries() or given.entries()
-    if there or (isinstance(given, _place.Folder) and given.path.exists()):
+    if there or (isinstance(given, _location.Folder) and given.path.exists()):
         raise UserError(f"{where}: is not a result of a sweep; give a folder that holds a {STORE}")
     raise UserError(f"{where}: no such result; give the results folder of a sweep, or its {STORE}")
 
@@ -107,7 +107,7 @@ def _filled(
     return loaded(results.assign(arrays))
 
 
-def _finished(store: Place, *, unfinished: bool = False) -> xr.Dataset:
+def _finished(store: Location, *, unfinished: bool = False) -> xr.Dataset:
     results = opened(store)
     if not results.attrs.get("complete", False) and not unfinished:
         raise UserError(
@@ -117,7 +117,7 @@ def _finished(store: Place, *, unfinished: bool = False) -> xr.Dataset:
     return results
 
 
-def opened(store: Place) -> xr.Dataset:
+def opened(store: Location) -> xr.Dataset:
     """The dataset in a place, read lazily; raises UserError if it cannot be read."""
     import xarray as xr
 
@@ -134,7 +134,7 @@ def opened(store: Place) -> xr.Dataset:
             f"{store.name}: cannot be read ({error}); `jaxact validate` says what is damaged, and"
             " `jaxact sweep ... --resume` mends it"
         ) from error
-    results.attrs = seal.plain(results.attrs)
+    results.attrs = checksums.plain(results.attrs)
     return results
 
 

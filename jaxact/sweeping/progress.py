@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxact.errors import UserError
+from jaxact.sweeping import checksums
 from jaxact.sweeping import layout as _layout
-from jaxact.sweeping import seal
 from jaxact.sweeping import store as _store
 from jaxact.sweeping.layout import DamagedError, Layout
-from jaxact.sweeping.place import Entry, Place
+from jaxact.sweeping.location import Entry, Location
 from jaxact.sweeping.store import PROGRESS, RECEIPT, ROOT, SECOND
 
 _RECEIPTS = f"{PROGRESS}/{RECEIPT}"
@@ -51,14 +51,14 @@ class Finding:
 class Store:
     """A store that is being filled, or was.
 
-    place: where it lies
+    location: where it lies
     layout: how the sweep is cut into chunks
     precision: of the results, "float32" or "float64"
     tile: loops in a tile, as planned
     robot: whether it has the variables that only robots have
     """
 
-    place: Place
+    location: Location
     layout: Layout
     precision: str
     tile: int
@@ -92,16 +92,16 @@ class Store:
             content, checksum = _layout.encode(values, self.layout.loops)
             files[f"{name}/{self.layout.key(number)}"] = content
             checksums.append(checksum)
-        self.place.write(files)
+        self.location.write(files)
         receipt = np.array([number, tile, *checksums], np.uint32)
-        self.place.write({_receipt_key(number): _layout.encode(receipt, self._row)[0]})
+        self.location.write({_receipt_key(number): _layout.encode(receipt, self._row)[0]})
 
     def receipt(self, number: int) -> np.ndarray | None:
         """Chunk, tile and checksums as they were written; None where there is no receipt.
 
         Raises DamagedError if it is not as it was written.
         """
-        content = self.place.read(_receipt_key(number))
+        content = self.location.read(_receipt_key(number))
         if content is None:
             return None
         row, _ = _layout.decode(content, np.dtype(np.uint32), self._row, self._row)
@@ -120,7 +120,7 @@ class Store:
         _, count = self.layout.span(number)
         found = {}
         for name, wanted in zip(self.variables, row[2:], strict=True):
-            content = self.place.read(f"{name}/{self.layout.key(number)}")
+            content = self.location.read(f"{name}/{self.layout.key(number)}")
             if content is None:
                 raise DamagedError(f"{name} is missing")
             try:
@@ -168,11 +168,11 @@ class Store:
 
     def finish(self, attributes: Mapping[str, object]) -> None:
         """Put attributes on the whole store, among them the mark of completion."""
-        content = self.place.read(ROOT)
+        content = self.location.read(ROOT)
         assert content is not None
         root = json.loads(content)
         root["attributes"] |= attributes
-        self.place.write({ROOT: seal.sealed(root)})
+        self.location.write({ROOT: checksums.sealed(root)})
 
 
 def _receipt_key(number: int) -> str:
@@ -186,30 +186,30 @@ def times(entries: Mapping[str, Entry]) -> np.ndarray:
     )
 
 
-def existing(place: Place) -> Store | None:
+def existing(location: Location) -> Store | None:
     """The store in a place as its identity describes it; None where there is none of ours."""
-    identity = _store.identity_of(place)
+    identity = _store.identity_of(location)
     if identity is None:
         return None
     try:
         layout = Layout(tuple(identity["shape"]), tuple(identity["chunk"]))
         precision, tile = identity["precision"], int(identity["tile"])
-        return Store(place, layout, precision, tile, robot=bool(identity.get("shaking_rate")))
+        return Store(location, layout, precision, tile, robot=bool(identity.get("shaking_rate")))
     except (KeyError, TypeError, ValueError):
         return None
 
 
-def repair(place: Place, skeleton: Mapping[str, bytes]) -> None:
+def repair(location: Location, skeleton: Mapping[str, bytes]) -> None:
     """Write every file of a store's description that is not as it should be, the root last.
 
     The first one says whose store it is, so that it is known for one whenever a process is killed.
     """
-    wrong = {key: content for key, content in skeleton.items() if place.read(key) != content}
+    wrong = {key: content for key, content in skeleton.items() if location.read(key) != content}
     last = {ROOT: wrong.pop(ROOT)} if ROOT in wrong else {}
     first = {SECOND: wrong.pop(SECOND)} if SECOND in wrong else {}
     for part in (first, wrong, last):
         if part:
-            place.write(part)
+            location.write(part)
 
 
 def demand_equal(there: Mapping[str, object], here: Mapping[str, object], name: str) -> None:

@@ -25,10 +25,10 @@ from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.parameters import of
 from jaxact.status import Verdict
-from jaxact.sweeping import seal
+from jaxact.sweeping import checksums
+from jaxact.sweeping.checksums import ChecksumState
 from jaxact.sweeping.layout import Layout
-from jaxact.sweeping.place import Place
-from jaxact.sweeping.seal import Seal
+from jaxact.sweeping.location import Location
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -192,59 +192,59 @@ def skeleton(
 
 
 def described_by_root(files: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Files of a store with the checksums of all in its root; see `jaxact.sweeping.seal`."""
+    """Files of a store with the checksums of all in its root; see `jaxact.sweeping.checksums`."""
     rest = {key: content for key, content in files.items() if key != ROOT}
     if SECOND in rest:
-        rest[SECOND] = seal.sealed(json.loads(rest[SECOND]))
+        rest[SECOND] = checksums.sealed(json.loads(rest[SECOND]))
     root = json.loads(files[ROOT])
-    root["attributes"] |= {seal.CHECKSUMS: seal.digests(rest)}
-    return rest | {ROOT: seal.sealed(root)}
+    root["attributes"] |= {checksums.CHECKSUMS: checksums.digests(rest)}
+    return rest | {ROOT: checksums.sealed(root)}
 
 
-def attributes_of(place: Place, key: str = ROOT) -> dict[str, Any] | None:
+def attributes_of(location: Location, key: str = ROOT) -> dict[str, Any] | None:
     """The attributes of a store or of a group in it, None where they are lost or damaged."""
-    content = place.read(key)
-    if content is None or seal_of(place, key, content) is Seal.BROKEN:
+    content = location.read(key)
+    if content is None or checksum_state(location, key, content) is ChecksumState.BROKEN:
         return None
     try:
         found = json.loads(content)["attributes"]
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
-    return seal.plain(found) if isinstance(found, dict) else None
+    return checksums.plain(found) if isinstance(found, dict) else None
 
 
-def seal_of(place: Place, key: str, content: bytes) -> Seal:
+def checksum_state(location: Location, key: str, content: bytes) -> ChecksumState:
     """Whether a metadata file of a store is as it was written.
 
     A root without a checksum is an older store's; or it has lost it, where the other has one.
     """
-    found = seal.state(content)
-    if found is Seal.NONE and key == ROOT:
-        second = place.read(SECOND)
-        if second is not None and seal.state(second) is not Seal.NONE:
-            return Seal.BROKEN
+    found = checksums.state(content)
+    if found is ChecksumState.NONE and key == ROOT:
+        second = location.read(SECOND)
+        if second is not None and checksums.state(second) is not ChecksumState.NONE:
+            return ChecksumState.BROKEN
     return found
 
 
-def beginning(place: Place) -> dict[str, Any]:
+def beginning(location: Location) -> dict[str, Any]:
     """What a store says of its beginning, as far as it is true."""
-    found = attributes_of(place)
+    found = attributes_of(location)
     if found is None:
-        return dict(seal.beginning(place.read(ROOT) or b""))
+        return dict(checksums.beginning(location.read(ROOT) or b""))
     ours = ("complete", "summary", "coordinates", "adaptive", IDENTITY)
     return {key: value for key, value in found.items() if key not in ours}
 
 
-def is_ours(place: Place) -> bool:
+def is_ours(location: Location) -> bool:
     """Whether a store was made by jaxact, damaged ones included."""
-    return _MARK.encode() in (place.read(ROOT) or b"") or identity_of(place) is not None
+    return _MARK.encode() in (location.read(ROOT) or b"") or identity_of(location) is not None
 
 
-def identity_of(place: Place) -> dict[str, Any] | None:
+def identity_of(location: Location) -> dict[str, Any] | None:
     """What a sweep that continues this store must share, kept twice; None where it is lost."""
     for key in (ROOT, SECOND):
         try:
-            found = json.loads((attributes_of(place, key) or {})[IDENTITY])
+            found = json.loads((attributes_of(location, key) or {})[IDENTITY])
         except (KeyError, ValueError, TypeError):
             continue
         if isinstance(found, dict):

@@ -15,7 +15,7 @@ from jaxact.loops.specification import Specification
 from jaxact.simulation import execute, plans
 from jaxact.sweeping import integrity, opening, progress
 from jaxact.sweeping import store as _store
-from jaxact.sweeping.place import Place
+from jaxact.sweeping.location import Location
 from jaxact.sweeping.progress import Store
 
 # Another compiler may round otherwise; near a threshold a figure then jumps.
@@ -25,7 +25,7 @@ _MENDED = "`jaxact sweep ... --resume` mends it"
 
 
 @dataclass(frozen=True)
-class Checked:
+class ChecksumReport:
     """What the checksums say.
 
     chunks, done: in all, and whole
@@ -42,7 +42,7 @@ class Checked:
 
 
 @dataclass(frozen=True)
-class Again:
+class Recomputed:
     """Loops computed again.
 
     loops, wrong: in all, and with other results
@@ -56,7 +56,7 @@ class Again:
     example: str
 
 
-def checksums(target: Place) -> Checked:
+def checksums(target: Location) -> ChecksumReport:
     """Read every file of a store and hold it against its checksum."""
     found = integrity.description(target)
     store = progress.existing(target) if found.wrong else integrity.chunked(target, found)
@@ -64,12 +64,12 @@ def checksums(target: Place) -> Checked:
     findings = [] if store is None else [store.look(number) for number in numbers]
     lost = integrity.lost(numbers, findings)
     foreign = () if found.wrong else tuple(integrity.foreign(target, found, store))
-    return Checked(
+    return ChecksumReport(
         len(numbers), len(numbers) - len(lost), (*found.wrong, *lost), foreign, found.older
     )
 
 
-def recompute(target: Place, number: int, seed: int) -> Again:
+def recompute(target: Location, number: int, seed: int) -> Recomputed:
     """Compute some loops of a store again.
 
     target: of the store
@@ -101,7 +101,7 @@ def recompute(target: Place, number: int, seed: int) -> Again:
         differing |= ~equal
     wrong = int(differing.sum())
     words = f"the same to rounding ({other})" if other else "bit for bit the same"
-    return Again(
+    return Recomputed(
         loops=int(chosen.size),
         wrong=wrong,
         words="differences" if wrong else words,
@@ -109,14 +109,14 @@ def recompute(target: Place, number: int, seed: int) -> Again:
     )
 
 
-def _existing(target: Place) -> Store:
+def _existing(target: Location) -> Store:
     store = progress.existing(target)
     if store is None:
         raise UserError(f"{target.name}: does not say how it is cut up; {_MENDED}")
     return store
 
 
-def _described(target: Place) -> tuple[Specification, Samples, Samples]:
+def _described(target: Location) -> tuple[Specification, Samples, Samples]:
     """The specification of a store, its loops, and those that span their values."""
     attributes = _store.attributes_of(target) or {}
     try:
@@ -149,7 +149,7 @@ def _stored(store: Store, numbers: np.ndarray) -> tuple[dict[str, np.ndarray], n
     return found, tiles
 
 
-def _rounds_otherwise(target: Place) -> str:
+def _rounds_otherwise(target: Location) -> str:
     """Why this process need not come to the bits of a store; "" if it must."""
     import jax
 

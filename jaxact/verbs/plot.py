@@ -18,10 +18,10 @@ from matplotlib.cm import ScalarMappable
 from jaxact.errors import UserError
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.plotting import bode as _bode
+from jaxact.plotting import even_grid
 from jaxact.plotting import field as _field
 from jaxact.plotting import nyquist as _nyquist
 from jaxact.plotting import panels as _panels
-from jaxact.plotting import regular
 from jaxact.plotting import sensitivity as _sensitivity
 from jaxact.plotting import stability_map as _map
 from jaxact.plotting import step as _step
@@ -215,7 +215,7 @@ def stability_map(
     Raises:
         UserError: parameters that were not swept, or another number of axes than of maps.
     """
-    maps = regular.regular(maps) if regular.refined(maps) else maps
+    maps = even_grid.resampled(maps) if even_grid.refined(maps) else maps
     picked = {name: str(value) for name, value in (select or {}).items()}
     arrangement = _panels.arrange(maps, kind="map", x=x, y=y, select=picked)
     variable = _field.usual(maps) if variable is None else variable

@@ -23,9 +23,9 @@ from jaxact.loops.conversion import described, preset_axis
 from jaxact.loops.samples import expand
 from jaxact.loops.specification import Sampling, Specification
 from jaxact.parameters import PARAMETERS, canonical, known
-from jaxact.sweeping import conduct, opening, place, planning, throughput
+from jaxact.sweeping import execution, location, opening, planning, throughput
 from jaxact.sweeping import memory as _memory
-from jaxact.sweeping.conduct import How
+from jaxact.sweeping.execution import SweepOptions
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -111,7 +111,7 @@ def sweep(
         with units, the specification and versions; in memory, or read lazily from `out`.
 
     Raises:
-        UserError: parameters that do not fit each other, and as `jaxact.sweeping.conduct.sweep`.
+        UserError: parameters that do not fit each other, and as `jaxact.sweeping.execution.sweep`.
         TypeError: the loop is traced.
     """
     options = {"engine": engine, "duration": duration, "precision": precision, "seed": seed,
@@ -123,7 +123,9 @@ def sweep(
         raise UserError(f"width = {width:g}: is for adaptive = True")
     if out is None and (resume or overwrite):
         raise UserError("resume and overwrite are for results that are kept; give out")
-    how = How(resume=resume, overwrite=overwrite, width=(width or _WIDTH) if adaptive else None)
+    how = SweepOptions(
+        resume=resume, overwrite=overwrite, width=(width or _WIDTH) if adaptive else None
+    )
     budget = None if memory is None else _memory.read_size(memory)
     how = dataclasses.replace(how, planner=functools.partial(planning.plan, budget=budget))
     if asked.engine == "auto":
@@ -131,10 +133,10 @@ def sweep(
     with _shown(progress) as moved:
         how = dataclasses.replace(how, moved=moved)
         if out is not None:
-            return opening.opened(conduct.sweep(asked, place.at(os.fspath(out)), how).place)
+            return opening.opened(execution.sweep(asked, location.at(os.fspath(out)), how).location)
         with tempfile.TemporaryDirectory(prefix="jaxact-") as folder:
-            filled = conduct.sweep(asked, place.at(Path(folder) / "results"), how)
-            return opening.loaded(opening.opened(filled.place))
+            filled = execution.sweep(asked, location.at(Path(folder) / "results"), how)
+            return opening.loaded(opening.opened(filled.location))
 
 
 def _sampling(method: str | None, number: int | None) -> Sampling:

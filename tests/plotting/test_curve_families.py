@@ -8,7 +8,7 @@ from matplotlib.colors import rgb_to_hsv, to_rgb
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.cli.main import main
-from jaxact.plotting import look, sheet
+from jaxact.plotting import page, theme
 from jaxact.plotting.bode import bode
 from jaxact.plotting.nyquist import nyquist
 from jaxact.plotting.response import LoopResponse, curve_styles
@@ -47,13 +47,13 @@ def test_rates_of_one_loop_get_darker_and_other_loops_keep_their_colour():
     styles = curve_styles([_response(0, rate) for rate in rates] + [_response(1)])
     lightness = [_light(style["color"]) for style in styles[:4]]
     assert lightness == sorted(lightness, reverse=True) and len(set(lightness)) == 4
-    assert styles[4]["color"] == look.style(1)["color"]
+    assert styles[4]["color"] == theme.style(1)["color"]
     assert "linewidth" not in styles[4], "a loop with one curve is drawn as ever"
 
 
 def test_curves_of_nobody_in_particular_each_have_their_own_colour():
     styles = curve_styles([_response(None), _response(None), _response(None)])
-    assert [style["color"] for style in styles] == [look.style(i)["color"] for i in range(3)]
+    assert [style["color"] for style in styles] == [theme.style(i)["color"] for i in range(3)]
 
 
 def test_minus_one_is_above_every_disk_and_curve():
@@ -77,7 +77,7 @@ def test_a_long_legend_stays_on_the_page():
     figure = bode([_response(0, label=f"{label}, {label}")])
     words = figure.legends[0].get_texts()[0].get_text()
     assert words.count("\n") >= 1
-    assert sheet.lines([words]) == words.count("\n") + 1
+    assert page.lines([words]) == words.count("\n") + 1
     figure.canvas.draw()
     box = figure.legends[0].get_window_extent()
     assert figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1
@@ -89,7 +89,7 @@ def drawn(monkeypatch, tmp_path):
 
     def run(*command):
         figures = []
-        monkeypatch.setattr(look, "write", lambda figure, path, title: figures.append(figure))
+        monkeypatch.setattr(theme, "write", lambda figure, path, title: figures.append(figure))
         assert main([*command, "--out", str(tmp_path / "picture.png")]) in (0, None)
         (figure,) = figures
         legend = [text.get_text() for text in figure.legends[0].get_texts()]

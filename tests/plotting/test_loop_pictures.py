@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxact.plotting import look
+from jaxact.plotting import theme
 from jaxact.plotting.bode import bode
 from jaxact.plotting.nyquist import disk, nyquist
 from jaxact.plotting.response import LoopResponse
@@ -124,7 +124,7 @@ def test_a_diverging_trajectory_is_cut_where_it_leaves(tmp_path, last):
     drawn = figure.axes[0].lines[1].get_ydata()
     assert np.max(np.abs(drawn)) < 3.0 and len(drawn) < 400
     assert "diverges" in figure.axes[0].texts[0].get_text()
-    look.write(figure, tmp_path / "run.png", title="t")
+    theme.write(figure, tmp_path / "run.png", title="t")
 
 
 def test_an_unstable_step_does_not_set_the_range(tmp_path):
@@ -134,12 +134,12 @@ def test_an_unstable_step_does_not_set_the_range(tmp_path):
     figure = step([StepResponse("calm", calm), StepResponse("wild", wild, stable=False)])
     assert figure.axes[0].get_ylim()[1] < 1.0 and figure.axes[1].get_ylim()[1] < 10.0
     assert figure.axes[0].get_xlim() == (0.0, 399.0)
-    look.write(figure, tmp_path / "step.png", title="t")
+    theme.write(figure, tmp_path / "step.png", title="t")
     alone = step([StepResponse("wild", wild, stable=False)])
     assert np.isfinite(alone.axes[0].get_ylim()).all()
 
 
 def test_styles_differ_in_grey_too():
-    styles = [look.style(index) for index in range(5)]
+    styles = [theme.style(index) for index in range(5)]
     assert len({str(s["linestyle"]) for s in styles}) == 5
     assert SimpleNamespace(**styles[0]).color != styles[1]["color"]

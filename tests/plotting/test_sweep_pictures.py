@@ -10,7 +10,7 @@ from quickly import compiled_quickly as compiled_quickly
 from synthetic_store import DRAWN, GRID, dataset
 
 from jaxact.errors import UserError
-from jaxact.plotting import caption, look
+from jaxact.plotting import caption, theme
 from jaxact.plotting.field import field
 from jaxact.plotting.lines import lines
 from jaxact.plotting.panels import arrange
@@ -96,11 +96,11 @@ def test_verdicts_are_hatched_differently(grid):
 
 
 def test_growth_colours_differ_in_grey_and_are_centred():
-    colors = look.diverging()
+    colors = theme.diverging()
     grey = [np.dot(to_rgb(colors(x)), (0.299, 0.587, 0.114)) for x in np.linspace(0, 1, 201)]
     assert np.argmax(grey) == 100
     assert np.all(np.diff(grey[:101]) > -1e-3) and np.all(np.diff(grey[100:]) < 1e-3)
-    steps = np.diff(look_at := [np.dot(to_rgb(look.sequential()(x)), (0.3, 0.59, 0.11))
+    steps = np.diff(look_at := [np.dot(to_rgb(theme.sequential()(x)), (0.3, 0.59, 0.11))
                                 for x in np.linspace(0, 1, 51)])  # fmt: skip
     assert np.all(steps < 1e-3) and look_at[-1] > 0.3
 
@@ -189,9 +189,9 @@ def test_lines_draw_every_value(grid):
 def test_files_are_whole_and_the_same_each_time(grid, tmp_path, ending):
     path = tmp_path / f"map.{ending}"
     arrangement = arrange(grid, select={"actuator": "hyq", "delay": "0"})
-    look.write(stability_map(grid, arrangement), path, title="t")
+    theme.write(stability_map(grid, arrangement), path, title="t")
     first = path.read_bytes()
-    look.write(stability_map(grid, arrangement), path, title="t")
+    theme.write(stability_map(grid, arrangement), path, title="t")
     assert path.read_bytes() == first and len(first) > 5000
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 

@@ -9,8 +9,8 @@ from matplotlib.colors import to_hex
 
 from jaxact.analysis.boundary.curves import BoundaryCurve
 from jaxact.cli import _tuning_pictures
-from jaxact.plotting import look, tuning
-from jaxact.plotting.convergence import Missed, convergence
+from jaxact.plotting import theme, tuning
+from jaxact.plotting.convergence import UnmetBound, convergence
 from jaxact.plotting.robot_gains import gains, limits
 from jaxact.plotting.step_band import Responses, step_band
 from jaxact.plotting.tuning_map import Boundary, Plane, tuning_map
@@ -45,7 +45,7 @@ def test_the_map_marks_both_pairs_of_gains(before, tmp_path):
     assert any("max(Ms, Mt) = 2" in word for word in words)
     missed = tuning_map(PLANE, before, (90.0, 12.0), max_peak=2.0, reached=False)
     assert any(word.startswith("nearest found: kp 90") for word in _words(missed))
-    look.write(figure, tmp_path / "map.png", title="map")
+    theme.write(figure, tmp_path / "map.png", title="map")
     assert (tmp_path / "map.png").stat().st_size > 10_000
 
 
@@ -54,7 +54,7 @@ def test_the_contour_has_the_colour_of_its_legend_and_is_not_white():
     (contour,) = [c for c in figure.axes[0].collections if hasattr(c, "levels")]
     drawn = to_hex(contour.get_edgecolor()[0])
     assert drawn == to_hex(_handle(figure, "max(Ms, Mt) = 2").get_color())
-    assert drawn not in ("#ffffff", to_hex(look.FAINT), "#000000")
+    assert drawn not in ("#ffffff", to_hex(theme.FAINT), "#000000")
 
 
 def test_every_boundary_is_named_and_has_a_dash_of_its_own():
@@ -92,7 +92,7 @@ def test_an_infeasible_tuning_looks_infeasible():
     figure = convergence(
         values, ratio, label="stiffness [N/m]", given=False,
         stable=np.array([True, True, False]),
-        missed=Missed("not reached: sensitivity peak 4.5 at best, asked for ≤ 2", 2.25),
+        missed=UnmetBound("not reached: sensitivity peak 4.5 at best, asked for ≤ 2", 2.25),
     )  # fmt: skip
     upper, lower = figure.axes
     assert "not reached" in upper.get_title() and "4.5" in upper.get_title()
@@ -111,7 +111,7 @@ def test_a_tuning_without_stable_gains_says_so():
     values = np.full((2, 40), 800.0)
     figure = convergence(
         values, np.full((2, 40), 1.1), label="stiffness", given=True, stable=np.zeros(2, bool),
-        missed=Missed("not reached: no gains found that make every member stable", math.inf),
+        missed=UnmetBound("not reached: no gains found that make every member stable", math.inf),
     )  # fmt: skip
     assert "no stable gains found" in [text.get_text() for text in figure.axes[1].texts]
     assert _words(figure) == ["starts that stay unstable", "every bound met"]

@@ -11,9 +11,9 @@ from test_resume import contents
 from jaxact.cli.main import main
 from jaxact.errors import UserError
 from jaxact.loops import reading
-from jaxact.plotting import regular
+from jaxact.plotting import even_grid
 from jaxact.plotting.panels import arrange
-from jaxact.sweeping import adaptive, conduct, opening, place, store
+from jaxact.sweeping import adaptive, execution, location, opening, store
 from jaxact.sweeping.refinement import Lattice, Refinement
 
 TEXT = """
@@ -130,11 +130,11 @@ def _teller(upto=None):
 
 
 def _sweep(folder, *, text=TEXT, width=0.05, upto=None, **options):
-    how = conduct.How(
+    how = execution.SweepOptions(
         width=width, planner=lambda asked, all_: fake_plan(asked, all_, loops=64),
         workers=_teller(upto), **options,
     )  # fmt: skip
-    return conduct.sweep(reading.parse(text), place.at(folder), how)
+    return execution.sweep(reading.parse(text), location.at(folder), how)
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +163,7 @@ def test_the_border_of_stability_is_found_to_the_width_asked_for(whole):
 
 def test_it_is_drawn_as_a_map_of_the_nearest_samples(whole, tmp_path):
     results = opening.open_result(whole).load()
-    grid = regular.regular(results)
+    grid = even_grid.resampled(results)
     assert grid["growth_rate"].dims == ("delay", "kp", "kd") and grid["kp"].attrs["units"] == "N/m"
     chance = np.random.default_rng(0)
     for _ in range(50):

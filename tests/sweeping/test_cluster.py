@@ -15,7 +15,7 @@ import pytest
 from test_resume import contents
 
 from jaxact.errors import UserError
-from jaxact.sweeping import cluster, place, progress, store
+from jaxact.sweeping import cluster, location, progress, store
 from jaxact.sweeping.progress import State
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -35,18 +35,18 @@ CODE = """
 import dataclasses, sys
 from pathlib import Path
 from jaxact.loops import reading
-from jaxact.sweeping import cluster, conduct, place, planning
+from jaxact.sweeping import cluster, execution, location, planning
 
 asked = reading.load(Path(sys.argv[1]))
 small = lambda planned: dataclasses.replace(planned, loops=16)
 if sys.argv[3] == "ray":
     with cluster.attached(None) as attached:
         plan = lambda *given: small(attached.plan(*given, None))
-        how = conduct.How(resume=True, planner=plan, workers=attached.work)
-        conduct.sweep(asked, place.at(sys.argv[2]), how)
+        how = execution.SweepOptions(resume=True, planner=plan, workers=attached.work)
+        execution.sweep(asked, location.at(sys.argv[2]), how)
 else:
-    how = conduct.How(resume=True, planner=lambda *given: small(planning.plan(*given)))
-    conduct.sweep(asked, place.at(sys.argv[2]), how)
+    how = execution.SweepOptions(resume=True, planner=lambda *given: small(planning.plan(*given)))
+    execution.sweep(asked, location.at(sys.argv[2]), how)
 """
 needs_ray = pytest.mark.skipif(
     importlib.util.find_spec("ray") is None, reason="Ray is not installed (jaxact[ray])"
@@ -112,7 +112,7 @@ def test_lost_workers_cost_only_their_chunk_and_no_bit(start, tmp_path):
         _, said = driver.communicate(timeout=300)
     assert driver.returncode == 0, said
     assert killed == 3, "no worker was met at work"
-    there = progress.existing(place.at(out / store.STORE))
+    there = progress.existing(location.at(out / store.STORE))
     assert all(there.look(n).state is State.DONE for n in range(len(there.layout)))
     local, ray = contents(tmp_path / "local"), contents(out)
     assert local.keys() == ray.keys()

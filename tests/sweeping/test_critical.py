@@ -9,7 +9,7 @@ from quickly import compiled_quickly as compiled_quickly
 from jaxact.loops import reading
 from jaxact.loops.samples import expand
 from jaxact.simulation import plans, spectra
-from jaxact.sweeping import bare, critical
+from jaxact.sweeping import critical, without_drive
 
 SPECIFICATION = """
 engine = "mass"
@@ -63,7 +63,7 @@ def test_each_loop_may_have_a_way_of_its_own():
 
 def test_the_bare_loop_has_the_same_gains_and_no_drive():
     specification = reading.parse(SPECIFICATION)
-    values = bare.pair(specification).values
+    values = without_drive.pair(specification).values
     without, own = ({name: column[place] for name, column in values.items()} for place in (0, 1))
     assert own == specification.nominal
     changed = {name for name in own if own[name] != without[name]}

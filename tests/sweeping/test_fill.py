@@ -21,11 +21,11 @@ from jaxact.loops.samples import expand
 from jaxact.simulation import execute, plans
 from jaxact.sweeping import (
     cache,
-    conduct,
+    execution,
     layout,
+    location,
     memory,
     opening,
-    place,
     planning,
     progress,
     store,
@@ -54,10 +54,10 @@ def _run(folder, text, *, loops, backwards=False, **options):
         return dataclasses.replace(planning.plan(specification, samples), loops=loops)
 
     def workers(work, numbers, begin):
-        return conduct.fill.here(work, numbers[::-1] if backwards else numbers, begin)
+        return execution.fill.here(work, numbers[::-1] if backwards else numbers, begin)
 
-    how = conduct.How(planner=plan, workers=workers, **options)
-    return conduct.sweep(reading.parse(text), place.at(folder), how)
+    how = execution.SweepOptions(planner=plan, workers=workers, **options)
+    return execution.sweep(reading.parse(text), location.at(folder), how)
 
 
 @pytest.fixture(scope="module")

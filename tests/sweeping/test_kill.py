@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from test_resume import contents
 
-from jaxact.sweeping import lock, place, progress, store
+from jaxact.sweeping import location, lock, progress, store
 from jaxact.sweeping.progress import State
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -39,7 +39,7 @@ from pathlib import Path
 import xarray, zarr
 from jaxact.loops import reading
 from jaxact.simulation import execute, kernel, spectra
-from jaxact.sweeping import conduct, fill, place, planning, store
+from jaxact.sweeping import execution, fill, location, planning, store
 
 def plan(specification, samples):
     return dataclasses.replace(planning.plan(specification, samples), loops=16)
@@ -48,7 +48,8 @@ for line in sys.stdin:
     number = os.fork()
     if not number:
         asked = reading.load(Path(sys.argv[1]))
-        conduct.sweep(asked, place.at(line.strip()), conduct.How(resume=True, planner=plan))
+        how = execution.SweepOptions(resume=True, planner=plan)
+        execution.sweep(asked, location.at(line.strip()), how)
         break
     print(number, flush=True)
     print(os.waitstatus_to_exitcode(os.waitpid(number, 0)[1]), flush=True)
@@ -128,7 +129,7 @@ def test_a_sweep_that_is_killed_25_times_ends_as_an_undisturbed_one(sweeps, tmp_
     assert sweeps.ended() == 0
     assert len(set(kept)) > 5, f"the kills did not fall into the work: {kept}"
     assert contents(killed) == contents(calm)
-    there = progress.existing(place.at(killed / store.STORE))
+    there = progress.existing(location.at(killed / store.STORE))
     assert all(there.look(n).state is State.DONE for n in range(len(there.layout)))
     assert sorted(item.name for item in killed.iterdir()) == [store.STORE]
     assert not (killed / lock.NAME).exists()

@@ -16,7 +16,16 @@ from jaxact.cli.main import main
 from jaxact.errors import UserError
 from jaxact.loops import reading
 from jaxact.loops.samples import expand
-from jaxact.sweeping import conduct, lock, opening, place, progress, seal, store, validation
+from jaxact.sweeping import (
+    checksums,
+    execution,
+    location,
+    lock,
+    opening,
+    progress,
+    store,
+    validation,
+)
 from jaxact.sweeping.progress import State
 
 TEXT = """
@@ -68,7 +77,7 @@ def whole(tmp_path_factory):
 
 
 def _states(folder):
-    there = progress.existing(place.at(folder / store.STORE))
+    there = progress.existing(location.at(folder / store.STORE))
     return [there.look(n).state for n in range(len(there.layout))]
 
 
@@ -115,7 +124,7 @@ def test_the_beginning_is_kept_over_a_resume(tmp_path):
     path = tmp_path / store.STORE / "zarr.json"
     root = json.loads(path.read_text())
     root["attributes"]["created"] = "19" + root["attributes"]["created"][2:]
-    path.write_bytes(seal.sealed(root))
+    path.write_bytes(checksums.sealed(root))
     _run(tmp_path, resume=True)
     assert json.loads(path.read_text())["attributes"]["created"].startswith("19")
     whole = path.read_bytes()
@@ -248,18 +257,18 @@ def test_nothing_but_a_result_is_ever_continued_or_replaced(kind, tmp_path):
 
 
 def test_a_second_process_is_refused_with_the_first_ones_id_and_host(tmp_path):
-    with lock.held(place.at(tmp_path)):
-        said = lock.holder(place.at(tmp_path))
+    with lock.held(location.at(tmp_path)):
+        said = lock.holder(location.at(tmp_path))
         assert said == f"process {os.getpid()} on {socket.gethostname()}"
         with pytest.raises(UserError, match=said):
             _run(tmp_path)
-    assert list(tmp_path.iterdir()) == [] and lock.holder(place.at(tmp_path)) == ""
+    assert list(tmp_path.iterdir()) == [] and lock.holder(location.at(tmp_path)) == ""
 
 
 def test_the_lock_of_a_killed_process_is_known_for_one(tmp_path):
     code = (
-        "import sys, time; from jaxact.sweeping import lock, place\n"
-        "with lock.held(place.at(sys.argv[1])):\n print('held', flush=True)\n time.sleep(60)"
+        "import sys, time; from jaxact.sweeping import lock, location\n"
+        "with lock.held(location.at(sys.argv[1])):\n print('held', flush=True)\n time.sleep(60)"
     )
     with subprocess.Popen(
         [sys.executable, "-c", code, tmp_path], stdout=subprocess.PIPE, text=True
@@ -268,7 +277,7 @@ def test_the_lock_of_a_killed_process_is_known_for_one(tmp_path):
         with pytest.raises(UserError, match=f"process {other.pid} on"):
             _run(tmp_path)
         other.kill()
-    assert (tmp_path / lock.NAME).exists() and lock.holder(place.at(tmp_path)) == ""
+    assert (tmp_path / lock.NAME).exists() and lock.holder(location.at(tmp_path)) == ""
     _run(tmp_path)
     assert sorted(item.name for item in tmp_path.iterdir()) == [store.STORE]
 
@@ -329,11 +338,11 @@ def test_a_url_holds_a_store_as_a_folder_does(tmp_path, whole):
     def filled(upto, **options):
         from synthetic_store import fake_plan, teller
 
-        how = conduct.How(
+        how = execution.SweepOptions(
             planner=lambda asked, every: fake_plan(asked, every, loops=3),
             workers=teller(results, upto=upto), **options,
         )  # fmt: skip
-        return conduct.sweep(specification, place.at(url), how)
+        return execution.sweep(specification, location.at(url), how)
 
     with pytest.raises(KeyboardInterrupt):
         filled(4)
@@ -354,7 +363,7 @@ def test_a_url_holds_a_store_as_a_folder_does(tmp_path, whole):
 
 def test_a_url_that_cannot_be_is_one_line():
     with pytest.raises(UserError, match="nonsense"):
-        place.at("nonsense://bucket/name")
+        location.at("nonsense://bucket/name")
 
 
 def test_what_a_remote_store_complains_of_is_one_line(monkeypatch, capsys):

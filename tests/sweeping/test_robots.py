@@ -19,7 +19,7 @@ from jaxact.plants.mjx import plant as mjx
 from jaxact.robots import model as models
 from jaxact.simulation import engines, execute, plans, single
 from jaxact.status import Verdict
-from jaxact.sweeping import cache, conduct, place, throughput
+from jaxact.sweeping import cache, execution, location, throughput
 
 REFEREE = ("time", "setpoint", "position", "velocity", "command", "delayed_command", "force")
 DRIVE = "wn = 300\nzeta = 0.7\ndelay = 0.0013\nmeasurement_delay = 0.0006\noutput_delay = 0.0005\n"
@@ -123,9 +123,9 @@ def test_a_varied_model_is_the_model_edited_by_hand(name, folder):
     A, B = _linear(edited, scene)
     changed = _parsed(folder, plant, DRIVE + "setpoint = 0.1", axis, **options)
     (plan,) = plans.groups(changed, expand(changed))
-    from jaxact.simulation import outside
+    from jaxact.simulation import mujoco_batch
 
-    moved = outside.moved(plan.case, changed.setting, expand(changed).take(np.array([0, 1])))
+    moved = mujoco_batch.moved(plan.case, changed.setting, expand(changed).take(np.array([0, 1])))
     np.testing.assert_allclose(moved[0][1], A, atol=1e-6)
     np.testing.assert_allclose(moved[1][1], B, atol=1e-6)
     assert abs(swept["growth_rate"][1] - swept["growth_rate"][0]) > 0.05
@@ -302,15 +302,17 @@ def test_a_sweep_that_goes_on_keeps_its_engine(folder, monkeypatch, tmp_path):
     asked = _parsed(folder, HOME, DRIVE, engine="auto", duration=0.1)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(throughput, "fastest", lambda *_, **__: "mjx")
-        how = conduct.How(resume=True)
+        how = execution.SweepOptions(resume=True)
         settled = functools.partial(sweep._settled, measure=False, quiet=True)
-        assert settled(asked, place.at(tmp_path / "out"), how).engine == "mjx", "nothing there"
-        conduct.sweep(
-            dataclasses.replace(asked, engine="mujoco"), place.at(tmp_path / "out"), conduct.How()
+        assert settled(asked, location.at(tmp_path / "out"), how).engine == "mjx", "nothing there"
+        execution.sweep(
+            dataclasses.replace(asked, engine="mujoco"),
+            location.at(tmp_path / "out"),
+            execution.SweepOptions(),
         )
-        assert settled(asked, place.at(tmp_path / "out"), how).engine == "mujoco"
-        overwriting = conduct.How(overwrite=True)
-        assert settled(asked, place.at(tmp_path / "out"), overwriting).engine == "mjx"
+        assert settled(asked, location.at(tmp_path / "out"), how).engine == "mujoco"
+        overwriting = execution.SweepOptions(overwrite=True)
+        assert settled(asked, location.at(tmp_path / "out"), overwriting).engine == "mjx"
 
 
 def test_any_control_rate_suits_a_robot_without_a_step_of_its_own(folder):

@@ -20,7 +20,7 @@ from jaxact.loops.samples import expand
 from jaxact.plants import warp
 from jaxact.simulation import engines, execute, plans, single
 from jaxact.status import Verdict
-from jaxact.sweeping import conduct, place, store, validation
+from jaxact.sweeping import execution, location, store, validation
 from jaxact.tuning.rollouts.validation import validate
 
 LACKING = warp.lacking()
@@ -151,8 +151,8 @@ def test_the_same_bits_again_and_in_other_company(folder, tmp_path):
             np.testing.assert_array_equal(values, whole[name][[1, 4]], err_msg=name)
         with pytest.raises(UserError, match="devices = 2: on CPUs, the engine warp uses one"):
             plans.groups(dataclasses.replace(asked, devices=2), samples)
-        target = place.at(tmp_path / "out")
-        conduct.sweep(asked, target, conduct.How())
+        target = location.at(tmp_path / "out")
+        execution.sweep(asked, target, execution.SweepOptions())
         checked = validation.recompute(target.inside(store.STORE), 4, seed=0)
     assert checked.wrong == 0 and checked.words == "bit for bit the same"
 
@@ -191,7 +191,7 @@ def test_on_a_gpu_its_loops_are_compared_to_rounding_only(monkeypatch, tmp_path)
     for engine, words in (("mjx", ""), ("warp", "MJX-Warp on a GPU adds up in any order")):
         there = {"engine": engine, "platform": "gpu", "versions": {}}
         monkeypatch.setattr(store, "identity_of", lambda target, there=there: there)
-        assert validation._rounds_otherwise(place.at(tmp_path)) == words
+        assert validation._rounds_otherwise(location.at(tmp_path)) == words
 
 
 REFUSED = {

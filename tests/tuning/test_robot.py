@@ -13,7 +13,7 @@ from jaxact.errors import UserError
 from jaxact.loops import reading
 from jaxact.loops import robots as sweep_robots
 from jaxact.loops.samples import explicit
-from jaxact.simulation import outside, plans
+from jaxact.simulation import mujoco_batch, plans
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.joint import spectrum
@@ -320,7 +320,7 @@ def _simulated(specification, kp, kd):
 
     one = np.arange(1)
     with jax.enable_x64(True):
-        outside.metrics(
+        mujoco_batch.metrics(
             plan.case, asked.setting, samples.take(one), np.zeros(1), asked.seed, one, watch=watch
         )
     return float(np.sqrt(np.mean(squares)))

@@ -12,7 +12,7 @@ from jaxact.loops import reading
 from jaxact.loops import robots as sweep_robots
 from jaxact.loops.samples import explicit
 from jaxact.plants import linearize
-from jaxact.simulation import outside, plans, spectra
+from jaxact.simulation import mujoco_batch, plans, spectra
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.robot import result as robot_result
@@ -109,7 +109,7 @@ def test_under_gravity_a_member_is_linearised_where_it_rests(folder):
     columns = dict(zip(one.keys, MEMBERS.T, strict=True))
     samples = explicit(one.specification, columns)
     (plan,) = plans.groups(one.specification, samples)
-    A, B = outside.moved(plan.case, asked.setting, samples.take(np.arange(2)))
+    A, B = mujoco_batch.moved(plan.case, asked.setting, samples.take(np.arange(2)))
     basis = linearize.linear_c(sweep_robots.scene(asked.plant).robot, home, 1e-3).basis
     for number in range(2):
         path = folder / f"arm_{number}.xml"

@@ -6,7 +6,7 @@ of what is uncertain of both. Of each loop the matrices over one control period 
     x' = A x + B u,     seen = Y x,     G(z) = Y (z I - A)^-1 B,
 
 which do not know of any gains. A member with a body of its own, a payload say, is linearised
-where that body rests, as in a sweep (`jaxact.simulation.outside.moved`).
+where that body rests, as in a sweep (`jaxact.simulation.mujoco_batch.moved`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from jaxact.loops.specification import Setting, Specification
 from jaxact.loops.template import Template
 from jaxact.parameters import base
 from jaxact.parameters import check as in_bounds
-from jaxact.simulation import kernel, outside, plans, robot_loop
+from jaxact.simulation import kernel, mujoco_batch, plans, robot_loop
 from jaxact.simulation.kernel import Case
 from jaxact.tuning.robot.uncertainty import OF_BODY, Members, Span
 
@@ -112,7 +112,7 @@ def situation(specification: Specification, name: str, spans: tuple[Span, ...] =
     samples = explicit(specification, columns or {"feedforward": np.zeros(2)})
     (plan,) = plans.groups(specification, samples)
     values = samples.take(np.arange(2))
-    template = outside.template(plan.case, specification.setting)
+    template = mujoco_batch.template(plan.case, specification.setting)
     with jax.enable_x64(True):
         drives = [_drive(template, {key: row[i] for key, row in values.items()}) for i in (0, 1)]
     scene, nominal = template.scene, {key: float(row[0]) for key, row in values.items()}
@@ -275,7 +275,7 @@ def _linearised(
     def of(body: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray] | None:
         own = dict(zip((keys[place] for place in bodies), body, strict=True))
         values = {key: np.full(1, value) for key, value in {**nominal, **own}.items()}
-        found = outside.moved(case, setting, values)
+        found = mujoco_batch.moved(case, setting, values)
         return None if found is None else (found[0][0], found[1][0])
 
     return lambda row: of(tuple(row[bodies].tolist()))

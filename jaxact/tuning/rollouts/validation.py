@@ -25,7 +25,7 @@ from jaxact.loops.specification import Setting, Specification
 from jaxact.parameters import check, known
 from jaxact.robots import posture as _posture
 from jaxact.simulation import engines as _engines
-from jaxact.simulation import kernel, outside, plans, spectra
+from jaxact.simulation import kernel, mujoco_batch, plans, spectra
 from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import rollout as _rollout
 from jaxact.simulation import starts as _starts
@@ -268,7 +268,7 @@ def _simulated(
 
 def _in_c(plan: Plan, asked: Specification, values: Columns, numbers, growth):
     farthest = _Farthest()
-    result = outside.metrics(
+    result = mujoco_batch.metrics(
         plan.case, asked.setting, values, growth, asked.seed, numbers, watch=farthest.watch
     )
     qpos = farthest.end()

@@ -1,4 +1,4 @@
-"""A sheet of paper for one picture: title above, legend and small print below, panels between."""
+"""The page of one picture: title above, legend and small print below, panels between."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import text_to_path
 
-from jaxact.plotting import look
+from jaxact.plotting import theme
 
 _LETTERS_PER_INCH = 16.5
 _HANDLE = 0.5  # of a legend [inch], with the room beside it
@@ -21,7 +21,7 @@ _LEGEND_LINE, _FOOTER_LINE = 0.185, 0.15
 
 
 @dataclass(frozen=True)
-class Sheet:
+class Page:
     """A figure with room reserved below its panels.
 
     figure: the figure; panels added to it stay clear of title, legend and footer
@@ -44,7 +44,7 @@ class Sheet:
         )  # fmt: skip
 
 
-def sheet(
+def page(
     width: float,
     height: float,
     *,
@@ -52,8 +52,8 @@ def sheet(
     footer: str = "",
     entries: int = 0,
     entry_width: float = 2.3,
-) -> Sheet:
-    """A sheet whose panels, with their labels, get width x height.
+) -> Page:
+    """A page whose panels, with their labels, get width x height.
 
     width, height: of the panels [inch]
     title: above, wrapped to at most two lines, "" for none
@@ -81,9 +81,9 @@ def sheet(
     if lines:
         figure.text(
             0.5, 0.05 / total, "\n".join(lines), ha="center", va="bottom", fontsize=7.5,
-            color=look.SMALL_PRINT, linespacing=1.25,
+            color=theme.SMALL_PRINT, linespacing=1.25,
         )  # fmt: skip
-    return Sheet(figure, columns, small_print / total)
+    return Page(figure, columns, small_print / total)
 
 
 def column(labels: Sequence[str], width: float) -> list[str]:
@@ -115,7 +115,7 @@ def _broken(label: str, room: float) -> list[str]:
 
 def _width(text: str) -> float:
     """Of one line in a legend [points]."""
-    font = FontProperties(family=look.LOOK["font.sans-serif"], size=look.LOOK["legend.fontsize"])
+    font = FontProperties(family=theme.RC["font.sans-serif"], size=theme.RC["legend.fontsize"])
     return float(text_to_path.get_text_width_height_descent(text, font, ismath=False)[0])
 
 

@@ -28,8 +28,8 @@ FAINT = "#8A8A8A"
 SMALL_PRINT = "#5C5C5C"
 GRID = "#D9D9D9"
 
-# rc parameters of every jaxact picture. Applied with `look()`, never globally.
-LOOK: dict[str, Any] = {
+# rc parameters of every jaxact picture. Applied with `applied()`, never globally.
+RC: dict[str, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9.0,
@@ -62,9 +62,9 @@ LOOK: dict[str, Any] = {
 
 
 @contextlib.contextmanager
-def look() -> Iterator[None]:
+def applied() -> Iterator[None]:
     """Draw with jaxact's look inside the block, and leave matplotlib's settings as they were."""
-    with matplotlib.rc_context(LOOK):
+    with matplotlib.rc_context(RC):
         yield
 
 
@@ -127,5 +127,5 @@ def write(figure: Figure, path: Path, *, title: str) -> None:
     metadata |= {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(
         kind, {"Software": "jaxact"}
     )
-    with look(), files.output(path) as partial:
+    with applied(), files.output(path) as partial:
         figure.savefig(partial, format=kind, metadata=metadata, facecolor="white")

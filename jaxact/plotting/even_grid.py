@@ -17,7 +17,7 @@ def refined(results: xr.Dataset) -> bool:
     return "adaptive" in results.attrs
 
 
-def regular(results: xr.Dataset) -> xr.Dataset:
+def resampled(results: xr.Dataset) -> xr.Dataset:
     """An even grid over the refined axes, in which every cell shows the sample nearest to it.
 
     results: of an adaptive sweep, in memory; all along `sample`

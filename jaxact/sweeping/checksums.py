@@ -25,7 +25,7 @@ _CREATED, _COMMAND = "created", "command"
 _MARKED = re.compile(r"(.*) crc32c:([0-9a-f]{8})", re.DOTALL)
 
 
-class Seal(enum.Enum):
+class ChecksumState(enum.Enum):
     """What the checksum of a metadata file says of it."""
 
     INTACT = "as it was written"
@@ -55,19 +55,19 @@ def sealed(document: Mapping[str, Any]) -> bytes:
     return _rendered(dict(document) | {"attributes": attributes})
 
 
-def state(content: bytes) -> Seal:
+def state(content: bytes) -> ChecksumState:
     """Whether a metadata file is what `sealed` made."""
     try:
         document = json.loads(content)
         attributes = document["attributes"]
         if CHECKSUM not in attributes:
-            return Seal.NONE
+            return ChecksumState.NONE
         same = _rendered(document) == content and attributes[CHECKSUM] == _own(document)
         if _CREATED in attributes:
             same = same and attributes[_CREATED] == _marked(attributes)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return Seal.BROKEN
-    return Seal.INTACT if same else Seal.BROKEN
+        return ChecksumState.BROKEN
+    return ChecksumState.INTACT if same else ChecksumState.BROKEN
 
 
 def plain(attributes: Mapping[str, Any]) -> dict[str, Any]:

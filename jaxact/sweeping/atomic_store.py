@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from jaxact.errors import UserError
 from jaxact.sweeping import store as _store
-from jaxact.sweeping.place import Folder
+from jaxact.sweeping.location import Folder
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -57,9 +57,9 @@ def write(results: xr.Dataset, folder: Path) -> None:
         # one metadata file for the whole store, without which xarray warns whenever it is opened
         warnings.filterwarnings("ignore", message="Consolidated metadata is currently not part")
         results.to_zarr(folder, mode="w", zarr_format=3, consolidated=True)
-    place = Folder(folder)
-    files = {key: place.read(key) or b"" for key in place.entries()}
-    place.write({_store.ROOT: _store.described_by_root(files)[_store.ROOT]})
+    location = Folder(folder)
+    files = {key: location.read(key) or b"" for key in location.entries()}
+    location.write({_store.ROOT: _store.described_by_root(files)[_store.ROOT]})
 
 
 def _refuse_existing(path: Path, overwrite: bool) -> None:

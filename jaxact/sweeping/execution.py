@@ -14,7 +14,7 @@ from jaxact.loops.specification import Specification
 from jaxact.sweeping import adaptive, fill, integrity, lock, opening, planning, progress
 from jaxact.sweeping import store as _store
 from jaxact.sweeping.fill import Workers
-from jaxact.sweeping.place import Folder, Place
+from jaxact.sweeping.location import Folder, Location
 from jaxact.sweeping.planning import Planned
 from jaxact.sweeping.progress import Store
 from jaxact.sweeping.summary import summary
@@ -23,7 +23,7 @@ Planner = Callable[[Specification, Samples], Planned]
 
 
 @dataclass(frozen=True)
-class How:
+class SweepOptions:
     """How a sweep is run; nothing of it changes the results of a grid.
 
     resume: continue what is in the folder
@@ -42,7 +42,7 @@ class How:
     moved: Callable[[int, int], None] = lambda done, total: None
 
 
-def sweep(specification: Specification, folder: Place, how: How) -> Store:
+def sweep(specification: Specification, folder: Location, how: SweepOptions) -> Store:
     """Run a sweep to its end.
 
     specification: checked
@@ -75,7 +75,9 @@ def sweep(specification: Specification, folder: Place, how: How) -> Store:
     return store
 
 
-def _grid(folder: Place, specification: Specification, samples: Samples, how: How) -> Store:
+def _grid(
+    folder: Location, specification: Specification, samples: Samples, how: SweepOptions
+) -> Store:
     target, rounds = folder.inside(_store.STORE), folder.inside(adaptive.ROUNDS)
 
     def clear() -> None:
@@ -94,18 +96,18 @@ def complete(store: Store) -> None:
 
     Raises UserError if one is not: somebody has removed it meanwhile.
     """
-    root = _store.attributes_of(store.place) or {}
+    root = _store.attributes_of(store.location) or {}
     if root.get("complete"):
         return
-    entries = store.place.entries()
+    entries = store.location.entries()
     numbers = range(len(store.layout))
     integrity.refuse(
-        store.place, integrity.lost(numbers, (store.glance(n, entries) for n in numbers))
+        store.location, integrity.lost(numbers, (store.glance(n, entries) for n in numbers))
     )
-    store.finish({"complete": True, "summary": summary(opening.opened(store.place))})
+    store.finish({"complete": True, "summary": summary(opening.opened(store.location))})
 
 
-def _tidy(folder: Place) -> None:
+def _tidy(folder: Location) -> None:
     """Remove what killed processes have left beside a complete store."""
     folder.inside(_store.STORE).clean()
     rounds = folder.inside(adaptive.ROUNDS)
@@ -114,7 +116,7 @@ def _tidy(folder: Place) -> None:
         rounds.clean()
 
 
-def _refuse_existing(folder: Place, how: How) -> None:
+def _refuse_existing(folder: Location, how: SweepOptions) -> None:
     """Raise UserError unless a store may be begun, continued or replaced there."""
     target, rounds = folder.inside(_store.STORE), folder.inside(adaptive.ROUNDS)
     there, begun = _is_there(target), bool(rounds.entries())
@@ -139,7 +141,7 @@ def _refuse_existing(folder: Place, how: How) -> None:
         )
 
 
-def _is_there(target: Place) -> bool:
+def _is_there(target: Location) -> bool:
     """Whether there is a store of ours; raises UserError if there is anything else."""
     if isinstance(target, Folder):
         path = target.path
@@ -156,7 +158,7 @@ def _is_there(target: Place) -> bool:
 
 
 @contextlib.contextmanager
-def _locked(folder: Place) -> Iterator[None]:
+def _locked(folder: Location) -> Iterator[None]:
     """Hold the folder; one that was made for it and stays empty is removed again."""
     made = [] if not isinstance(folder, Folder) else _missing(folder)
     try:
@@ -187,7 +189,7 @@ def _there(path: Path) -> bool:
         return False
 
 
-def _full(target: Place, error: OSError) -> str:
+def _full(target: Location, error: OSError) -> str:
     """What to say when the store could not be written any more."""
     reason = error.strerror or error
     store = progress.existing(target)

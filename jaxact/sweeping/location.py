@@ -35,14 +35,14 @@ class Entry:
     modified: float
 
 
-class Place(Protocol):
+class Location(Protocol):
     """A folder of files by key; every method raises OSError where the store fails."""
 
     @property
     def name(self) -> str:
         """Path or URL as the user knows it."""
 
-    def inside(self, *parts: str) -> Place:
+    def inside(self, *parts: str) -> Location:
         """A folder in this one."""
 
     def read(self, key: str) -> bytes | None:
@@ -67,7 +67,7 @@ class Place(Protocol):
         """What zarr and xarray open it as."""
 
 
-def at(where: str | Path) -> Place:
+def at(where: str | Path) -> Location:
     """The place that a path or URL names.
 
     where: a path, `file://...`, or `protocol://...` of a store that fsspec knows

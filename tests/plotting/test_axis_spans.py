@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxact.plotting import dust
+from jaxact.plotting import axis_spans
 from jaxact.plotting.step import StepResponse, step
 from jaxact.plotting.trajectory import Joint, trajectory
 
@@ -65,7 +65,7 @@ def test_a_small_motion_stays_a_motion(position, setpoint, unit, resolution):
 
 def test_a_joint_that_another_moves_a_little_is_not_blown_up():
     """One of several joints of a step: 1e-7 of it is nothing."""
-    least = dust.spans(TIME, [STILL + 1e-7 * TIME], STILL + 0.2, [STILL], unit="rad")
+    least = axis_spans.spans(TIME, [STILL + 1e-7 * TIME], STILL + 0.2, [STILL], unit="rad")
     assert least.position == pytest.approx(2e-4)
 
 
