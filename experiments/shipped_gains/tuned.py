@@ -14,9 +14,9 @@ from models import Robot
 from jaxact.robot_margins import whole_robot
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import Groups
+from jaxact.tuning.result import Tuned
 from jaxact.tuning.robot import search as _robot
 from jaxact.tuning.robot.loops import Situation, situation
-from jaxact.tuning.robot.tuned import RobotTuned
 
 DELAY = 5e-3  # in the loop that is tuned [s]
 MAX_PEAK = 2.0  # Ms and Mt [-]
@@ -85,13 +85,13 @@ def _loop(robot: Robot, model: Path, rate: float, **parameters: Any) -> Any:
     )
 
 
-def _searched(one: Situation, groups: Groups, starts: int = _robot.STARTS) -> RobotTuned:
+def _searched(one: Situation, groups: Groups, starts: int = _robot.STARTS) -> Tuned:
     assert one.kp is not None and one.kd is not None
     goal = Goal(max_peak=MAX_PEAK)
     return _robot.tune([one], goal, groups, start=(one.kp, one.kd), starts=starts)
 
 
-def _peak(found: RobotTuned) -> float:
+def _peak(found: Tuned) -> float:
     """The larger of Ms and Mt of the gains found, inf where they are unstable [-]."""
     if not found.certificate.stable:
         return float("inf")
@@ -99,11 +99,12 @@ def _peak(found: RobotTuned) -> float:
     return float(max(check.value for check in checks))
 
 
-def _by_group(found: RobotTuned) -> dict[str, tuple[float, float]]:
+def _by_group(found: Tuned) -> dict[str, tuple[float, float]]:
     """kp and kd of each group."""
-    first = found.groups.first
-    return {name: (float(found.kp[first[i]]), float(found.kd[first[i]]))
-            for i, name in enumerate(found.groups.names)}  # fmt: skip
+    assert found.robot is not None
+    groups = found.robot.case.groups
+    return {name: (float(found.kp[first]), float(found.kd[first]))
+            for name, first in zip(groups.names, groups.first, strict=True)}  # fmt: skip
 
 
 def _patterns(own: dict[str, tuple[float, float]], which: int) -> dict[str, float]:

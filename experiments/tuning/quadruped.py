@@ -23,16 +23,16 @@ sys.path.insert(0, str(HERE.parent / "quadruped"))
 import cases  # noqa: E402
 import numpy as np  # noqa: E402
 
-from jaxact.cli import _robot_report  # noqa: E402
+from jaxact.cli import _tuning  # noqa: E402
+from jaxact.tuning import report  # noqa: E402
+from jaxact.tuning.box import read_box  # noqa: E402
 from jaxact.tuning.goal import Goal  # noqa: E402
 from jaxact.tuning.groups import group  # noqa: E402
-from jaxact.tuning.robot import result as robot_result  # noqa: E402
 from jaxact.tuning.robot import search as robot  # noqa: E402
 from jaxact.tuning.robot.exact import exact  # noqa: E402
-from jaxact.tuning.robot.loops import situation  # noqa: E402
-from jaxact.tuning.robot.uncertainty import read_spans  # noqa: E402
+from jaxact.tuning.robot.loops import VARIED, situation  # noqa: E402
 from jaxact.tuning.rollouts.exposure import exposed  # noqa: E402
-from jaxact.tuning.rollouts.validation import Validation, validate  # noqa: E402
+from jaxact.tuning.rollouts.validation import Rollouts, Validation, validate  # noqa: E402
 
 RESULTS = HERE.parent.parent / "results" / "tuning" / "quadruped"
 GROUPS = ("HAA", "HFE", "KFE")
@@ -51,8 +51,8 @@ def main() -> None:
     names = cases.SITUATIONS[1:] if asked.quick else cases.SITUATIONS
     number, steps, duration = (1, 40, 1.0) if asked.quick else (8, 150, 4.0)
     begun = time.perf_counter()
-    spans = read_spans(BOX)
-    situations = [situation(cases.load(name), name, spans) for name in names]
+    box = read_box(BOX, VARIED)
+    situations = [situation(cases.load(name), name, box) for name in names]
     first = situations[0]
     groups = group(GROUPS, first.names)
     tuned = robot.tune(
@@ -67,22 +67,24 @@ def main() -> None:
     }
     rollouts = {name: simulated(tuned, *gains, duration) for name, gains in candidates.items()}
     asked.out.mkdir(parents=True, exist_ok=True)
-    held = robot_result.Held(duration, rollouts["tuned"], rollouts["nominal"])
-    _robot_report.write_folder(asked.out, tuned, held, "make tuning")
-    document = _robot_report.report(tuned, held) | {"seconds": seconds}
-    document["rollouts"] = {name: _robot_report.verdicts(rows) for name, rows in rollouts.items()}
+    held = Rollouts(duration, rollouts["tuned"], rollouts["nominal"])
+    shown = _tuning.Robot(tuned, held)
+    document = shown.report()
+    shown.write(asked.out, document, "make tuning")
+    print(shown.text(document))
+    document |= {"seconds": seconds}
+    document["rollouts"] = {name: report.verdicts(rows) for name, rows in rollouts.items()}
     (asked.out / "quadruped.json").write_text(json.dumps(document, indent=1) + "\n", "utf-8")
     text = markdown(tuned, candidates, rollouts, duration)
     (asked.out / "README.md").write_text(text, encoding="utf-8")
-    print(_robot_report.as_text(tuned, _robot_report.report(tuned, held)))
     print(f"wrote {asked.out}")
 
 
 def simulated(tuned, kp, kd, duration: float) -> dict[str, Validation]:
     """Rollouts of gains in every situation with every actuator that was looked at."""
     found = {}
-    for place, one in enumerate(tuned.situations):
-        fraction = tuned.loops.fraction[tuned.loops.situation == place]
+    for place, one in enumerate(tuned.robot.situations):
+        fraction = tuned.members.fraction[tuned.members.situation == place]
         specification = exposed(replace(one.specification, seed=1), duration=duration)
         found[one.name] = validate({one.name: specification}, kp, kd, one.columns(fraction))
     return found
@@ -123,19 +125,19 @@ def markdown(tuned, candidates, rollouts, duration: float) -> str:
     """The report: gains, linear figures and rollouts, side by side."""
     sure = "Certified" if tuned.certified else "Not certified"
     text = HEAD.format(
-        peak=MAX_PEAK, situations=", ".join(one.name for one in tuned.situations),
-        loops=len(tuned.loops), verdict=f"{sure}: {tuned.verdict}",
+        peak=MAX_PEAK, situations=", ".join(one.name for one in tuned.robot.situations),
+        loops=len(tuned.members), verdict=f"{sure}: {tuned.verdict}",
         agreeing=100.0 * tuned.certificate.agreeing,
     )  # fmt: skip
-    first = [int(np.argmax(tuned.groups.members == i)) for i in range(len(tuned.groups))]
+    first = tuned.robot.case.groups.first
     for name, (kp, kd) in candidates.items():
         cells = [f"{k[i]:.4g}" for k in (kp, kd) for i in first]
         text += row(name, *cells, f"{np.exp(np.mean(np.log(kp))):.4g}")
     text += MIDDLE.format(duration=duration)
     for name, gains in candidates.items():
-        known = exact(tuned.loops, *gains, ("sensitivity_peak", "complementary_peak"))
-        for place, one in enumerate(tuned.situations):
-            own = tuned.loops.situation == place
+        known = exact(tuned.members, *gains, ("sensitivity_peak", "complementary_peak"))
+        for place, one in enumerate(tuned.robot.situations):
+            own = tuned.members.situation == place
             text += row(name, one.name, *linear(known, own), *rolled(rollouts[name][one.name]))
     return text + TAIL
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxact.tuning.joint.search import Tuned
-    from jaxact.tuning.robot.tuned import RobotTuned
+    from jaxact.tuning.result import Tuned
 
 
 @dataclass(frozen=True)
@@ -52,32 +51,19 @@ class Front:
         ]
 
 
-def of_joint(points: Sequence[Tuned], unit: str) -> Front:
-    """The front of a single joint, whose objective has that unit."""
-    kp, kd = (np.array([[getattr(p, name)] for p in points]) for name in ("kp", "kd"))
-    return _front(points, ("",), ("N/m", "N s/m", unit), kp, kd)
-
-
-def of_robot(points: Sequence[RobotTuned]) -> Front:
-    """The front of a robot."""
-    from jaxact.tuning.robot import result as robot_result
-
-    first = points[0]
-    joints = first.groups.first
-    kp, kd = (np.array([getattr(p, name)[joints] for p in points]) for name in ("kp", "kd"))
-    units = *robot_result.units(first), robot_result.objective_unit(first)
-    return _front(points, first.groups.names, units, kp, kd)
-
-
-def _front(
-    points: Sequence[Tuned] | Sequence[RobotTuned],
-    groups: tuple[str, ...],
-    units: tuple[str, str, str],
-    kp: np.ndarray,
-    kd: np.ndarray,
-) -> Front:
+def front(points: Sequence[Tuned]) -> Front:
+    """The front of some results, one at least."""
+    first, robot = points[0], points[0].robot
+    groups: tuple[str, ...] = ("",)
+    own = np.zeros(1, int)
+    if robot is not None:
+        groups, own = robot.case.groups.names, robot.case.groups.first
+    kp, kd = (
+        np.array([np.atleast_1d(getattr(point, name))[own] for point in points])
+        for name in ("kp", "kd")
+    )
     return Front(
-        groups, units, points[0].goal.objective, np.array([p.goal.max_peak for p in points]),
+        groups, first.units, first.goal.objective, np.array([p.goal.max_peak for p in points]),
         kp, kd, np.array([p.value for p in points]), np.array([p.certified for p in points]),
         tuple(p.verdict for p in points),
     )  # fmt: skip

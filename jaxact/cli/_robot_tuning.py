@@ -3,34 +3,21 @@
 from __future__ import annotations
 
 import math
-import shlex
-import sys
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 from tyro.conf import UseAppendAction, arg
 
-from jaxact.cli import (
-    _folders,
-    _front,
-    _mounting,
-    _progress,
-    _robot_margins,
-    _robot_report,
-    _warnings,
-)
+from jaxact.cli import _mounting, _robot_margins, _warnings
 from jaxact.errors import UserError
 
 if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
     from jaxact.tuning.goal import Goal
-    from jaxact.tuning.robot.loops import Situation
-
-# Samples of the uncertainty where no number is given.
-SAMPLES = 8
+    from jaxact.tuning.result import Tuned
+    from jaxact.tuning.rollouts.validation import Rollouts
 
 
 @dataclass(frozen=True)
@@ -132,104 +119,44 @@ def asked(options: Options) -> bool:
     return False
 
 
-def run(
+def tuned(
     options: Options,
     given: dict[str, Any],
     goal: Goal,
-    *,
     velocity: str,
-    uncertainty: str,
-    number: int,
-    seed: int,
-    starts: int,
-    steps: int,
-    pareto: int,
-    verify: bool,
-    out: Path | None,
-    json: bool,
-) -> bool:
-    """Tune a robot, hold the gains against rollouts, print, and write a folder.
+    phase: Callable[[str], None],
+    asked: dict[str, Any],
+) -> tuple[Tuned, Rollouts | None]:
+    """The robot's tuned gains, held against rollouts.
 
-    options: of a robot
-    given: values of parameters
-    goal: what is asked
-    velocity: "sampled" or "differenced"
-    uncertainty: ranges, "" for none
-    number, seed: of the samples of it
-    starts, steps: of the descent
-    pareto: points of the front over the peak allowed, 0 for none
-    verify: compare with brute force
-    out: folder to write, None for none
-    json: print an object instead of tables
+    Args:
+        options: of a robot.
+        given: values of parameters.
+        goal: what is asked.
+        velocity: "sampled" or "differenced".
+        phase: told what is being done.
+        asked: how it is searched, see `jaxact.verbs.tune.of_robot`.
 
-    Returns whether everything that was asked for is certified. Raises UserError for anything that
-    does not fit.
+    Raises:
+        UserError: anything that does not fit.
     """
+    from jaxact.tuning.rollouts import validation
+    from jaxact.verbs.tune import of_robot
+
     if not (options.validate >= 0.0 and math.isfinite(options.validate)):
         raise UserError(f"--validate {options.validate:g}: give seconds, 0 for none")
-    if pareto and options.tracking_weight:
-        raise UserError("--pareto: cannot be combined with --tracking-weight")
-
-    from jaxact.tuning import pareto as _pareto
-    from jaxact.tuning.groups import group
-    from jaxact.tuning.robot import front as robot_front
-    from jaxact.tuning.robot import search as robot
-    from jaxact.tuning.robot.loops import situation
-    from jaxact.tuning.robot.uncertainty import read_spans
-    from jaxact.tuning.rollouts.tracking import Wish
-
-    if pareto:
-        _pareto.peaks(pareto)
-    spans = read_spans(uncertainty) if uncertainty else ()
     named = _specifications(options, given, velocity)
-    with _progress.phases(quiet=json) as phase:
-        situations = []
-        for place, (name, one) in enumerate(named, 1):
-            phase(f"settling and linearising {name} ({place} of {len(named)})")
-            situations.append(situation(one, name, spans))
-        for each in situations:
-            _warnings.posture(each.specification)
-        first = situations[0]
-        groups = group(options.groups.split(",") if options.groups else (), first.names)
-        tuned = robot.tune(
-            situations, goal, groups, number=number, seed=seed, start=_start(first, given),
-            starts=starts, steps=steps, verify=verify,
-            wish=Wish(options.tracking_weight, options.derivative), phase=phase,
-        )  # fmt: skip
-        phase("walking along the front")
-        points = robot_front.front(tuned, pareto, seed=seed) if pareto else []
-        phase("simulating")
-        held = _robot_report.validated(tuned, options.validate)
-    document = _robot_report.report(tuned, held)
-    front = _front.of_robot(points) if points else None
-    if pareto:
-        document["pareto"] = [] if front is None else _front.report(front)
-    if out is not None:
-        with _folders.whole_folder(out) as folder:
-            command = shlex.join(["jaxact", *sys.argv[1:]])
-            _robot_report.write_folder(folder, tuned, held, command)
-            if front is not None:
-                _front.write(folder, front, goal.max_peak)
-    if json:
-        print(_robot_report.as_json(document))
-    else:
-        print(_robot_report.as_text(tuned, document))
-        if front is not None:
-            print("\n" + _front.table(front))
-        if out is not None:
-            print(f"wrote {out}")
-    if held is not None:
-        _warn_of(*held.stable)
-    return tuned.certified
-
-
-def _warn_of(stable: int, rollouts: int) -> None:
-    """Say so where rollouts contradict the certificate."""
-    if stable < rollouts:
-        _warnings.warn(
-            f"{rollouts - stable} of {rollouts} rollouts with these gains are not stable, whatever "
-            "is certified at rest: add the postures that the robot comes to, or lower --max-peak"
-        )
+    groups = options.groups.split(",") if options.groups else ()
+    for _, one in named:
+        _warnings.posture(one)
+    found = of_robot(
+        named, goal, groups=groups, tracking_weight=options.tracking_weight,
+        derivative=options.derivative, phase=phase, **asked,
+    )  # fmt: skip
+    if options.validate == 0.0:
+        return found, None
+    phase("simulating")
+    return found, validation.rollouts(found, options.validate)
 
 
 def _specifications(
@@ -270,29 +197,3 @@ def _distinct(rows: list[tuple[str, Specification]]) -> list[tuple[str, Specific
         if names.count(name) > 1:
             raise UserError(f"--spec: two files are called {name}; name them differently")
     return rows
-
-
-def _demand_kd(first: Situation) -> None:
-    """Refuse to start without a D gain, and say where it may be."""
-    plant, without = first.specification.plant, np.flatnonzero(first.kd == 0.0)
-    if plant is None or not without.size or plant.damping == "drive":
-        return
-    joint = first.names[int(without[0])][0]
-    raise UserError(
-        f"{joint}: kd is 0, and there is no start from it; give --kd, or --damping drive where the "
-        "model has the drive's D gain in <joint damping>"
-    )
-
-
-def _start(first: Situation, given: dict[str, Any]) -> Any:
-    """The gains to be no worse than: those given, or that the model brings; None for none."""
-    if first.kp is not None and first.kd is not None:
-        _demand_kd(first)
-        return first.kp, first.kd
-    alone: Sequence[str] = [name for name in ("kp", "kd") if name in given]
-    if alone:
-        raise UserError(
-            f"--{alone[0]}: the model brings no gains to start from; give both --kp and --kd, or "
-            "none"
-        )
-    return None

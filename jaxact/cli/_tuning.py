@@ -1,89 +1,180 @@
-"""What `jaxact tune` shows of a result: JSON, table, and the files of its folder."""
+"""What `jaxact tune` shows of a result, of a joint or a robot: report, tables and a folder."""
 
 from __future__ import annotations
 
 import json
-import math
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact.cli import _loops
+from jaxact.cli import _loops, _warnings
 from jaxact.verbs.margin_tables import ALWAYS, MARGINS, plain
 
 if TYPE_CHECKING:
-    from jaxact.tuning.joint.search import Tuned
+    from jaxact.tuning.result import Tuned
+    from jaxact.tuning.rollouts.validation import Rollouts
 
 _SHOWN = ("gain_margin", "phase_margin", "delay_margin", "sensitivity_peak", "complementary_peak",
           "disk_margin")  # fmt: skip
+_OF_ROBOT = {"sensitivity_peak": "Ms", "complementary_peak": "Mt", "disk_margin": "disk margin",
+             "growth_rate": "growth [1/s]"}  # fmt: skip
+_WIDTH = 110
+# Members that bind which are named.
+_BINDING = 8
 
 
-def report(tuned: Tuned, loops: _loops.Loops, sampled: bool, velocity: str) -> dict[str, Any]:
-    """The result as plain values, for JSON.
+@dataclass(frozen=True)
+class Joint:
+    """What is shown of a single joint's gains, or of an ensemble's.
 
-    loops: the nominal loop before (if there is a start) and after
-    sampled: margins of the sampled loop
+    Attributes:
+        tuned: the result.
+        nominal: the loop that was named, one.
+        name: of the joint in the MJCF snippet.
+        sampled: margins of the sampled loop.
     """
-    from jaxact.verbs import responses as _responses
 
-    find = _responses.sampled_margins if sampled else None
-    found = _responses.margins(loops) if find is None else find(loops, velocity)
-    names = (*ALWAYS[:2], *MARGINS, *ALWAYS[2:])
-    rows = [{name: plain(name, found, i) for name in names} for i in range(len(loops))]
-    certificate = tuned.certificate
-    return {
-        "kp": tuned.kp,
-        "kd": tuned.kd,
-        "objective": _plain(tuned.value),
-        "objective_name": tuned.goal.objective,
-        "objective_before": _plain(tuned.value_before),
-        "margins": {"before": rows[0] if tuned.before is not None else None, "after": rows[-1]},
-        "worst": _worst(tuned),
-        "certified": tuned.certified,
-        "feasible": tuned.feasible,
-        "improved": tuned.improved,
-        "verdict": tuned.verdict,
-        "constraints": [
-            {"constraint": c.constraint, "figure": c.figure, "bound": c.bound,
-             "value": _plain(c.value), "member": c.member, "met": c.met}
-            for c in certificate.checks
-        ],
-        "binding": list(certificate.binding),
-        "members": certificate.members,
-        "corners": certificate.corners,
-        "worst_interior_excess": _plain(certificate.interior),
-        "agreeing_starts": certificate.agreeing,
-        "gap_to_brute_force": _plain(certificate.gap),
-        "notes": list(certificate.notes),
-        "iterations": tuned.iterations,
-        "evaluations": tuned.evaluations,
-        "seconds": tuned.seconds,
-    }  # fmt: skip
+    tuned: Tuned
+    nominal: _loops.Loops
+    name: str
+    sampled: bool
+
+    def report(self) -> dict[str, Any]:
+        """The result as plain values, with the nominal loop's margins before and after."""
+        from jaxact.tuning.report import report
+        from jaxact.verbs import responses
+
+        loops = self._loops()
+        found = (
+            responses.sampled_margins(loops, loops.velocity or "sampled")
+            if self.sampled
+            else responses.margins(loops)
+        )
+        names = (*ALWAYS[:2], *MARGINS, *ALWAYS[2:])
+        rows = [{name: plain(name, found, i) for name in names} for i in range(len(loops))]
+        before = rows[0] if self.tuned.before is not None else None
+        return report(self.tuned, margins={"before": before, "after": rows[-1]})
+
+    def text(self, document: Mapping[str, Any]) -> str:
+        """The report for people: gains, margins before and after, and what is guaranteed."""
+        from jaxact.plotting.wording import quantity
+        from jaxact.verbs.margin_tables import UNITS
+
+        columns = _columns(document)
+
+        def cell(value: Any, units: str) -> str:
+            if value is None:
+                return "-"
+            return value.replace("inf", "∞") if isinstance(value, str) else quantity(value, units)
+
+        kp, kd, unit = self.tuned.units
+        units = "" if unit == "1" else unit
+        # The objective is one of all members.
+        values = [document["objective_before" if "before" in label else "objective"]
+                  if "nominal" not in label else None for label in columns]  # fmt: skip
+        rows = [[document["objective_name"], *(cell(value, units) for value in values)]]
+        for name in _SHOWN:
+            cells = (cell(metrics.get(name), UNITS[name]) for metrics in columns.values())
+            rows.append([name.replace("_", " "), *cells])
+        gains = f"kp {document['kp']:.6g} {kp}, kd {document['kd']:.6g} {kd}"
+        table = _table(["", *columns], rows)
+        return "\n".join([gains, table, "", *_words(document, document["members"])])
+
+    def write(self, folder: Path, document: Mapping[str, Any], command: str) -> None:
+        """Gains as TOML and MJCF, and the pictures, into a folder that is there."""
+        from jaxact.cli import _tuning_pictures
+        from jaxact.plotting.sensitivity import sensitivity
+        from jaxact.tuning.report import mjcf_text, toml_text
+        from jaxact.verbs import responses
+
+        loops, velocity = self._loops(), self.nominal.velocity or "sampled"
+        nominal = document["margins"]["after"]
+        _write(folder, "gains.toml", toml_text(self.tuned, command, nominal=nominal))
+        _write(folder, "gains.xml", mjcf_text(self.tuned, self.name))
+        pictures = _tuning_pictures.of_joint(self.tuned, loops)
+        drawn = responses.responses(loops, sampled=self.sampled, velocity=velocity)
+        # As in the other pictures, blue is after.
+        drawn.sort(key=lambda response: -(response.loop or 0))
+        pictures["sensitivity"] = sensitivity(drawn, footer=self.tuned.verdict)
+        _draw(folder, pictures)
+
+    def warn(self) -> None:
+        """Nothing: no rollout can contradict the certificate."""
+
+    def _loops(self) -> _loops.Loops:
+        """The nominal loop with the gains before (where there is a start) and after."""
+        tuned, loops = self.tuned, self.nominal
+        pairs = [pair for pair in (tuned.before, (tuned.kp, tuned.kd)) if pair is not None]
+        labels = ("before", "after")[-len(pairs) :]
+        values = {name: np.repeat(array, len(pairs)) for name, array in loops.values.items()}
+        values["kp"] = np.array([kp for kp, _ in pairs])
+        values["kd"] = np.array([kd for _, kd in pairs])
+        named = tuple(f"{label}: {loops.labels[0]}" for label in labels)
+        return replace(loops, values=values, labels=named)
 
 
-def _worst(tuned: Tuned) -> dict[str, Any] | None:
-    """Figures at their worst over an ensemble, before and after; None for a single loop."""
-    from jaxact.tuning.result import worst
+@dataclass(frozen=True)
+class Robot:
+    """What is shown of a robot's gains.
 
-    if len(tuned.members) == 1:
-        return None
-    sides = {"before": tuned.before is not None, "after": True}
-    return {
-        side: {n: _plain(v) for n, v in worst(tuned, before=side == "before").items()}
-        if there
-        else None
-        for side, there in sides.items()
-    }
+    Attributes:
+        tuned: the result.
+        rollouts: that the gains were held against, None if they were not.
+    """
 
+    tuned: Tuned
+    rollouts: Rollouts | None
 
-def _plain(value: float | None) -> Any:
-    if value is None or math.isnan(value):
-        return None
-    if math.isinf(value):
-        return "inf" if value > 0 else "-inf"
-    return value
+    def report(self) -> dict[str, Any]:
+        """The result as plain values."""
+        from jaxact.tuning.report import report
+
+        return report(self.tuned, rollouts=self.rollouts)
+
+    def text(self, document: Mapping[str, Any]) -> str:
+        """The report for people."""
+        simulated = _tracking_lines(document) + _rollout_lines(document["rollouts"])
+        words = _words(document, document["loops"], _box_lines(document["assumed"]), simulated)
+        return "\n\n".join([self._gains(document), _margins(document), "\n".join(words)])
+
+    def write(self, folder: Path, document: Mapping[str, Any], command: str) -> None:
+        """Gains as TOML and MJCF, and the pictures, into a folder that is there."""
+        from jaxact.cli import _tuning_pictures
+        from jaxact.tuning.report import mjcf_text, toml_text
+
+        assert self.tuned.robot is not None
+        _write(folder, "gains.toml", toml_text(self.tuned, command, rollouts=self.rollouts))
+        _write(folder, "gains.xml", mjcf_text(self.tuned))
+        _draw(folder, _tuning_pictures.of_robot(self.tuned, self.tuned.robot))
+
+    def warn(self) -> None:
+        """Say so where rollouts contradict the certificate."""
+        if self.rollouts is None:
+            return
+        stable, rollouts = self.rollouts.stable
+        if stable < rollouts:
+            _warnings.warn(
+                f"{rollouts - stable} of {rollouts} rollouts with these gains are not stable, "
+                "whatever is certified at rest: add the postures that the robot comes to, or lower "
+                "--max-peak"
+            )
+
+    def _gains(self, document: Mapping[str, Any]) -> str:
+        tuned = self.tuned
+        assert tuned.robot is not None
+        groups, before = tuned.robot.case.groups, tuned.before
+        heads = ["group" if len(groups) < len(tuned.kp) else "joint"]
+        heads += ["kp before", "kd before"] if before else []
+        heads += [f"{k} [{unit}]" for k, unit in zip(("kp", "kd"), document["units"], strict=True)]
+        rows = []
+        for number, row in enumerate(document["groups"]):
+            own = groups.members == number
+            known = [_span(k[own]) for k in before or ()]
+            rows.append([row["name"], *known, f"{row['kp']:.6g}", f"{row['kd']:.6g}"])
+        return _table(heads, rows)
 
 
 def as_json(document: Any) -> str:
@@ -91,57 +182,43 @@ def as_json(document: Any) -> str:
     return json.dumps(document, allow_nan=False)
 
 
-def table(document: dict[str, Any], unit: str) -> str:
-    """The same for people: gains, margins before and after, and what is guaranteed."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
+def _write(folder: Path, name: str, text: str) -> None:
+    (folder / name).write_text(text, encoding="utf-8")
 
-    from jaxact.plotting.wording import quantity
-    from jaxact.verbs.margin_tables import UNITS
 
-    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    shown.add_column("")
-    columns = _columns(document)
-    for label in columns:
-        shown.add_column(label, justify="right")
+def _draw(folder: Path, pictures: Mapping[str, Any]) -> None:
+    from jaxact.plotting import theme
 
-    def cell(value: Any, units: str) -> str:
-        if value is None:
-            return "-"
-        return value.replace("inf", "∞") if isinstance(value, str) else quantity(value, units)
+    for name, figure in pictures.items():
+        theme.write(figure, folder / f"{name}.png", title=f"jaxact tune: {name.replace('_', ' ')}")
 
-    name, units = document["objective_name"], "" if unit == "1" else unit
-    # The objective is one of all members.
-    values = [document["objective_before" if "before" in label else "objective"]
-              if "nominal" not in label else None for label in columns]  # fmt: skip
-    shown.add_row(name, *(cell(value, units) for value in values))
-    for name in _SHOWN:
-        cells = (cell(figures.get(name), UNITS[name]) for figures in columns.values())
-        shown.add_row(name.replace("_", " "), *cells)
-    console = Console(width=100, highlight=False)
-    with console.capture() as captured:
-        console.print(shown)
-    gains = f"kp {document['kp']:.6g} N/m, kd {document['kd']:.6g} N s/m"
-    lines = [line.rstrip() for line in captured.get().rstrip().splitlines()]
-    guaranteed = "certified: " if document["certified"] else "NOT certified: "
-    words = [gains, *lines, "", guaranteed + document["verdict"]]
-    if document["members"] > 1 and document["binding"]:
-        words.append("binding: " + ", ".join(document["binding"][:8]))
-    words += document["notes"]
-    if document["gap_to_brute_force"] is not None:
-        words.append(
-            f"brute force finds no better by more than {document['gap_to_brute_force']:.2g}"
-        )
+
+def _words(
+    document: Mapping[str, Any],
+    members: int,
+    assumed: list[str] | None = None,
+    simulated: list[str] | None = None,
+) -> list[str]:
+    """What is guaranteed, of how many members, under which assumptions, and how it was found."""
+    words = [("certified: " if document["certified"] else "NOT certified: ") + document["verdict"]]
+    words += assumed or []
+    binding = document["binding"]
+    if members > 1 and binding:
+        more = ", ..." if len(binding) > _BINDING else ""
+        words.append("binding: " + ", ".join(binding[:_BINDING]) + more)
+    words += [*document["notes"], *(simulated or [])]
+    gap = document["gap_to_brute_force"]
+    if gap is not None:
+        words.append(f"brute force finds no better by more than {gap:.2g}")
     share = f"{100 * document['agreeing_starts']:.0f} % of the starts agree within 1 %"
     words.append(
         f"{share}; {document['evaluations']:,} loops evaluated, {document['seconds']:.1f} s"
     )
-    return "\n".join(words)
+    return words
 
 
-def _columns(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Figures by the title of their column: of the nominal loop, and of the worst member."""
+def _columns(document: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Metrics by the title of their column: of the nominal loop, and of the worst member."""
     columns = {}
     for side in ("before", "after"):
         nominal = document["margins"][side]
@@ -155,40 +232,84 @@ def _columns(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return columns
 
 
-def write_folder(
-    folder: Path, tuned: Tuned, loops: _loops.Loops, sampled: bool, velocity: str, joint: str,
-    command: str, nominal: dict[str, Any],
-) -> None:  # fmt: skip
-    """Gains as TOML and MJCF, and the pictures, into a folder that is there.
-
-    nominal: figures of the nominal loop with the gains, as `report` has them
-    """
-    from jaxact.cli import _tuning_pictures
-    from jaxact.plotting import theme
-    from jaxact.plotting.sensitivity import sensitivity
-    from jaxact.tuning.result import mjcf_text, toml_text
-    from jaxact.verbs import responses as _responses
-
-    (folder / "gains.toml").write_text(toml_text(tuned, command, nominal), encoding="utf-8")
-    (folder / "gains.xml").write_text(mjcf_text(tuned, joint), encoding="utf-8")
-    pictures = _tuning_pictures.of_joint(tuned, loops)
-    drawn = _responses.responses(loops, sampled=sampled, velocity=velocity)
-    # As in the other pictures, blue is after.
-    drawn.sort(key=lambda response: -(response.loop or 0))
-    pictures["sensitivity"] = sensitivity(drawn, footer=tuned.verdict)
-    for name, figure in pictures.items():
-        theme.write(figure, folder / f"{name}.png", title=f"jaxact tune: {name.replace('_', ' ')}")
+def _box_lines(box: Mapping[str, Any]) -> list[str]:
+    """What was assumed not to be known."""
+    ends = [
+        f"{key} {value[0]:.4g} to {value[1]:.4g}"
+        + (f" (on '{box['payload_body']}')" if key == "payload" else "")
+        for key, value in box.items()
+        if isinstance(value, list)
+    ]
+    if not ends:
+        return []
+    told = "setpoint_and_feedforward"
+    told = f"; setpoint and feedforward {box[told]}" if told in box else ""
+    return [f"for all of: {', '.join(ends)}{told}"]
 
 
-def loops_of(loops: _loops.Loops, tuned: Tuned) -> _loops.Loops:
-    """The nominal loop with the gains before (where there is a start) and after.
+def _tracking_lines(document: Mapping[str, Any]) -> list[str]:
+    tracked = document["tracking"]
+    if tracked is None:
+        return []
+    return [
+        f"simulated rms error {tracked['rms']:.3g}, by the margins alone "
+        f"{tracked['rms_by_margins_alone']:.3g} (weight {tracked['weight']:g})"
+    ]
 
-    loops: the nominal loop, one
-    """
-    pairs = [pair for pair in (tuned.before, (tuned.kp, tuned.kd)) if pair is not None]
-    labels = ("before", "after")[-len(pairs) :]
-    values = {name: np.repeat(array, len(pairs)) for name, array in loops.values.items()}
-    values["kp"] = np.array([kp for kp, _ in pairs])
-    values["kd"] = np.array([kd for _, kd in pairs])
-    named = tuple(f"{label}: {loops.labels[0]}" for label in labels)
-    return replace(loops, values=values, labels=named)
+
+def _rollout_lines(rollouts: Mapping[str, Any] | None) -> list[str]:
+    if rollouts is None:
+        return []
+    lines = []
+    for side, words in (("before", "the start"), ("after", "the tuned gains")):
+        rows = rollouts[side]
+        if rows is None:
+            continue
+        stable, of = (sum(row[key] for row in rows.values()) for key in ("stable", "rollouts"))
+        line = (
+            f"nonlinear rollouts of {rollouts['duration']:g} s with noise, quantisation, limits "
+            f"and a push: with {words} {stable} of {of} stable"
+        )
+        lost = [
+            f"{n}: {row['worst']}" for n, row in rows.items() if row["stable"] < row["rollouts"]
+        ]
+        lines.append(line + (f" ({lost[0]})" if lost else ""))
+    return lines
+
+
+def _span(values: np.ndarray) -> str:
+    low, high = float(values.min()), float(values.max())
+    return f"{low:.4g}" if high - low <= 1e-9 * high else f"{low:.4g} to {high:.4g}"
+
+
+def _margins(document: Mapping[str, Any]) -> str:
+    """The worst loop of each situation, before and after."""
+    before, after = document["margins"]["before"], document["margins"]["after"]
+    kept = [name for name in _OF_ROBOT if name in next(iter(after.values()))]
+    heads = ["worst loop of"]
+    for name in kept:
+        heads += [f"{_OF_ROBOT[name]} before"] if before is not None else []
+        heads.append(_OF_ROBOT[name])
+    rows = []
+    for situation, row in after.items():
+        sides = [row] if before is None else [before[situation], row]
+        values = [side[name] for name in kept for side in sides]
+        rows.append([situation, *("-" if v is None else f"{v:.4g}" for v in values)])
+    return _table(heads, rows)
+
+
+def _table(heads: list[str], rows: list[list[str]]) -> str:
+    """A table whose first column is of names, the others of numbers."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for place, head in enumerate(heads):
+        table.add_column(head, justify="right" if place else "left")
+    for row in rows:
+        table.add_row(*row)
+    console = Console(width=_WIDTH, highlight=False)
+    with console.capture() as captured:
+        console.print(table)
+    return "\n".join(line.rstrip() for line in captured.get().rstrip().splitlines())

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from jaxact.plotting.convergence import UnmetBound
     from jaxact.plotting.tuning_map import Boundary
     from jaxact.tuning.joint.ensemble import Ensemble
-    from jaxact.tuning.joint.search import Tuned
-    from jaxact.tuning.robot.tuned import RobotTuned
+    from jaxact.tuning.result import OfRobot, Tuned
 
 _GRID = 110
 _FIELDS = ("mass", "natural_frequency", "damping_ratio", "delay")
@@ -42,12 +41,55 @@ def of_joint(tuned: Tuned, loops: _loops.Loops) -> dict[str, Any]:
             reached=tuned.certified,
             footer=tuned.verdict,
         ),  # fmt: skip
-        "convergence": _convergence(tuned),
+        "convergence": _convergence(tuned, given=tuned.before is not None),
         "step": _steps(tuned, loops),
     }
 
 
-def missed(tuned: Tuned | RobotTuned) -> UnmetBound | None:
+def of_robot(tuned: Tuned, robot: OfRobot) -> dict[str, Any]:
+    """Pictures of a robot's tuning by name."""
+    from jaxact.plotting import robot_tuning as pictures
+    from jaxact.plotting.robot_gains import gains
+
+    groups, pair = robot.case.groups, (tuned.kp, tuned.kd)
+    with np.errstate(over="ignore"):
+        ends = np.exp(np.asarray(tuned.paths.gains, float)).reshape(-1, 2, len(groups))
+    after, before = (
+        None if k is None else tuple(np.exp(groups.log_gains(*k)).reshape(2, -1))
+        for k in (pair, tuned.before)
+    )
+    bands = [] if tuned.before is None else _bands(robot, tuned.before)
+    return {
+        "sensitivity": pictures.sensitivities(
+            bands, _bands(robot, pair), max_peak=tuned.goal.max_peak, footer=tuned.verdict
+        ),
+        "convergence": _convergence(tuned, given=False),
+        "gains": gains(groups.names, before, after, ends, units=tuned.units[:2]),
+    }
+
+
+def _bands(robot: OfRobot, gains: tuple[np.ndarray, np.ndarray]) -> list[Any]:
+    """Singular values of every situation's loops with gains of the joints."""
+    from jaxact.plotting.robot_tuning import Band
+    from jaxact.tuning.robot.peaks import sensitivity
+
+    bands, table = [], robot.case.table
+    for place, one in enumerate(robot.situations):
+        own = table.take(np.flatnonzero(table.loops.situation == place))
+        S = sensitivity(own.response, *gains)
+        T = np.eye(S.shape[-1]) - S
+        # Loops have frequencies of their own: on those of the first.
+        angle = own.angle[0]
+        size = [np.linalg.svd(X, compute_uv=False)[..., 0] for X in (S, T)]
+        rows = [
+            np.stack([np.interp(angle, a, v) for a, v in zip(own.angle, values, strict=True)])
+            for values in size
+        ]
+        bands.append(Band(one.name, angle / one.period, *rows))
+    return bands
+
+
+def missed(tuned: Tuned) -> UnmetBound | None:
     """What a tuning did not reach, None where it reached everything."""
     from jaxact.plotting.convergence import UnmetBound
 
@@ -62,8 +104,8 @@ def missed(tuned: Tuned | RobotTuned) -> UnmetBound | None:
         )
     worst = max(checks, key=lambda check: check.excess)
     sign = "≤" if worst.constraint.startswith("max") else "≥"
-    figure = worst.figure.replace("_", " ")
-    words = f"not reached: {figure} {worst.value:.4g} at best, asked for {sign} {worst.bound:g}"
+    metric = worst.metric.replace("_", " ")
+    words = f"not reached: {metric} {worst.value:.4g} at best, asked for {sign} {worst.bound:g}"
     return UnmetBound(words, math.exp(worst.excess))
 
 
@@ -114,18 +156,17 @@ def _boundary(members: Ensemble, index: int, ranges: dict[str, Any]) -> Boundary
     return Boundary(name or f"sampled at {quantity(1.0 / period, 'Hz')}", curves)
 
 
-def _convergence(tuned: Tuned) -> Any:
+def _convergence(tuned: Tuned, *, given: bool) -> Any:
     from jaxact.plotting.convergence import convergence
-    from jaxact.tuning.goal import OBJECTIVES
 
     goal, paths = tuned.goal, tuned.paths
-    unit = OBJECTIVES[goal.objective][2]
+    unit = tuned.units[2]
     label = goal.objective if unit == "1" else f"{goal.objective} [{unit}]"
     with np.errstate(over="ignore"):
         values = np.exp(goal.sense * paths.path_value)
         ratio = np.exp(paths.path_violation)
     return convergence(
-        values, ratio, label=label, given=tuned.before is not None,
+        values, ratio, label=label, given=given,
         stable=np.isfinite(paths.violation), missed=missed(tuned),
     )  # fmt: skip
 

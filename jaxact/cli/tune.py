@@ -16,7 +16,7 @@ from jaxact.errors import UserError, nearest, shown
 
 if TYPE_CHECKING:
     from jaxact.tuning.goal import Goal
-    from jaxact.tuning.joint.ensemble import Ensemble
+    from jaxact.tuning.result import Tuned
 
 # Exit code of a result that does not meet what was asked.
 NOT_MET = 1
@@ -161,12 +161,11 @@ def main(
     """
     _folders.check_folder(out, overwrite=overwrite)
     whole = _robot_tuning.asked(robot)
-    if ensemble == _loops.UNSET_NUMBER:
-        ensemble = _robot_tuning.SAMPLES if whole else 32
+    samples = None if ensemble == _loops.UNSET_NUMBER else ensemble
     if velocity not in VELOCITIES:
         raise UserError(f"--velocity {shown(velocity)}; {nearest(velocity, VELOCITIES)}")
-    for name, number in (("starts", starts), ("steps", steps), ("ensemble", ensemble)):
-        if not 1 <= number <= 10_000:
+    for name, number in (("starts", starts), ("steps", steps), ("ensemble", samples)):
+        if number is not None and not 1 <= number <= 10_000:
             raise UserError(f"--{name} {number}: give between 1 and 10000")
     if not 0 <= seed < 2**63:
         raise UserError(f"--seed {seed}: give between 0 and 2^63 - 1")
@@ -174,79 +173,76 @@ def main(
     goal = _goal(objective, risk, max_peak=max_peak, min_gain_margin=min_gain_margin,
                  min_delay_margin=min_delay_margin, min_disk_margin=min_disk_margin,
                  min_kp=min_kp, max_kp=max_kp, max_noise_gain=max_noise_gain)  # fmt: skip
-    if whole:
-        if joint != "joint":
-            raise UserError("--joint: is for a single joint; a robot's are named by its model")
-        _cache.prepare(wanted=not no_cache)
-        certified = _robot_tuning.run(
-            robot, given, goal, velocity=velocity, uncertainty=uncertainty, number=ensemble,
-            seed=seed, starts=starts, steps=steps, pareto=pareto, verify=verify, out=out,
-            json=json,
-        )  # fmt: skip
-        if not certified:
-            raise SystemExit(NOT_MET)
-        return
-    start = _start(given)
-    chosen = _loops.linear_combinations({n: (v,) for n, v in given.items()}, velocity=velocity)
-    sampled = "control_rate" in given
+    if pareto:
+        _check_front(pareto, robot)
+    if whole and joint != "joint":
+        raise UserError("--joint: is for a single joint; a robot's are named by its model")
+    asked = {"samples": samples, "seed": seed, "starts": starts, "steps": steps, "front": pareto,
+             "verify": verify, "uncertainty": uncertainty}  # fmt: skip
+    chosen = None if whole else _linear(given, velocity)
     _cache.prepare(wanted=not no_cache)
 
     from jaxact.cli import _front, _tuning
-    from jaxact.tuning import pareto as _pareto
-    from jaxact.tuning.goal import OBJECTIVES
-    from jaxact.tuning.joint.robust import tune_box
-    from jaxact.tuning.joint.search import tune
-    from jaxact.tuning.uncertainty import read_box
 
-    if pareto:
-        _pareto.peaks(pareto)
-    nominal = _nominal(chosen, velocity, sampled=sampled)
-    box = read_box(uncertainty, nominal) if uncertainty else None
-    how = _descent(steps)
+    result: _tuning.Joint | _tuning.Robot
     with _progress.phases(quiet=json) as phase:
-        if box is None:
-            tuned = tune(nominal, goal, start=start, starts=starts, how=how, verify=verify,
-                         phase=phase)  # fmt: skip
+        if chosen is None:
+            tuned, rollouts = _robot_tuning.tuned(robot, given, goal, velocity, phase, asked)
+            result = _tuning.Robot(tuned, rollouts)
         else:
-            tuned = tune_box(box, goal, number=ensemble, seed=seed, start=start, starts=starts,
-                             how=how, verify=verify, phase=phase)  # fmt: skip
-        phase("walking along the front" if pareto else "reporting")
-        points = (
-            _pareto.front(tuned.members, goal, pareto, starts=starts, how=how) if pareto else []
-        )
-    unit = OBJECTIVES[goal.objective][2]
-    front = _front.of_joint(points, unit) if points else None
-    loops = _tuning.loops_of(chosen, tuned)
-    document = _tuning.report(tuned, loops, sampled, velocity)
-    if front is not None:
-        document["pareto"] = _front.report(front)
+            tuned = _tuned(given, goal, velocity, phase, asked)
+            result = _tuning.Joint(tuned, chosen, joint, sampled="control_rate" in given)
+        phase("reporting")
+    document = result.report()
+    front = _front.front(tuned.front) if tuned.front else None
+    if pareto:
+        document["pareto"] = [] if front is None else _front.report(front)
     if out is not None:
         with _folders.whole_folder(out) as folder:
-            command = shlex.join(["jaxact", *sys.argv[1:]])
-            nominal = document["margins"]["after"]
-            _tuning.write_folder(folder, tuned, loops, sampled, velocity, joint, command, nominal)
+            result.write(folder, document, shlex.join(["jaxact", *sys.argv[1:]]))
             if front is not None:
                 _front.write(folder, front, goal.max_peak)
-    print(_tuning.as_json(document) if json else _tuning.table(document, unit))
-    if front is not None and not json:
-        print("\n" + _front.table(front))
-    if out is not None and not json:
-        print(f"wrote {out}")
+    if json:
+        print(_tuning.as_json(document))
+    else:
+        print(result.text(document) + ("" if front is None else "\n\n" + _front.table(front)))
+        if out is not None:
+            print(f"wrote {out}")
+    result.warn()
     if not tuned.certified:
         raise SystemExit(NOT_MET)
 
 
-def _start(given: dict[str, Any]) -> tuple[float, float] | None:
-    """The gains to be no worse than: both, or none."""
+def _check_front(points: int, robot: _robot_tuning.Options) -> None:
+    from jaxact.tuning.goal import MOST_PEAKS
+
+    if not 2 <= points <= MOST_PEAKS:
+        raise UserError(f"--pareto {points}: give between 2 and {MOST_PEAKS} points")
+    if robot.tracking_weight:
+        raise UserError("--pareto: cannot be combined with --tracking-weight")
+
+
+def _linear(given: dict[str, Any], velocity: str) -> _loops.Loops:
+    """The loop that is meant, checked."""
     own = [name for name in ("kp", "kd") if name in given]
     if len(own) == 1:
         raise UserError(f"--{own[0]}: give both --kp and --kd to start from, or none")
-    if not own:
-        return None
     for name in own:
         if not 0 < given[name] < math.inf:
             raise UserError(f"--{name} {given[name]:g}: a start must be positive and finite")
-    return float(given["kp"]), float(given["kd"])
+    chosen = _loops.linear_combinations({n: (v,) for n, v in given.items()}, velocity=velocity)
+    if "control_rate" not in given:
+        check_continuous(chosen, velocity)
+    return chosen
+
+
+def _tuned(
+    given: dict[str, Any], goal: Goal, velocity: str, phase: Any, asked: dict[str, Any]
+) -> Tuned:
+    from jaxact.loops.building import joint
+    from jaxact.verbs.tune import tune
+
+    return tune(joint(**given, velocity=velocity), goal, phase=phase, **asked)
 
 
 def _goal(objective: str, risk: str, *, max_peak: float, **bounds: float) -> Goal:
@@ -290,23 +286,3 @@ def _reference(path: Path) -> tuple[tuple[float, ...], float]:
     if len(even) > 100_000:
         raise UserError(f"{path}: its shortest interval divides it into {len(even):,} steps")
     return tuple(map(float, np.interp(even, time, setpoint))), period
-
-
-def _nominal(chosen: _loops.Loops, velocity: str, *, sampled: bool) -> Ensemble:
-    """The plant that was named, as an ensemble of one."""
-    from jaxact.tuning.joint.ensemble import Sampling, ensemble
-
-    if not sampled:
-        check_continuous(chosen, velocity)
-    own = chosen.one(0)
-    delay = own["delay"] + own["measurement_delay"] + own["output_delay"]
-    period = 1.0 / own["control_rate"] if sampled else None
-    sampling = Sampling(period, velocity, own["velocity_filter"])
-    return ensemble(own["mass"], own["wn"], own["zeta"], delay, sampling=sampling,
-                    names=(chosen.labels[0],))  # fmt: skip
-
-
-def _descent(steps: int) -> Any:
-    from jaxact.tuning.optimise import Descent
-
-    return Descent(steps=steps)

@@ -1,20 +1,18 @@
 """What is guaranteed of tuned gains: every constraint, every member, exact, in float64.
 
 Nothing here is smoothed or sampled in frequency. An optimum cannot be proven for a problem that is
-not convex: what is said of it is how the starts agree, and, on request, the gap to brute force.
+not convex: the certificate says how many starts agree, and, on request, the gap to brute force.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
 from jaxact.tuning.goal import Goal, tail_weights
-from jaxact.tuning.joint import problem as joint
-from jaxact.tuning.joint.metrics import Exact
-from jaxact.tuning.joint.problem import Case
 from jaxact.tuning.polish import MET
 
 # Constraints this near to their bound (relative) are called binding.
@@ -23,18 +21,19 @@ _BINDING = 1e-5
 
 @dataclass(frozen=True)
 class Check:
-    """One constraint on one figure, over all members.
+    """One constraint on one metric, over all members.
 
-    constraint: its name in `Goal`
-    figure: by the names of `jaxact margins`
-    bound: that was asked for
-    value: the risk's value over the members; that of the worst one where the worst counts
-    member: the one that is worst
-    excess: ln of how far beyond the bound, at most 0 where it is met
+    Attributes:
+        constraint: its name in `Goal`.
+        metric: by the names of `jaxact margins`.
+        bound: that was asked for.
+        value: the risk's value over the members; that of the worst one where the worst counts.
+        member: the one that is worst.
+        excess: ln of how far beyond the bound, at most 0 where it is met.
     """
 
     constraint: str
-    figure: str
+    metric: str
     bound: float
     value: float
     member: str
@@ -50,15 +49,17 @@ class Check:
 class Certificate:
     """What holds for the gains that were returned.
 
-    stable: every member is
-    checks: every constraint on a figure
-    bounds_met: kp lies within its bounds
-    binding: members at which a constraint binds
-    members: how many were checked
-    corners: how many of them are corners of the uncertainty
-    interior: largest excess that ascent on the uncertainty found, None where there is none
-    agreeing: share of the starts that ended within 1 % of the best one's objective
-    gap: how much better brute force did, relative, None if not asked for
+    Attributes:
+        stable: every member is.
+        checks: every constraint on a metric.
+        bounds_met: kp lies within its bounds.
+        binding: members at which a constraint binds.
+        members: how many were checked.
+        corners: how many of them are corners of the uncertainty.
+        interior: largest excess that ascent on the uncertainty found, None where there is none.
+        agreeing: share of the starts that ended within 1 % of the best one's objective.
+        gap: how much better brute force did, relative, None if not asked for.
+        notes: what else is worth knowing, in sentences.
     """
 
     stable: bool
@@ -79,29 +80,80 @@ class Certificate:
         return self.stable and self.bounds_met and inside and all(c.met for c in self.checks)
 
 
-def certify(case: Case, x: np.ndarray, found: Exact | None = None) -> Certificate:
-    """Check gains against everything asked of them.
+class Members(Protocol):
+    """The loops that gains are judged with."""
 
-    x: log-gains, shape (2,)
-    found: exact figures of the members at x, shape (1, members); computed where not given
+    def __len__(self) -> int:
+        """Number of members."""
+
+    def name(self, index: int) -> str:
+        """What a member is called."""
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Exact metrics of n loops with some gains, NumPy float64.
+
+    Attributes:
+        stable: whether each loop is, shape (n,).
+        log: ln of each metric by name, NaN where it means nothing, shape (n,).
     """
-    goal, members = case.goal, case.members
-    found = joint.exact([case], x[None]) if found is None else found
-    stable = bool(found.stable.all())
+
+    stable: np.ndarray
+    log: Mapping[str, np.ndarray]
+
+    def over(self, metric: str, sign: float, bound: float) -> np.ndarray:
+        """How far each loop is beyond a bound, ln of the ratio, inf where unstable; shape (n,)."""
+        over = sign * (self.log[metric] - np.log(bound))
+        return np.where(np.isnan(over), np.inf, over)
+
+    def excess(self, goal: Goal) -> np.ndarray:
+        """How far each loop is beyond its bounds, ln of the ratio, inf where unstable; (n,)."""
+        over = np.full(len(self.stable), -np.inf)
+        for _, metric, sign, bound in goal.rows:
+            over = np.maximum(over, self.over(metric, sign, bound))
+        return np.where(self.stable, over, np.inf)
+
+    def worst(self, own: np.ndarray | slice = slice(None)) -> dict[str, float | None]:
+        """Each metric at its worst over some of the loops; None where one of them is unstable."""
+        if not self.stable[own].all():
+            return dict.fromkeys(self.log)
+        return {
+            name: float(np.exp((np.min if name in _LARGE else np.max)(log[own])))
+            for name, log in self.log.items()
+        }
+
+
+# Metrics that are worst where they are smallest.
+_LARGE = ("gain_margin", "delay_margin", "disk_margin", "bandwidth")
+
+
+def certify(
+    goal: Goal, members: Members, found: Metrics, kp: np.ndarray, interior: float | None = None
+) -> Certificate:
+    """Judge gains against everything asked of them.
+
+    Args:
+        goal: what was asked.
+        members: every loop that counts.
+        found: their exact metrics with these gains.
+        kp: stiffness of every joint [N/m or N m/rad].
+        interior: largest excess that ascent on the uncertainty found, None where there was none.
+    """
     checks, binding = [], []
-    for name, figure, sign, bound in goal.rows:
-        over = sign * (found.log[figure][0] - np.log(bound))
-        over = np.where(np.isnan(over), np.inf, over)
-        worst = int(np.argmax(over))
+    for name, metric, sign, bound in goal.rows:
+        over = found.over(metric, sign, bound)
         excess = over_all(over, goal)
-        checks.append(
-            Check(name, figure, bound, float(bound * np.exp(sign * excess)),
-                  members.name(worst), excess)
-        )  # fmt: skip
+        value, worst = float(bound * np.exp(sign * excess)), members.name(int(np.argmax(over)))
+        checks.append(Check(name, metric, bound, value, worst, excess))
         binding += [members.name(int(i)) for i in np.flatnonzero(over > -_BINDING)]
-    kp = float(np.exp(x[0]))
-    inside = goal.min_kp * (1.0 - 1e-12) <= kp <= goal.max_kp * (1.0 + 1e-12)
-    return Certificate(stable, tuple(checks), inside, tuple(dict.fromkeys(binding)), len(members))
+    inside = goal.min_kp * (1.0 - 1e-12) <= np.min(kp)
+    inside = inside and np.max(kp) <= goal.max_kp * (1.0 + 1e-12)
+    corners = sum("corner " in members.name(i) for i in range(len(members)))
+    return Certificate(
+        bool(found.stable.all()), tuple(checks), bool(inside), tuple(dict.fromkeys(binding)),
+        len(members), corners, interior,
+    )  # fmt: skip
 
 
 def over_all(over: np.ndarray, goal: Goal) -> float:
@@ -115,8 +167,9 @@ def over_all(over: np.ndarray, goal: Goal) -> float:
 class Effort:
     """How far a search has looked, so that what it did not find can be judged.
 
-    starts: from which it descended
-    screened: gains that were looked at beside them, over orders of magnitude
+    Attributes:
+        starts: from which it descended.
+        screened: gains that were looked at beside them, over orders of magnitude.
     """
 
     starts: int
@@ -135,8 +188,11 @@ def sentence(
 ) -> str:
     """What is guaranteed, or why not, in one sentence.
 
-    closest: the checks where the constraints are missed by as little as possible
-    effort: of the search; what it did not find is not proven not to be there
+    Args:
+        certificate: of the gains.
+        goal: what was asked.
+        closest: the checks where the constraints are missed by as little as possible.
+        effort: of the search; what it did not find is not proven not to be there.
     """
     if certificate.met:
         of = "the loop" if certificate.members == 1 else f"all {certificate.members} members"
@@ -159,11 +215,11 @@ def sentence(
         return f"found infeasible: no gains{kp} that meet the constraints together{far}"
     worst = max(missed, key=lambda check: check.excess)
     sign = "<=" if worst.constraint.startswith("max") else ">="
-    figure = worst.figure.replace("_", " ")
-    # Of all bounds together: one figure alone may well come nearer at the cost of the others.
+    metric = worst.metric.replace("_", " ")
+    # Of all bounds together: one metric alone may well come nearer at the cost of the others.
     return (
         f"found infeasible: of all gains{kp} that were tried those nearest to the bounds have a "
-        f"{figure} of {worst.value:.6g}, asked for {sign} {worst.bound:g} ({worst.constraint}), at "
+        f"{metric} of {worst.value:.6g}, asked for {sign} {worst.bound:g} ({worst.constraint}), at "
         f"{worst.member}{far}; {_NO_PROOF} are none nearer"
     )
 
@@ -178,6 +234,7 @@ def _percent(excess: float) -> str:
 def beyond(excess: float) -> str:
     """In words, how far a member is beyond its bounds.
 
-    excess: ln of the ratio to the bound
+    Args:
+        excess: ln of the ratio to the bound.
     """
     return "meets all bounds" if excess <= MET else f"exceeds its bounds by {_percent(excess)}"

@@ -1,7 +1,7 @@
 """What is asked of the gains: an objective, constraints, and how an ensemble is weighed.
 
-Everything is in logarithms: an objective is ln of a figure that is to be large, a constraint is
-ln(figure / bound) <= 0, so that one per cent counts the same everywhere.
+Everything is in logarithms: an objective is ln of a metric that is to be large, a constraint is
+ln(metric / bound) <= 0, so that one per cent counts the same everywhere.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
 
-# Objective -> (figure, +1 if it is to be large, -1 if small; unit).
+# Objective -> (metric, +1 if it is to be large, -1 if small; unit).
 OBJECTIVES = {
     "stiffness": ("kp", 1.0, "N/m"),
     "bandwidth": ("bandwidth", 1.0, "rad/s"),
@@ -23,7 +23,7 @@ OBJECTIVES = {
     "tracking": ("tracking_error", -1.0, "m"),
 }
 
-# Constraint -> ((figure, +1 if it must not exceed the bound, -1 if it must not fall below), ...).
+# Constraint -> ((metric, +1 if it must not exceed the bound, -1 if it must not fall below), ...).
 CONSTRAINTS = {
     "max_peak": (("sensitivity_peak", 1.0), ("complementary_peak", 1.0)),
     "min_gain_margin": (("gain_margin", -1.0),),
@@ -35,16 +35,9 @@ CONSTRAINTS = {
 # Where the loop gain vanishes S = 1, so |S - 1/2| >= 1/2 there, and the disk margin is one over it.
 _LARGEST_DISK = 2.0
 
-# What each constraint protects against.
-PROTECTS = {
-    "max_peak": "Ms and Mt: disturbances amplified, overshoot, any modelling error at all",
-    "min_gain_margin": "a load lighter, or an actuator stronger, than assumed",
-    "min_delay_margin": "a bus or a computer later than assumed",
-    "min_disk_margin": "gain and phase off by so much, in every joint by its own",
-    "max_noise_gain": "force noise, heat and wear from the counts of the encoder",
-    "min_kp": "a joint too soft for its task",
-    "max_kp": "a joint too stiff for contact, or for its limits",
-}
+LOWEST, HIGHEST = 1.15, 3.0
+"""Ends of a front of peaks."""
+MOST_PEAKS = 200
 
 
 @dataclass(frozen=True)
@@ -78,35 +71,35 @@ class Goal:
     reference_period: float = 1e-3
 
     @property
-    def figure(self) -> str:
-        """Name of the figure that is optimised."""
+    def metric(self) -> str:
+        """Name of the metric that is optimised."""
         return OBJECTIVES[self.objective][0]
 
     @property
     def sense(self) -> float:
-        """+1 if the figure is to be large, -1 if small."""
+        """+1 if the metric is to be large, -1 if small."""
         return OBJECTIVES[self.objective][1]
 
     @property
     def active(self) -> tuple[str, ...]:
-        """Constraints on figures that ask anything, in the order of CONSTRAINTS."""
+        """Constraints on metrics that ask anything, in the order of CONSTRAINTS."""
         idle = {"max_peak": math.inf, "min_gain_margin": 1.0, "min_delay_margin": 0.0,
                 "min_disk_margin": 0.0, "max_noise_gain": math.inf}  # fmt: skip
         return tuple(name for name in CONSTRAINTS if getattr(self, name) != idle[name])
 
     @property
     def rows(self) -> tuple[tuple[str, str, float, float], ...]:
-        """(constraint, figure, sign, bound) of every constraint on a figure."""
+        """(constraint, metric, sign, bound) of every constraint on a metric."""
         return tuple(
-            (name, figure, sign, float(getattr(self, name)))
+            (name, metric, sign, float(getattr(self, name)))
             for name in self.active
-            for figure, sign in CONSTRAINTS[name]
+            for metric, sign in CONSTRAINTS[name]
         )
 
     @property
     def wanted(self) -> tuple[str, ...]:
-        """Figures that objective and constraints need, without the gains themselves."""
-        names = {figure for _, figure, _, _ in self.rows} | ({self.figure} - {"kp"})
+        """Metrics that objective and constraints need, without the gains themselves."""
+        names = {metric for _, metric, _, _ in self.rows} | ({self.metric} - {"kp"})
         return tuple(sorted(names))
 
     @property
@@ -189,3 +182,18 @@ def tail_weights(values: Any, tail: float) -> np.ndarray:
     weights = np.empty_like(values, dtype=float)
     np.put_along_axis(weights, order, np.broadcast_to(share, values.shape), axis=-1)
     return weights
+
+
+def peaks(number: int, lowest: float = LOWEST, highest: float = HIGHEST) -> np.ndarray:
+    """Peaks Ms and Mt along a front [-], shape (number,): even in the modulus margin, 1/M.
+
+    Args:
+        number: of them.
+        lowest, highest: the ends.
+
+    Raises:
+        UserError: fewer than two.
+    """
+    if not 2 <= number <= MOST_PEAKS:
+        raise UserError(f"`front` {number}: give between 2 and {MOST_PEAKS} points")
+    return 1.0 / np.linspace(1.0 / lowest, 1.0 / highest, number)

@@ -2,9 +2,9 @@
 
     loss(x) = -value(x) + (mu / s) ln(1 + exp(s violation(x))),    x = ln of the gains
 
-`value` and `violation` are risks over the members of smooth figures, s is the sharpness that is
+`value` and `violation` are risks over the members of smooth metrics, s is the sharpness that is
 annealed. Stable or not is a gate beside it, not a term. Nothing here knows what the gains are: a
-robot's vector of log-gains with smooth figures of its own fits as well as a joint's two.
+robot's vector of log-gains with smooth metrics of its own fits as well as a joint's two.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ PENALTY = 40.0
 class Smooth:
     """What the descent sees of one point.
 
-    value: ln of the objective's figure, signed so that larger is better [-]
-    violation: smooth maximum over constraints and members of ln(figure / bound) [-]
+    value: ln of the objective's metric, signed so that larger is better [-]
+    violation: smooth maximum over constraints and members of ln(metric / bound) [-]
     stable: whether every member is
     """
 
@@ -40,7 +40,6 @@ class Smooth:
     stable: jax.Array
 
 
-Figures = Mapping[str, jax.Array]
 Surrogate = Callable[[jax.Array, Any, jax.Array], Smooth]
 """(log-gains (d,), data of one case, sharpness) -> what the descent sees."""
 
@@ -51,7 +50,7 @@ def softmax(values: jax.Array, sharpness: jax.Array) -> jax.Array:
 
 
 def combine(
-    figures: Figures,
+    metrics: Mapping[str, jax.Array],
     stable: jax.Array,
     rows: tuple[tuple[str, float], ...],
     log_bounds: jax.Array,
@@ -59,18 +58,18 @@ def combine(
     tail: jax.Array | None,
     sharpness: jax.Array,
 ) -> Smooth:
-    """Risks over the members of ln figures of all of them.
+    """Risks over the members of ln metrics of all of them.
 
-    figures: ln of each figure by name, shape (n,)
+    metrics: ln of each metric by name, shape (n,)
     stable: shape (n,)
-    rows: (figure, sign) of every constraint, static
+    rows: (metric, sign) of every constraint, static
     log_bounds: ln of the bounds, shape (rows,)
-    objective: (figure, sign), static
+    objective: (metric, sign), static
     tail: share of the members that counts, shape (); None for the worst alone
     """
-    figure, sense = objective
-    value = -_risk(-sense * figures[figure], tail, sharpness)
-    excess = [sign * (figures[name] - log_bounds[i]) for i, (name, sign) in enumerate(rows)]
+    metric, sense = objective
+    value = -_risk(-sense * metrics[metric], tail, sharpness)
+    excess = [sign * (metrics[name] - log_bounds[i]) for i, (name, sign) in enumerate(rows)]
     each = [jnp.atleast_1d(_risk(e, tail, sharpness)) for e in excess]
     violation = softmax(jnp.concatenate(each), sharpness) if each else jnp.full((), -jnp.inf)
     return Smooth(value, violation, jnp.all(stable))

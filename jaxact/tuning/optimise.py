@@ -15,6 +15,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 
 from jaxact.compilation.programs import Program
@@ -63,6 +64,12 @@ class Descended:
     path: jax.Array
     path_value: jax.Array
     path_violation: jax.Array
+
+
+def no_path(x: Any) -> Descended:
+    """The path of a search that has none, at log-gains x, shape (d,), as that of one start."""
+    nan, inf = np.full(1, np.nan), np.full((1, 1), np.inf)
+    return Descended(x[None], nan, inf[0], x[None, None], inf, inf)  # type: ignore[arg-type]
 
 
 def adam(steps: int) -> optax.GradientTransformation:
@@ -165,7 +172,7 @@ def _run(
         """One step, shorter after one that was not taken; the path has where it started."""
         x, state, stride = carry
         value, slope = jax.value_and_grad(evaluate)(x, level)
-        # Where a figure has no slope, an infinite margin say, the others lead.
+        # Where a metric has no slope, an infinite margin say, the others lead.
         slope = jnp.nan_to_num(slope, nan=0.0, posinf=0.0, neginf=0.0)
         change, state = chain.update(
             slope, state, x, value=value, grad=slope, value_fn=lambda y: evaluate(y, level)

@@ -1,112 +1,250 @@
-"""The result as files: a small TOML with what was assumed and guaranteed, and an MJCF snippet."""
+"""Tuned gains, judged against everything asked and against the start."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact import __version__
-from jaxact.loops import toml
-from jaxact.tuning.goal import OBJECTIVES
-from jaxact.tuning.joint import metrics
-from jaxact.tuning.joint.ensemble import PARAMETERS
-from jaxact.tuning.joint.search import Tuned
+from jaxact.tuning.certificate import (
+    Certificate,
+    Check,
+    Effort,
+    Metrics,
+    certify,
+    over_all,
+    sentence,
+)
+from jaxact.tuning.goal import OBJECTIVES, Goal
+from jaxact.tuning.optimise import Descended
 
-# Figure -> whether its largest value is the worst.
-_WORST = {
-    "sensitivity_peak": True,
-    "complementary_peak": True,
-    "gain_margin": False,
-    "delay_margin": False,
-    "disk_margin": False,
-}
+if TYPE_CHECKING:
+    from jaxact.loops.control_loop import ControlLoop
+    from jaxact.tuning.joint.ensemble import Ensemble
+    from jaxact.tuning.robot.loops import OpenLoops, Situation
+    from jaxact.tuning.robot.rows import RobotCase
+    from jaxact.tuning.rollouts.tracking import Tracked
+
+Gains = tuple[Any, Any]
+"""kp and kd: numbers of a joint, arrays of shape (joints,) of a robot."""
+
+# A smooth violation up to this is the smoothing's own.
+_SMOOTH = 0.01
 
 
-def worst(tuned: Tuned, *, before: bool = False) -> dict[str, float | None]:
-    """Each figure at its worst over all members, exact; None where a member is unstable.
+@dataclass(frozen=True)
+class OfRobot:
+    """What a result has of a robot.
 
-    before: with the gains of the start
+    Attributes:
+        situations: the robot in every posture.
+        case: its loops, and how its joints share their gains.
+        tracked: errors in simulation, None where they were not asked for.
     """
-    gains = tuned.before if before else (tuned.kp, tuned.kd)
-    assert gains is not None
-    kp, kd = np.log(gains)
-    found = metrics.evaluate(kp, kd, tuned.members, tuned.members.sampling)
-    if not found.stable.all():
-        return dict.fromkeys(_WORST)
-    ends = {name: np.max if large else np.min for name, large in _WORST.items()}
-    return {name: float(np.exp(end(found.log[name]))) for name, end in ends.items()}
+
+    situations: tuple[Situation, ...]
+    case: RobotCase
+    tracked: Tracked | None = None
 
 
-def document(
-    tuned: Tuned, command: str = "", nominal: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
-    """The result as tables of plain values.
+@dataclass(frozen=True, repr=False)
+class Tuned:
+    """Tuned gains of a joint, an ensemble or a robot, and what is known of them.
 
-    command: that made it
-    nominal: figures of the nominal loop by name, None where they are not known
+    Attributes:
+        goal: what was asked.
+        members: every plant, or every loop of a robot, that was looked at.
+        kp: stiffness [N/m, of hinges N m/rad]; of a robot shape (joints,).
+        kd: damping [N s/m, of hinges N m s/rad]; of a robot shape (joints,).
+        value: metric of the objective, in its unit; of an ensemble the risk's, of a robot the worst
+            loop's, of its stiffness the geometric mean; NaN where a member is unstable.
+        value_before: the same of the start; NaN where none was given.
+        before: gains (kp, kd) of the start, None where none was given.
+        feasible: every constraint can be met.
+        improved: the gains are better than the start's.
+        certificate: what is guaranteed: every constraint, with its worst member.
+        metrics, metrics_before: exact ones of all members, with the gains and with the start's.
+        verdict: what came of it, in one sentence.
+        closest: where the constraints cannot be met, the checks of the nearest point.
+        paths: of all starts, the given one last.
+        evaluations: loops evaluated, smooth and exact.
+        iterations: steps of descent and polish.
+        seconds: of wall clock, compilation included.
+        robot: what there is of a robot, None of a joint.
+        loop: the loop with the gains in it, of a robot in the first of its postures; None where no
+            loop was given.
+        front: results along the front of stiffness against robustness, () where none was asked for.
     """
-    import jax
 
-    goal, certificate = tuned.goal, tuned.certificate
-    assumed: dict[str, Any] = {"members": len(tuned.members)}
-    for name in PARAMETERS:
-        values = getattr(tuned.members, name)
-        low, high = float(values.min()), float(values.max())
-        assumed[name] = low if low == high else [low, high]
-    sampling = tuned.members.sampling
-    if sampling.control_period is not None:
-        assumed |= {"control_period": sampling.control_period, "velocity": sampling.velocity}
-    if math.isfinite(sampling.velocity_filter):
-        assumed |= {"velocity_filter": sampling.velocity_filter}
-    asked = {name: getattr(goal, name) for name in goal.active}
-    asked |= {"min_kp": goal.min_kp} if goal.min_kp > 0 else {}
-    asked |= {"max_kp": goal.max_kp} if math.isfinite(goal.max_kp) else {}
-    guaranteed: dict[str, Any] = {
-        "certified": tuned.certified,
-        "verdict": tuned.verdict,
-        "stable": certificate.stable,
-        "binding": list(certificate.binding),
-    }
-    guaranteed |= {f"worst_{check.figure}": check.value for check in certificate.checks}
-    return {
-        **({"command": command} if command else {}),
-        "gains": {"kp": tuned.kp, "kd": tuned.kd},
-        "objective": {
-            "name": goal.objective,
-            "figure": goal.figure,
-            "unit": OBJECTIVES[goal.objective][2],
-            "value": tuned.value,
-            "risk": goal.risk,
-        },
-        "asked": asked,
-        "assumed": assumed,
-        "guaranteed": guaranteed,
-        **({"nominal": _tables(nominal)} if nominal is not None else {}),
-        **({"worst": _tables(worst(tuned))} if len(tuned.members) > 1 else {}),
-        "versions": {"jaxact": __version__, "jax": jax.__version__},
-    }
+    goal: Goal
+    members: Ensemble | OpenLoops
+    kp: Any
+    kd: Any
+    value: float
+    value_before: float
+    before: Gains | None
+    feasible: bool
+    improved: bool
+    certificate: Certificate
+    metrics: Metrics
+    metrics_before: Metrics | None
+    verdict: str
+    closest: tuple[Check, ...]
+    paths: Descended
+    evaluations: int
+    iterations: int
+    seconds: float
+    robot: OfRobot | None = None
+    loop: ControlLoop | None = None
+    front: tuple[Tuned, ...] = ()
 
+    @property
+    def certified(self) -> bool:
+        """Whether everything that was asked for holds, exactly, for every member."""
+        return self.certificate.met
 
-def _tables(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of the figures that have a value."""
-    return {name: figures[name] for name in _WORST if figures[name] is not None}
+    @property
+    def units(self) -> tuple[str, str, str]:
+        """Units of kp, of kd and of the objective's value."""
+        rotary = {False}
+        if self.robot is not None:
+            rotary = {bool(hinge) for one in self.robot.situations for hinge in one.rotary}
+        kp = "N/m or N m/rad" if len(rotary) > 1 else "N m/rad" if True in rotary else "N/m"
+        kd = "N s/m or N m s/rad" if len(rotary) > 1 else "N m s/rad" if True in rotary else "N s/m"
+        return kp, kd, kp if self.goal.metric == "kp" else OBJECTIVES[self.goal.objective][2]
 
-
-def toml_text(tuned: Tuned, command: str = "", nominal: Mapping[str, Any] | None = None) -> str:
-    """The result as TOML; arguments as for `document`."""
-    return toml.dumps(document(tuned, command, nominal))
+    def __repr__(self) -> str:
+        """The loop with its gains, the verdict, and every constraint."""
+        head = f"kp {self.kp}, kd {self.kd}" if self.loop is None else repr(self.loop)
+        lines = [head, ("" if self.certified else "NOT ") + f"certified: {self.verdict}"]
+        lines += [
+            f"  {one.metric} {one.value:.6g} (asked: {one.bound:g}), {one.member}"
+            for one in self.certificate.checks
+        ]
+        lines += [f"  front of {len(self.front)} points"] if self.front else []
+        return "\n".join(lines)
 
 
-def mjcf_text(tuned: Tuned, joint: str = "joint") -> str:
-    """A MuJoCo position actuator with the gains, for the joint of that name.
+@dataclass(frozen=True)
+class Outcome:
+    """Where a search has led.
 
-    The actuator's lag and delay are not in it: MuJoCo's own are something else.
+    Attributes:
+        gains: kp and kd.
+        met: every constraint is.
+        metrics: exact ones of all members there, None where they are not known.
+        paths: of the starts of the descent.
+        evaluations: loops evaluated, smooth and exact.
+        iterations: steps of descent and polish.
+        begun: time of the beginning [s].
+        effort: of the search for the best gains, None where it only went on from some.
+        interior: largest excess that ascent on the uncertainty found, None where there was none.
+        gap: to brute force, None where that was not asked for.
+        notes: for the certificate.
     """
-    return (
-        "<mujoco>\n  <actuator>\n"
-        f'    <position name="{joint}" joint="{joint}" kp="{tuned.kp!r}" kv="{tuned.kd!r}"/>\n'
-        "  </actuator>\n</mujoco>\n"
+
+    gains: Gains
+    met: bool
+    metrics: Metrics | None
+    paths: Descended
+    evaluations: int
+    iterations: int
+    begun: float
+    effort: Effort | None = None
+    interior: float | None = None
+    gap: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+def judged(
+    goal: Goal,
+    members: Ensemble | OpenLoops,
+    outcome: Outcome,
+    look: Callable[[Gains], Metrics],
+    *,
+    start: Gains | None = None,
+    inside: Callable[[Gains], float | None] = lambda gains: None,
+    score: Callable[[Gains, float], float] = lambda gains, value: value,
+    robot: OfRobot | None = None,
+) -> Tuned:
+    """Judge what a search has led to against everything asked, and against the start.
+
+    Args:
+        goal: what was asked.
+        members: every plant, or every loop of a robot.
+        outcome: of the search.
+        look: from gains to exact metrics of all members.
+        start: gains to be no worse than, None for none.
+        inside: from gains to the largest excess that ascent on the uncertainty finds with them.
+        score: from gains and their value to the number in which they are compared.
+        robot: what the result has of a robot.
+    """
+
+    gains = _inside(outcome.gains, goal)
+    found = outcome.metrics if outcome.metrics is not None else look(gains)
+    certificate = certify(goal, members, found, gains[0], outcome.interior)
+    value = _value(goal, gains[0], found)
+    improved, before, value_before = True, None, math.nan
+    if start is not None:
+        before = look(start)
+        own, value_before = certify(goal, members, before, start[0]), _value(goal, start[0], before)
+        if own.met:
+            own = replace(own, interior=inside(start))
+        if not _wins(goal, score(gains, value), certificate, score(start, value_before), own):
+            gains, found, certificate, value, improved = start, before, own, value_before, False
+    closest = () if outcome.met else certificate.checks
+    certificate = replace(
+        certificate, agreeing=_agreeing(outcome.paths), gap=outcome.gap, notes=outcome.notes
     )
+    words = sentence(certificate, goal, closest, outcome.effort)
+    if not improved and certificate.stable:
+        words = f"the start cannot be improved upon; {words}"
+    return Tuned(
+        goal, members, gains[0], gains[1], value, value_before, start, outcome.met, improved,
+        certificate, found, before, words, closest, outcome.paths, outcome.evaluations,
+        outcome.iterations, time.perf_counter() - outcome.begun, robot,
+    )  # fmt: skip
+
+
+def _inside(gains: Gains, goal: Goal) -> Gains:
+    """The gains, kp within its bounds to the last digit."""
+    kp = np.clip(gains[0], goal.min_kp, goal.max_kp)
+    return (kp, gains[1]) if np.ndim(kp) else (float(kp), float(gains[1]))
+
+
+def _value(goal: Goal, kp: Any, found: Metrics) -> float:
+    """The objective, in its unit; NaN where a member is unstable."""
+    if not found.stable.all():
+        return math.nan
+    if goal.metric == "kp":
+        return float(np.exp(np.mean(np.log(kp)))) if np.size(kp) > 1 else float(np.ravel(kp)[0])
+    return float(np.exp(-goal.sense * over_all(-goal.sense * found.log[goal.metric], goal)))
+
+
+def _agreeing(paths: Descended) -> float:
+    """Share of the starts that ended within 1 % of the best."""
+    ends = np.where(paths.violation <= _SMOOTH, paths.value, -np.inf)
+    top = ends.max()
+    return float(np.mean(ends >= top - 0.01)) if np.isfinite(top) else 0.0
+
+
+def _wins(
+    goal: Goal, value: float, certificate: Certificate, before: float, start: Certificate
+) -> bool:
+    """Whether the tuned gains beat the start: everything met first, then the objective."""
+    if certificate.met != start.met:
+        return certificate.met
+    if certificate.met:
+        return goal.sense * (np.log(value) - np.log(before)) > 0.0
+    if certificate.stable != start.stable:
+        return certificate.stable
+    return _missed(certificate) < _missed(start)
+
+
+def _missed(certificate: Certificate) -> float:
+    missed = max((c.excess for c in certificate.checks), default=0.0)
+    return max(missed, 0.0) + (0.0 if certificate.bounds_met else 1.0)

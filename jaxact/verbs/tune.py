@@ -6,7 +6,6 @@ import dataclasses
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,99 +14,42 @@ from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.parameters import base, canonical
-from jaxact.tuning import pareto
-from jaxact.tuning.certificate import Certificate
+from jaxact.tuning.box import read_box
 from jaxact.tuning.goal import Goal, check
 from jaxact.tuning.groups import group
-from jaxact.tuning.joint import robust
-from jaxact.tuning.joint import search as _run
-from jaxact.tuning.joint.ensemble import Ensemble, Sampling, ensemble
+from jaxact.tuning.joint import search as _joint_search
+from jaxact.tuning.joint.ensemble import FIELDS, Ensemble, Sampling, ensemble
 from jaxact.tuning.optimise import Descent
 from jaxact.tuning.phases import Phase, silent
-from jaxact.tuning.robot import front as robot_front
-from jaxact.tuning.robot import search as robot
-from jaxact.tuning.robot.uncertainty import read_spans
-from jaxact.tuning.rollouts.tracking import Wish
-from jaxact.tuning.uncertainty import read_box
+from jaxact.tuning.result import Tuned
 from jaxact.verbs import naming
 
 if TYPE_CHECKING:
-    from jaxact.tuning.joint.search import Tuned
+    from jaxact.loops.specification import Specification
     from jaxact.tuning.robot.loops import Situation
-    from jaxact.tuning.robot.tuned import RobotTuned
 
 Range = tuple[float, float] | str
 """(low, high), or as it is written on the command line: "0.8x..1.2x"."""
-
-
-@dataclass(frozen=True, repr=False)
-class TunedLoop:
-    """Tuned gains, and what is known of them.
-
-    Attributes:
-        loop: the loop with the gains in it; of a robot the first of its postures.
-        result: everything that was found, see `jaxact.tuning.joint.search.Tuned` and
-            `jaxact.tuning.robot.tuned.RobotTuned`.
-        front: results along the front of stiffness against robustness, () where none was asked for.
-    """
-
-    loop: ControlLoop
-    result: Tuned | RobotTuned
-    front: tuple[Tuned | RobotTuned, ...] = ()
-
-    @property
-    def kp(self) -> float | np.ndarray:
-        """Stiffness [N/m, of hinges N m/rad]; of a robot shape (joints,)."""
-        return self.result.kp
-
-    @property
-    def kd(self) -> float | np.ndarray:
-        """Damping [N s/m, of hinges N m s/rad]; of a robot shape (joints,)."""
-        return self.result.kd
-
-    @property
-    def certified(self) -> bool:
-        """Whether everything that was asked for holds, exactly, for every member."""
-        return self.result.certified
-
-    @property
-    def certificate(self) -> Certificate:
-        """What is guaranteed: every constraint, with its worst member."""
-        return self.result.certificate
-
-    @property
-    def verdict(self) -> str:
-        """What came of it, in one sentence."""
-        return self.result.verdict
-
-    def __repr__(self) -> str:
-        """The loop with its gains, the verdict, and every constraint."""
-        lines = [repr(self.loop), ("" if self.certified else "NOT ") + f"certified: {self.verdict}"]
-        lines += [
-            f"  {one.figure} {one.value:.6g} (asked: {one.bound:g}), {one.member}"
-            for one in self.certificate.checks
-        ]
-        lines += [f"  front of {len(self.front)} points"] if self.front else []
-        return "\n".join(lines)
 
 
 def tune(
     loop: ControlLoop | Sequence[ControlLoop],
     goal: str | Goal = "stiffness",
     *,
-    uncertainty: Mapping[str, Range] | None = None,
+    uncertainty: Mapping[str, Range] | str = "",
     samples: int | None = None,
     sampled: bool | None = None,
     groups: Sequence[str] = (),
-    starts: int = _run.STARTS,
+    starts: int = _joint_search.STARTS,
     steps: int | None = None,
     seed: int = 0,
     front: int = 0,
     verify: bool = False,
     tracking_weight: float = 0.0,
+    derivative: str = "auto",
     phase: Callable[[str], None] = silent,
     **bounds: Any,
-) -> TunedLoop:
+) -> Tuned:
     """Find the best gains of a loop, and certify them.
 
         best = jaxact.tune(loop, max_peak=1.6, uncertainty={"wn": (0.8, 1.2), "delay": (0, 5e-3)})
@@ -120,7 +62,8 @@ def tune(
         goal: "stiffness" (largest kp), "bandwidth", "disk-margin", "settling", or a
             `jaxact.tuning.goal.Goal`.
         uncertainty: parameter -> (low, high) of what is not known: wn and zeta as factors, mass
-            [kg] and delays [s] as they are; of a robot also payload [kg], inertia_scale, ...
+            [kg] and delays [s] as they are; of a robot also payload [kg], inertia_scale, ...; or
+            as the command line writes it.
         samples: of the uncertainty, beside its corners and its worst interior point; None: 32, of a
             robot 8.
         sampled: of a joint, whether the margins are those of the sampled loop; None: where the loop
@@ -132,6 +75,7 @@ def tune(
         front: points of the front of stiffness against robustness, 0 for none.
         verify: compare with brute force.
         tracking_weight: of a robot, weight of simulated tracking in the objective.
+        derivative: of simulated tracking, "auto", "forward" or "reverse".
         phase: called with what is being done.
         bounds: of the goal: max_peak (1.6 where nothing is given; of "disk-margin" none), min_kp,
             max_kp, min_disk_margin, of a joint also min_gain_margin, min_delay_margin,
@@ -148,17 +92,20 @@ def tune(
     loops = [loop] if isinstance(loop, ControlLoop) else list(loop)
     if not loops or not all(isinstance(one, ControlLoop) for one in loops):
         raise UserError("loop: give one loop, or a list of loops of a robot in its postures")
-    text = _ranges(uncertainty or {})
+    text = uncertainty if isinstance(uncertainty, str) else _ranges(uncertainty)
+    common: dict[str, Any] = {"uncertainty": text, "samples": samples, "starts": starts,
+                              "steps": steps, "seed": seed, "front": front, "verify": verify,
+                              "phase": phase}  # fmt: skip
     if any(one.kind.plant is not None for one in loops):
-        return _robot(loops, asked, text, samples or 8, groups, starts, steps or robot.STEPS, seed,
-                      front, verify, tracking_weight, phase)  # fmt: skip
+        tuned = of_robot(_named(loops), asked, groups=groups, tracking_weight=tracking_weight,
+                         derivative=derivative, **common)  # fmt: skip
+        return dataclasses.replace(tuned, loop=_with_gains(loops[0], tuned))
     if len(loops) > 1:
         raise UserError("loop: several postures are for a robot; of a joint give one loop")
     for name, value in (("groups", groups), ("tracking_weight", tracking_weight)):
         if value:
             raise UserError(f"`{name}`: is for a robot; make one with jaxact.robot(model, ...)")
-    return _joint(loops[0], asked, text, samples or 32, sampled, starts, steps or 150, seed, front,
-                  verify, phase)  # fmt: skip
+    return _of_joint(loops[0], asked, sampled, **common)
 
 
 def _goal(goal: str | Goal, bounds: dict[str, Any]) -> Goal:
@@ -184,28 +131,39 @@ def _ranges(uncertainty: Mapping[str, Range]) -> str:
     return ",".join(parts)
 
 
-def _joint(
-    loop: ControlLoop, goal: Goal, text: str, samples: int, sampled: bool | None, starts: int,
-    steps: int, seed: int, front: int, verify: bool, phase: Phase,
-) -> TunedLoop:  # fmt: skip
+def _of_joint(
+    loop: ControlLoop,
+    goal: Goal,
+    sampled: bool | None,
+    *,
+    uncertainty: str,
+    samples: int | None,
+    starts: int,
+    steps: int | None,
+    seed: int,
+    front: int,
+    verify: bool,
+    phase: Phase,
+) -> Tuned:
     conversion.linear_specification(loop)  # what does not fit is said here
     nominal = _nominal(loop, "control_rate" in loop.values if sampled is None else sampled)
     start = None
     if {"kp", "kd"} <= set(loop.values):
         own = conversion.one(loop)
         start = own["gain_scale"] * own["kp"], own["gain_scale"] * own["kd"]
-    how = Descent(steps=steps)
-    given: dict[str, Any] = {"start": start, "starts": starts, "how": how, "verify": verify,
-                             "phase": phase}  # fmt: skip
-    if text:
-        box = read_box(text, nominal)
-        tuned = robust.tune_box(box, goal, number=samples, seed=seed, **given)
-    else:
-        tuned = _run.tune(nominal, goal, **given)
-    points = pareto.front(tuned.members, goal, front, starts=starts, how=how) if front else []
+    how = Descent(steps=steps or _joint_search.STEPS)
+    tuned = _joint_search.tune(
+        nominal, goal, read_box(uncertainty, FIELDS), number=samples or _joint_search.SAMPLES,
+        seed=seed, start=start, starts=starts, how=how, verify=verify, phase=phase,
+    )  # fmt: skip
+    points: Sequence[Tuned] = ()
+    if front:
+        phase("walking along the front")
+        members: Any = tuned.members
+        points = _joint_search.front(members, goal, front, starts=starts, how=how)
     gains = {"kp": tuned.kp, "kd": tuned.kd}
     scale = {"gain_scale": 1.0} if "gain_scale" in loop.values else {}
-    return TunedLoop(loop.replace(**gains, **scale), tuned, tuple(points))
+    return dataclasses.replace(tuned, loop=loop.replace(**gains, **scale), front=tuple(points))
 
 
 def _nominal(loop: ControlLoop, sampled: bool) -> Ensemble:
@@ -218,52 +176,95 @@ def _nominal(loop: ControlLoop, sampled: bool) -> Ensemble:
                     sampling=sampling, names=(label,))  # fmt: skip
 
 
-def _robot(
-    loops: list[ControlLoop], goal: Goal, text: str, samples: int, groups: Sequence[str],
-    starts: int, steps: int, seed: int, front: int, verify: bool, weight: float, phase: Phase,
-) -> TunedLoop:  # fmt: skip
-    from jaxact.tuning.robot.loops import situation
-
-    spans = read_spans(text) if text else ()
-    situations: list[Situation] = []
-    for place, one in enumerate(loops, 1):
+def _named(loops: Sequence[ControlLoop]) -> list[tuple[str, Specification]]:
+    """A name and a specification for every posture of a robot."""
+    named: list[tuple[str, Specification]] = []
+    for one in loops:
         if one.kind.plant is None or one.shape:
             raise UserError("loop: give single loops of a robot, one for each posture")
-        phase(f"settling and linearising ({place} of {len(loops)})")
-        own = conversion.linear_specification(one, engine="mujoco")
         name = one.kind.plant.keyframe or one.kind.plant.model.stem
-        known = sum(other.name.partition(" (")[0] == name for other in situations)
-        situations.append(situation(own, f"{name} ({known + 1})" if known else name, spans))
+        known = sum(other.partition(" (")[0] == name for other, _ in named)
+        own = conversion.linear_specification(one, engine="mujoco")
+        named.append((f"{name} ({known + 1})" if known else name, own))
+    return named
+
+
+def of_robot(
+    named: Sequence[tuple[str, Specification]],
+    goal: Goal,
+    *,
+    uncertainty: str = "",
+    samples: int | None = None,
+    groups: Sequence[str] = (),
+    starts: int = _joint_search.STARTS,
+    steps: int | None = None,
+    seed: int = 0,
+    front: int = 0,
+    verify: bool = False,
+    tracking_weight: float = 0.0,
+    derivative: str = "auto",
+    phase: Phase = silent,
+) -> Tuned:
+    """Find the best gains of a robot that is described by specifications, and certify them.
+
+    Args:
+        named: a name and a specification for every posture.
+        goal: what is asked.
+        uncertainty: as the command line writes it.
+        samples, groups, starts, steps, seed, front, verify, tracking_weight, derivative, phase: as
+            for `tune`.
+    """
+    from jaxact.tuning.robot import front as _front
+    from jaxact.tuning.robot import search
+    from jaxact.tuning.robot.loops import VARIED, situation
+
+    box = read_box(uncertainty, VARIED)
+    situations: list[Situation] = []
+    for place, (name, one) in enumerate(named, 1):
+        phase(f"settling and linearising {name} ({place} of {len(named)})")
+        situations.append(situation(one, name, box))
     chosen = group(tuple(groups), situations[0].names)
-    tuned = robot.tune(
-        situations, goal, chosen, number=samples, seed=seed, start=_start(situations[0]),
-        starts=starts, steps=steps, verify=verify, wish=Wish(weight, "auto"), phase=phase,
+    tuned = search.tune(
+        situations, goal, chosen, number=samples or search.SAMPLES, seed=seed,
+        start=_start(situations[0], named[0][1]), starts=starts, steps=steps or search.STEPS,
+        verify=verify, tracking_weight=tracking_weight, derivative=derivative, phase=phase,
     )  # fmt: skip
-    points = robot_front.front(tuned, front, seed=seed) if front else []
-    return TunedLoop(_with_gains(loops[0], tuned), tuned, tuple(points))
+    if not front:
+        return tuned
+    phase("walking along the front")
+    return dataclasses.replace(tuned, front=tuple(_front.front(tuned, front, seed=seed)))
 
 
-def _start(first: Situation) -> tuple[np.ndarray, np.ndarray] | None:
-    """The gains to be no worse than: those given, or that the model brings."""
+def _start(first: Situation, given: Specification) -> tuple[np.ndarray, np.ndarray] | None:
+    """The gains to be no worse than: those given, or that the model brings; None for none."""
     if first.kp is None or first.kd is None:
+        alone = [name for name in ("kp", "kd") if name in map(base, given.parameters)]
+        if alone:
+            raise UserError(
+                f"`{alone[0]}`: the model brings no gains to start from; give both `kp` and `kd`, "
+                "or none"
+            )
         return None
-    if not (first.kd > 0.0).all():
-        joint = first.names[int(np.argmin(first.kd))][0]
+    plant = given.plant
+    if not first.kd.all() and plant is not None and plant.damping != "drive":
+        joint = first.names[int(np.argmin(first.kd != 0.0))][0]
         raise UserError(
-            f"{joint}: kd is 0, and there is no start from it; give `kd`, or damping = 'drive'"
-            " where the model has the drive's D gain in <joint damping>"
+            f"{joint}: kd is 0, and there is no start from it; give `kd`, or `damping` drive where "
+            "the model has the drive's D gain in <joint damping>"
         )
     return first.kp, first.kd
 
 
-def _with_gains(loop: ControlLoop, tuned: RobotTuned) -> ControlLoop:
+def _with_gains(loop: ControlLoop, tuned: Tuned) -> ControlLoop:
     """The loop with the gains of every joint, in place of all that it was given."""
     kept = {
         name: value
         for name, value in loop.values.items()
         if base(name) not in ("kp", "kd", "gain_scale")
     }
+    assert tuned.robot is not None
+    joints = tuned.robot.case.groups.joints
     for name, gains in (("kp", tuned.kp), ("kd", tuned.kd)):
-        for joint, value in zip(tuned.groups.joints, gains, strict=True):
+        for joint, value in zip(joints, gains, strict=True):
             kept[f"{name}@{re.escape(joint)}"] = float(value)
     return dataclasses.replace(loop, values=kept)

@@ -65,7 +65,7 @@ def test_smooth_figures_become_the_exact_ones(members):
     with jax.enable_x64(True):
         table = jax.tree.map(jnp.asarray, table)
         every = jax.vmap(
-            lambda row, kp, kd: spectrum.log_figures(row, kp, kd, names, jnp.asarray(1e7))
+            lambda row, kp, kd: spectrum.log_metrics(row, kp, kd, names, jnp.asarray(1e7))
         )
         smooth, stable = jax.jit(every)(table, np.exp(log_kp), np.exp(log_kd))
     assert stable.all()

@@ -14,20 +14,18 @@ from jaxact.loops import reading
 from jaxact.loops import robots as sweep_robots
 from jaxact.loops.samples import explicit
 from jaxact.simulation import mujoco_batch, plans
+from jaxact.tuning.box import Points, read_box
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.joint import spectrum
 from jaxact.tuning.joint.ensemble import Sampling, ensemble
 from jaxact.tuning.robot import peaks, rows
 from jaxact.tuning.robot import search as robot
-from jaxact.tuning.robot import uncertainty as robot_uncertainty
-from jaxact.tuning.robot.loops import open_loops, situation
+from jaxact.tuning.robot.loops import VARIED, open_loops, situation
 from jaxact.tuning.robot.rows import RobotCase
-from jaxact.tuning.robot.uncertainty import read_spans
 from jaxact.tuning.rollouts import tracking as robot_tracking
 from jaxact.tuning.rollouts import validation
 from jaxact.tuning.rollouts.exposure import exposed
-from jaxact.tuning.rollouts.tracking import Wish
 
 SLIDER = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body name="block">
 <joint name="slide" type="slide" axis="1 0 0"/><geom size="0.05" mass="0.7"/></body></worldbody>
@@ -67,9 +65,9 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def arm(folder):
     """The arm in two postures, and what is uncertain of its drives."""
-    spans = read_spans(SPANS)
+    box = read_box(SPANS, VARIED)
     names = ("home", "straight")
-    return [situation(_specification(folder / "arm.xml", n), n, spans) for n in names], spans
+    return [situation(_specification(folder / "arm.xml", n), n, box) for n in names], box
 
 
 @pytest.fixture(scope="module")
@@ -101,12 +99,12 @@ def _fine(loops, index, kp, kd, points=4000):
 def test_every_loop_meets_its_bounds_on_a_fine_grid_and_some_reach_them(tuned):
     assert tuned.certified and tuned.feasible
     highest = np.array(
-        [[values.max() for values in _fine(tuned.loops, i, tuned.kp, tuned.kd)]
-         for i in range(len(tuned.loops))]
+        [[values.max() for values in _fine(tuned.members, i, tuned.kp, tuned.kd)]
+         for i in range(len(tuned.members))]
     )  # fmt: skip
     assert np.all(highest <= 1.8 * (1.0 + 1e-9))
     assert highest.max() == pytest.approx(1.8, rel=1e-5)
-    assert tuned.certificate.corners == 8 and len(tuned.loops) >= 16
+    assert tuned.certificate.corners == 8 and len(tuned.members) >= 16
 
 
 def test_brute_force_finds_no_better(tuned):
@@ -115,9 +113,9 @@ def test_brute_force_finds_no_better(tuned):
 
 
 def test_random_points_of_the_box_meet_the_bounds_too(arm, tuned):
-    situations, spans = arm
-    fraction = np.random.default_rng(0).uniform(size=(12, len(spans)))
-    members = robot_uncertainty.Members(fraction, tuple(map(str, range(12))))
+    situations, box = arm
+    fraction = np.random.default_rng(0).uniform(size=(12, len(box)))
+    members = Points(fraction, tuple(map(str, range(12))))
     loops = open_loops(situations, members)
     for index in range(len(loops)):
         S, T = _fine(loops, index, tuned.kp, tuned.kd, 800)
@@ -126,7 +124,7 @@ def test_random_points_of_the_box_meet_the_bounds_too(arm, tuned):
 
 def test_exact_peaks_have_the_slopes_of_differences(arm):
     situations, _ = arm
-    loops = open_loops(situations[:1], robot_uncertainty.corners(read_spans(SPANS)))
+    loops = open_loops(situations[:1], read_box(SPANS, VARIED).corners())
     table = peaks.tabulate(loops)
     kp, kd = np.array([90.0, 60.0]), np.array([5.0, 1.2])
     names = tuple(peaks.SHIFTS)
@@ -182,7 +180,7 @@ def test_one_joint_gets_the_gains_of_the_single_joint(folder):
 def test_gains_are_never_worse_than_the_start(arm, tuned):
     situations, _ = arm
     again = robot.tune(
-        situations, Goal(max_peak=1.8), tuned.groups, number=4,
+        situations, Goal(max_peak=1.8), tuned.robot.case.groups, number=4,
         start=(tuned.kp, tuned.kd), **QUICK,
     )  # fmt: skip
     assert again.certified and again.value >= tuned.value * (1.0 - 1e-12)
@@ -202,16 +200,16 @@ def test_what_cannot_be_met_is_said_with_the_closest_value(known):
     for _ in range(40):
         kp = np.maximum(tuned.kp * np.exp(random.uniform(0.0, 0.3, 2)), 300.0)
         kd = tuned.kd * np.exp(random.uniform(-0.3, 0.3, 2))
-        M = tuned.loops.closed(0, kp, kd)[0]
+        M = tuned.members.closed(0, kp, kd)[0]
         if np.abs(np.linalg.eigvals(M)).max() < 1.0:
-            assert max(v.max() for v in _fine(tuned.loops, 0, kp, kd, 400)) > closest * 0.999
+            assert max(v.max() for v in _fine(tuned.members, 0, kp, kd, 400)) > closest * 0.999
 
 
 def test_an_unstable_start_is_rescued(arm):
-    situations, spans = arm
+    situations, box = arm
     groups = group([], situations[0].names)
     far = np.array([4e3, 3e3]), np.array([1.0, 0.02])
-    loops = open_loops(situations, robot_uncertainty.corners(spans))
+    loops = open_loops(situations, box.corners())
     assert peaks.growth_rates(loops, *far).max() > 0.0
     tuned = robot.tune(situations, Goal(max_peak=1.8), groups, number=4, start=far, **QUICK)
     assert tuned.certified and tuned.improved and np.isnan(tuned.value_before)
@@ -228,8 +226,8 @@ def test_the_disk_margin_is_made_large(known):
 
     def margin(kp, kd):
         worst = []
-        for index in range(len(tuned.loops)):
-            loop = multiloop(*tuned.loops.closed(index, kp, kd), 1e-3)
+        for index in range(len(tuned.members)):
+            loop = multiloop(*tuned.members.closed(index, kp, kd), 1e-3)
             angle = grid(loop)
             worst.append(1.0 / largest_bound(loop, angle, sensitivity(loop, angle))[0])
         return min(worst)
@@ -254,7 +252,7 @@ def test_smooth_peaks_become_the_exact_ones(arm, tuned):
     """In float32, and where no peak lies between two frequencies of the table."""
     from jaxact.tuning.robot import smooth
 
-    table, groups = tuned.table, tuned.groups
+    table, groups = tuned.robot.case.table, tuned.robot.case.groups
     goal = Goal(max_peak=2.0)
     x = groups.log_gains(tuned.kp, tuned.kd)
     low, high = x - 5.0, x + 5.0
@@ -281,11 +279,11 @@ def test_simulated_tracking_is_traded_for_stiffness_where_that_is_asked_for(know
     """Held against MuJoCo's own rollouts in C; the bounds hold as before."""
     one, groups = known[:1], group([], known[0].names)
     plain = robot.tune(one, Goal(max_peak=1.8), groups, **QUICK)
-    idle = robot.tune(one, Goal(max_peak=1.8), groups, wish=Wish(0.0), **QUICK)
-    assert idle.tracked is None
+    idle = robot.tune(one, Goal(max_peak=1.8), groups, tracking_weight=0.0, **QUICK)
+    assert idle.robot.tracked is None
     np.testing.assert_array_equal([idle.kp, idle.kd], [plain.kp, plain.kd])
     with optimised_little():
-        traded = robot.tune(one, Goal(max_peak=1.8), groups, wish=Wish(2.0), **QUICK)
+        traded = robot.tune(one, Goal(max_peak=1.8), groups, tracking_weight=2.0, **QUICK)
     assert traded.certified and traded.value < plain.value
     S, T = _fine(traded.loops, 0, traded.kp, traded.kd)
     assert max(S.max(), T.max()) <= 1.8 * (1.0 + 1e-9)
@@ -293,7 +291,7 @@ def test_simulated_tracking_is_traded_for_stiffness_where_that_is_asked_for(know
     errors = [_simulated(one[0].specification, *gains)
               for gains in ((plain.kp, plain.kd), (traded.kp, traded.kd))]  # fmt: skip
     assert errors[1] < 0.95 * errors[0]
-    said = traded.tracked
+    said = traded.robot.tracked
     assert said.mode == "forward" and said.rms / said.aside == pytest.approx(
         errors[1] / errors[0], rel=0.02
     )
@@ -327,11 +325,15 @@ def _simulated(specification, kp, kd):
 
 
 @pytest.mark.parametrize(
-    ("wish", "said"), [(Wish(-1.0), "`tracking_weight`"), (Wish(1.0, "sideways"), "`derivative`")]
+    ("given", "said"),
+    [
+        ({"tracking_weight": -1.0}, "`tracking_weight`"),
+        ({"tracking_weight": 1.0, "derivative": "sideways"}, "`derivative`"),
+    ],
 )
-def test_wishes_that_make_no_sense(known, wish, said):
+def test_weights_that_make_no_sense(known, given, said):
     with pytest.raises(UserError, match=said):
-        robot.tune(known, Goal(), group([], known[0].names), wish=wish)
+        robot.tune(known, Goal(), group([], known[0].names), **given)
 
 
 @pytest.mark.parametrize(
@@ -356,17 +358,18 @@ def test_goals_that_a_robot_cannot_be_asked_for(arm, goal, said):
     ("text", "said"),
     [
         ("speed=1..2", "'speed'"), ("wn", "NAME=LOW..HIGH"), ("wn=2..1", "above"),
-        ("mass=0.5..1", "vary payload"), ("wn=1..2,wn=1..2", "twice"), ("delay=a..b", "number"),
-        ("delay=-1..1", "positive"), ("delay=1x..2", "both ends"),
+        ("mass=0.5..1", "vary payload"), ("wn=1..2,wn=1..2", "twice"),
+        ("delay=a..b", "not a number"),
+        ("delay=-1..1", "out of range"), ("delay=1x..2", "both ends"),
     ],
 )  # fmt: skip
 def test_boxes_that_make_no_sense(text, said):
     with pytest.raises(UserError, match=said):
-        read_spans(text)
+        read_box(text, VARIED)
 
 
 def test_what_is_ideal_does_not_vary_by_a_factor(folder):
     specification = _specification(Path(folder / "arm.xml"), "home", "")
     ideal = specification.parameters | {"actuator": "ideal"}
     with pytest.raises(UserError, match="the actuator is ideal"):
-        situation(replace(specification, parameters=ideal), "home", read_spans("wn=0.8..1.2"))
+        situation(replace(specification, parameters=ideal), "home", read_box("wn=0.8..1.2", VARIED))

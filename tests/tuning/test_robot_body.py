@@ -13,14 +13,14 @@ from jaxact.loops import robots as sweep_robots
 from jaxact.loops.samples import explicit
 from jaxact.plants import linearize
 from jaxact.simulation import mujoco_batch, plans, spectra
+from jaxact.tuning import report
+from jaxact.tuning.box import Points, read_box
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
-from jaxact.tuning.robot import result as robot_result
 from jaxact.tuning.robot import search as robot
-from jaxact.tuning.robot import uncertainty as robot_uncertainty
-from jaxact.tuning.robot.loops import open_loops, situation
+from jaxact.tuning.robot.loops import VARIED, open_loops, situation
 from jaxact.tuning.robot.peaks import growth_rates
-from jaxact.tuning.robot.uncertainty import read_spans
+from jaxact.tuning.rollouts.validation import rollouts
 
 TEXT = """
 engine = "mujoco"
@@ -72,15 +72,15 @@ def _written(text, payload, scale, damping, armature):
 @pytest.fixture(scope="module")
 def laden(folder):
     """The arm over a box of payloads and actuators, and its gains."""
-    spans = read_spans("payload=0..0.8,wn=0.9..1.1")
-    one = situation(_specification(folder / "arm.xml"), "home", spans)
+    box = read_box("payload=0..0.8,wn=0.9..1.1", VARIED)
+    one = situation(_specification(folder / "arm.xml"), "home", box)
     groups = group([], one.names)
     return one, robot.tune([one], Goal(max_peak=1.8), groups, number=4, starts=2, steps=30)
 
 
 def test_a_member_is_the_model_that_has_it_written_in(folder):
     """Weightless, where the feedforward of both is none."""
-    one = situation(_specification(folder / "floating.xml"), "home", read_spans(SPANS))
+    one = situation(_specification(folder / "floating.xml"), "home", read_box(SPANS, VARIED))
     for number, member in enumerate(MEMBERS):
         other = situation(_specification(folder / f"floating_{number}.xml"), "home")
         pairs = zip(one.opened(member), other.opened(np.empty(0)), strict=True)
@@ -94,18 +94,21 @@ def test_a_member_is_the_model_that_has_it_written_in(folder):
 def test_a_payload_that_is_known_is_no_box(folder):
     asked = _specification(folder / "arm.xml")
     known = replace(asked, parameters={**asked.parameters, "payload": 0.5})
-    one, other = situation(known, "home"), situation(asked, "home", read_spans("payload=0..0.8"))
+    one, other = (
+        situation(known, "home"),
+        situation(asked, "home", read_box("payload=0..0.8", VARIED)),
+    )
     for mine, theirs in zip(one.opened(np.empty(0)), other.opened(np.array([0.5])), strict=True):
         np.testing.assert_allclose(mine, theirs, rtol=1e-12, atol=1e-15)
     # What is given may vary by a factor.
-    scaled = situation(known, "home", read_spans("payload=0.5x..1.2x"))
+    scaled = situation(known, "home", read_box("payload=0.5x..1.2x", VARIED))
     np.testing.assert_allclose([scaled.low, scaled.high], [[0.25], [0.6]])
 
 
 def test_under_gravity_a_member_is_linearised_where_it_rests(folder):
     asked = _specification(folder / "arm.xml")
     home = sweep_robots.scene(asked.plant).posture
-    one = situation(asked, "home", read_spans(SPANS))
+    one = situation(asked, "home", read_box(SPANS, VARIED))
     columns = dict(zip(one.keys, MEMBERS.T, strict=True))
     samples = explicit(one.specification, columns)
     (plan,) = plans.groups(one.specification, samples)
@@ -125,7 +128,7 @@ def test_gains_hold_for_every_payload_of_the_box(folder, laden):
     assert tuned.certified and tuned.certificate.corners == 4
     rng = np.random.default_rng(0)
     fraction = rng.uniform(size=(10, 2))
-    points = robot_uncertainty.Members(fraction, tuple(map(str, range(10))))
+    points = Points(fraction, tuple(map(str, range(10))))
     loops = open_loops([one], points)
     z = np.exp(1j * np.pi * np.geomspace(1e-3, 1.0, 1500))[:, None, None]
     for index in range(10):
@@ -140,21 +143,21 @@ def test_gains_hold_for_every_payload_of_the_box(folder, laden):
 @pytest.mark.exhaustive
 def test_rollouts_carry_the_same_payloads(laden):
     one, tuned = laden
-    held = robot_result.hold(tuned, 1.0)
-    assert held.stable[0] == held.stable[1] == len(tuned.loops)
+    held = rollouts(tuned, 1.0)
+    assert held.stable[0] == held.stable[1] == len(tuned.members)
     found = held.after["home"]
     # The heavier, the further it hangs from its posture: the drives are told nothing of it.
-    payload = one.columns(tuned.loops.fraction)["payload"]
+    payload = one.columns(tuned.members.fraction)["payload"]
     order = np.argsort(payload)
     sag = found.excursion[0].max(axis=1)[order]
     assert sag[-1] > sag[0] + 0.01
-    rate = growth_rates(tuned.loops, tuned.kp, tuned.kd)
+    rate = growth_rates(tuned.members, tuned.kp, tuned.kd)
     np.testing.assert_allclose(found.growth_rate[0], rate, rtol=1e-3)
 
 
 def test_what_was_assumed_is_said(laden):
     _, tuned = laden
-    said = robot_result.document(tuned, None)["assumed"]
+    said = report.document(tuned)["assumed"]
     assert said["payload"] == [0.0, 0.8] and said["payload_body"] == "lower"
     assert said["wn"] == pytest.approx([720.0, 880.0])
     assert said["setpoint_and_feedforward"] == "of the nominal robot"
@@ -165,8 +168,8 @@ def test_on_its_contacts_a_member_grows_as_in_a_sweep(folder):
     asked = replace(asked, plant=replace(asked.plant, keyframe=None, payload_body="box"))
     gains = {"kp": 60.0, "kd": 0.5, "delay": 0.002}
     asked = replace(asked, parameters={**asked.parameters, **gains})
-    one = situation(asked, "rest", read_spans("payload=0..6,contact_friction=0.3..1"))
-    members = robot_uncertainty.corners(one.spans)
+    one = situation(asked, "rest", read_box("payload=0..6,contact_friction=0.3..1", VARIED))
+    members = one.box.corners()
     rates = growth_rates(open_loops([one], members), np.array([60.0]), np.array([0.5]))
     samples = explicit(one.specification, one.columns(members.fraction))
     (plan,) = plans.groups(one.specification, samples)
@@ -189,4 +192,4 @@ def test_on_its_contacts_a_member_grows_as_in_a_sweep(folder):
 )
 def test_boxes_that_make_no_sense(folder, text, said):
     with pytest.raises(UserError, match=said):
-        situation(_specification(folder / "arm.xml"), "home", read_spans(text))
+        situation(_specification(folder / "arm.xml"), "home", read_box(text, VARIED))

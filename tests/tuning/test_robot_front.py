@@ -48,17 +48,17 @@ def test_the_front_rises_and_passes_through_optima_of_their_own(arm, tuned):
     values = [point.value for point in points]
     assert np.all(np.diff(values) > 0)
     for point in points[::2]:
-        single = robot.tune([arm], point.goal, tuned.groups, **QUICK)
+        single = robot.tune([arm], point.goal, tuned.robot.case.groups, **QUICK)
         assert single.value == pytest.approx(point.value, rel=1e-5)
     # It begins just above the smallest peak there is.
     below = Goal(max_peak=peaks[0] / 1.03)
-    assert not robot.tune([arm], below, tuned.groups, **QUICK).feasible
+    assert not robot.tune([arm], below, tuned.robot.case.groups, **QUICK).feasible
     assert tuned.value == pytest.approx(np.exp(np.interp(1.8, peaks, np.log(values))), rel=0.2)
 
 
 def test_points_that_cannot_be_met_say_so(arm, tuned):
     goal = Goal(max_peak=1.8, min_kp=150.0)
-    stiff = robot.tune([arm], goal, tuned.groups, **QUICK)
+    stiff = robot.tune([arm], goal, tuned.robot.case.groups, **QUICK)
     assert not stiff.feasible
     points = robot_front.front(stiff, 3)
     assert points[0].kp.min() >= 150.0 and points[-1].certified

@@ -10,15 +10,13 @@ from loops import largest_peaks, margins_of
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.errors import UserError
-from jaxact.tuning import pareto
+from jaxact.tuning.box import Points, read_box
 from jaxact.tuning.goal import Goal, tail_weights
 from jaxact.tuning.joint import problem as joint
-from jaxact.tuning.joint.ensemble import Sampling, ensemble
+from jaxact.tuning.joint.ensemble import FIELDS, Sampling, ensemble, uncertain
 from jaxact.tuning.joint.problem import Case
 from jaxact.tuning.joint.response import timed
-from jaxact.tuning.joint.robust import tune_box
-from jaxact.tuning.joint.search import STARTS, tune, tune_all
-from jaxact.tuning.uncertainty import read_box
+from jaxact.tuning.joint.search import STARTS, front, tune, tune_all
 
 STARLETH = ensemble(0.7, 110.0, 0.9, 1e-3)
 LATE = ensemble(0.7, 110.0, 0.9, 5e-3)
@@ -178,18 +176,19 @@ def test_a_filter_of_the_velocity_counts_in_continuous_time():
 
 
 def test_the_whole_box_is_certified_corners_and_interior():
-    box = read_box("wn=0.8..1.2,zeta=0.7..1.1,delay=0..5e-3,mass=0.5..1.0", STARLETH)
-    tuned = tune_box(box, Goal(max_peak=1.6), number=16)
+    box = read_box("wn=0.8..1.2,zeta=0.7..1.1,delay=0..5e-3,mass=0.5..1.0", FIELDS)
+    tuned = tune(STARLETH, Goal(max_peak=1.6), box, number=16)
     assert tuned.certified and tuned.certificate.corners == 16
     assert len(tuned.members) >= 32 and tuned.certificate.interior <= 1e-10
     fraction = np.random.default_rng(0).uniform(size=(4000, 4))
-    assert largest_peaks(box.place(fraction), tuned.kp, tuned.kd).max() <= 1.6 * (1 + 1e-9)
+    inside = uncertain(STARLETH, box).at(Points(fraction, ()))
+    assert largest_peaks(inside, tuned.kp, tuned.kd).max() <= 1.6 * (1 + 1e-9)
 
 
 @pytest.mark.exhaustive
 def test_a_milder_risk_gives_stiffer_gains():
-    box = read_box("wn=0.8..1.2,delay=0..5e-3", STARLETH)
-    members = box.sample(32, 0)
+    box = read_box("wn=0.8..1.2,delay=0..5e-3", FIELDS)
+    members = uncertain(STARLETH, box).at(box.sample(32, 0))
     cases = {risk: tune(members, Goal(max_peak=1.6, risk=risk)) for risk in
              ("worst", "cvar:0.75", "mean")}  # fmt: skip
     assert cases["worst"].kp < cases["cvar:0.75"].kp < cases["mean"].kp
@@ -209,7 +208,7 @@ def test_tail_weights_are_the_mean_of_the_worst_share():
 
 
 def test_the_front_rises_and_passes_through_the_single_optimum():
-    points = pareto.front(STARLETH, Goal(), 5)
+    points = front(STARLETH, Goal(), 5)
     kp = [point.kp for point in points]
     assert np.all(np.diff(kp) > 0) and all(point.certified for point in points)
     single = tune(STARLETH, Goal(max_peak=points[2].goal.max_peak))
@@ -234,15 +233,32 @@ def test_goals_that_make_no_sense(goal, said):
 
 
 @pytest.mark.parametrize(
-    "text", ["wn", "wn=1", "speed=1..2", "wn=2..1", "wn=a..b", "delay=-1..0", "wn=1..2,wn=1..2"]
+    "text",
+    [
+        "wn",
+        "wn=1",
+        "speed=1..2",
+        "wn=2..1",
+        "wn=a..b",
+        "delay=-1..0",
+        "wn=1..2,wn=1..2",
+        "wn=0..1",
+        "delay=0..2x",
+        "payload=0..1",
+    ],
 )
 def test_boxes_that_make_no_sense(text):
-    with pytest.raises(UserError, match="uncertainty|member"):
-        read_box(text, STARLETH)
+    with pytest.raises(UserError, match="uncertainty"):
+        uncertain(STARLETH, read_box(text, FIELDS))
 
 
 def test_factors_and_values_of_a_box():
-    box = read_box("wn=0.5..2,mass=0.5..1,delay=1x..3x", STARLETH)
-    assert (box.low["natural_frequency"], box.high["natural_frequency"]) == (55.0, 220.0)
-    assert (box.low["mass"], box.high["mass"]) == (0.5, 1.0)
-    assert box.high["delay"] == pytest.approx(3e-3)
+    plants = uncertain(STARLETH, read_box("wn=0.5..2,mass=0.5..1,delay=1x..3x", FIELDS))
+    corners = plants.at(plants.box.corners())
+    assert set(corners.natural_frequency) == {55.0, 220.0} and set(corners.mass) == {0.5, 1.0}
+    assert corners.delay.max() == pytest.approx(3e-3) and len(corners) == 8
+
+
+def test_the_order_of_ranges_does_not_matter():
+    texts = ("wn=0.8..1.2,delay=0..5e-3", "delay=0..5e-3,wn=0.8..1.2")
+    assert read_box(texts[0], FIELDS) == read_box(texts[1], FIELDS)

@@ -5,11 +5,11 @@ import pytest
 import robots
 
 from jaxact.loops import reading
+from jaxact.tuning.box import NOMINAL
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.robot import search as robot
 from jaxact.tuning.robot.loops import open_loops, situation
-from jaxact.tuning.robot.uncertainty import NOMINAL
 
 QUICK = {"starts": 2, "steps": 30}
 # The arm standing on its shoulder: without gains it topples, with its own it shakes.

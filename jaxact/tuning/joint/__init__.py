@@ -1,1 +1,1 @@
-"""Gains of single joints and ensembles of them: theory, smooth figures, search."""
+"""Gains of single joints and ensembles of them: theory, smooth metrics, search."""

@@ -1,7 +1,7 @@
 """The check of an optimum by trying every gain of a grid: `--verify`.
 
 Tabulated responses on a fine frequency axis decide which gains of the grid meet the constraints;
-the grid then closes in on the best of them, and the last word is that of the exact figures.
+the grid then closes in on the best of them, and the last word is that of the exact metrics.
 """
 
 from __future__ import annotations
@@ -109,8 +109,8 @@ def _exactly(case: Case, x: np.ndarray, tried: int, timed: Any) -> Brute:
     found = joint.exact([case] * len(x), x, timed)
     rows = joint.rows_of([case.goal] * len(x), x, found)
     excess = [
-        max((over_all(sign * (found.log[figure][i] - np.log(bound)), case.goal)
-             for _, figure, sign, bound in case.goal.rows), default=-np.inf)
+        max((over_all(sign * (found.log[metric][i] - np.log(bound)), case.goal)
+             for _, metric, sign, bound in case.goal.rows), default=-np.inf)
         for i in range(len(x))
     ]  # fmt: skip
     met = rows.usable & (np.array(excess) <= 0.0)

@@ -12,8 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from jaxact.errors import UserError
+from jaxact.parameters import canonical
+from jaxact.tuning.box import Box, Points
 
 PARAMETERS = ("mass", "natural_frequency", "damping_ratio", "delay")
+FIELDS = {canonical(name): name for name in PARAMETERS}
+"""Fields of an ensemble by the short names of the parameters; each may be uncertain."""
+
 # The noise of an encoder that is read at this rate where no control rate is given [s].
 DEFAULT_PERIOD = 1e-3
 
@@ -110,3 +115,50 @@ def chosen(members: Ensemble, index: np.ndarray) -> Ensemble:
     names = tuple(members.name(int(i)) for i in index)
     rows = (getattr(members, p)[index] for p in PARAMETERS)
     return Ensemble(*rows, sampling=members.sampling, names=names)
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """Plants at points of a box around a nominal one.
+
+    Attributes:
+        nominal: an ensemble of one.
+        box: what is uncertain.
+        low, high: values at its ends, shape (ranges,).
+    """
+
+    nominal: Ensemble
+    box: Box
+    low: np.ndarray
+    high: np.ndarray
+
+    @property
+    def columns(self) -> list[int]:
+        """Which of PARAMETERS each range is of."""
+        return [PARAMETERS.index(FIELDS[one.name]) for one in self.box.ranges]
+
+    def at(self, points: Points) -> Ensemble:
+        """The plants at some points."""
+        values = {p: np.full(len(points), getattr(self.nominal, p)[0]) for p in PARAMETERS}
+        spans = self.low + (self.high - self.low) * points.fraction
+        for one, column in zip(self.box.ranges, spans.T, strict=True):
+            values[FIELDS[one.name]] = column
+        return Ensemble(**values, sampling=self.nominal.sampling, names=points.names)
+
+
+def uncertain(nominal: Ensemble, box: Box) -> Uncertain:
+    """A plant of which not everything is known.
+
+    Args:
+        nominal: an ensemble of one.
+        box: of names of FIELDS.
+
+    Raises:
+        UserError: ranges that do not fit the plant.
+    """
+    ends = [
+        one.ends({one.name: float(getattr(nominal, FIELDS[one.name])[0])})[one.name]
+        for one in box.ranges
+    ]
+    low, high = np.array(ends).reshape(-1, 2).T
+    return Uncertain(nominal, box, low, high)

@@ -1,4 +1,4 @@
-"""Exact figures of every loop and their derivatives, float64: what is polished and certified.
+"""Exact metrics of every loop and their derivatives, float64: what is polished and certified.
 
 No smoothing: the margins are those of `jaxact.analysis.joint.margins` and
 `jaxact.analysis.sampled.margins`, refined to rounding. Derivatives are by the logarithms of the
@@ -37,10 +37,10 @@ _INPUTS = 2 + len(PARAMETERS)
 
 @dataclass(frozen=True)
 class Exact:
-    """Figures of loops, NumPy float64; `log` and `slope` are NaN where they mean nothing.
+    """Metrics of loops, NumPy float64; `log` and `slope` are NaN where they mean nothing.
 
     stable: shape (...)
-    log: ln of each figure by name, shape (...); `log_gain_to_boundary` is the figure itself
+    log: ln of each metric by name, shape (...); `log_gain_to_boundary` is the metric itself
     slope: derivatives of `log` by (ln kp, ln kd, mass, wn, zeta, delay), shape (..., 6)
     """
 
@@ -62,12 +62,12 @@ def evaluate(
     extra: tuple[str, ...] = (),
     timed: Any = None,
 ) -> Exact:
-    """Exact figures of many loops.
+    """Exact metrics of many loops.
 
     log_kp, log_kd: ln of the gains, any shape
     members: parameters that broadcast with them
     sampling: of the controller
-    extra: figures beyond the margins, "noise_gain" and "bandwidth"; other names change nothing
+    extra: metrics beyond the margins, "noise_gain" and "bandwidth"; other names change nothing
     timed: static `jaxact.tuning.joint.response.Timed`, of what takes simulated time, or None
     """
     rows = [members[n] if isinstance(members, Mapping) else getattr(members, n) for n in PARAMETERS]
@@ -100,9 +100,9 @@ def evaluate(
 @functools.lru_cache(maxsize=KEPT)
 def _compiled(sampling: Sampling, steps: int, wanted: tuple[str, ...], timed: Any) -> Program:
     def logs(inputs: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
-        """ln of all figures of loops, shape (loops,), and which loops are stable."""
+        """ln of all metrics of loops, shape (loops,), and which loops are stable."""
         kp, kd = jnp.exp(inputs[0]), jnp.exp(inputs[1])
-        found = _figures(kp, kd, inputs[2:], sampling, steps, wanted, timed)
+        found = _metrics(kp, kd, inputs[2:], sampling, steps, wanted, timed)
         stable = found.pop("stable")
         distance = found.pop("log_gain_to_boundary")
         result = {name: jnp.log(value) for name, value in found.items()}
@@ -114,10 +114,10 @@ def _compiled(sampling: Sampling, steps: int, wanted: tuple[str, ...], timed: An
         basis = jnp.eye(_INPUTS, dtype=inputs.dtype)[:, :, None] * jnp.ones_like(inputs)[None]
         return stable, value, jax.vmap(push)(basis)
 
-    return Program(lambda: both, ("figures", sampling, steps, wanted, timed))
+    return Program(lambda: both, ("metrics", sampling, steps, wanted, timed))
 
 
-def _figures(
+def _metrics(
     kp: jax.Array,
     kd: jax.Array,
     plant: jax.Array,
@@ -126,7 +126,7 @@ def _figures(
     wanted: tuple[str, ...],
     timed: Any,
 ) -> dict[str, jax.Array]:
-    """All figures of a flat batch, with `stable`; the gains' own logarithms are not among them."""
+    """All metrics of a flat batch, with `stable`; the gains' own logarithms are not among them."""
     mass, wn, zeta, delay = plant
     found: Any
     finite = math.isfinite(sampling.velocity_filter)
@@ -154,5 +154,5 @@ def _figures(
     if "bandwidth" in wanted:
         result["bandwidth"] = settled(bandwidth(held))
     if timed is not None:
-        result[timed.figure] = settled(timed.of_loops(kp, kd, plant))
+        result[timed.metric] = settled(timed.of_loops(kp, kd, plant))
     return result | {"stable": found.stable}

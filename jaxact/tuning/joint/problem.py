@@ -18,7 +18,7 @@ from jaxact.tuning.goal import Goal, tail_weights
 from jaxact.tuning.joint import metrics
 from jaxact.tuning.joint.ensemble import PARAMETERS, Ensemble
 from jaxact.tuning.joint.metrics import Exact
-from jaxact.tuning.joint.spectrum import Spectrum, log_figures, single_precision, tabulate
+from jaxact.tuning.joint.spectrum import Spectrum, log_metrics, single_precision, tabulate
 from jaxact.tuning.objective import Smooth, combine
 from jaxact.tuning.polish import Problem, Rows
 
@@ -86,7 +86,7 @@ class Table:
     spectrum: of every member, float32
     log_bounds: ln of the bounds of the constraints, shape (cases, rows)
     low, high: bounds of the log-gains, shape (cases, 2)
-    plant: of every member for figures of simulated time, shape (cases, members, 4)
+    plant: of every member for metrics of simulated time, shape (cases, members, 4)
     tail: share of the members that counts, shape (cases,)
     """
 
@@ -150,36 +150,36 @@ class JointSurrogate:
     def __call__(self, x: jax.Array, data: Table, sharpness: jax.Array) -> Smooth:
         """See `jaxact.tuning.objective.Surrogate`."""
         goal, timed = self.goal, self.timed
-        rows = tuple((figure, sign) for _, figure, sign, _ in goal.rows)
-        names = tuple(sorted({name for name, _ in rows} | {goal.figure}))
+        rows = tuple((metric, sign) for _, metric, sign, _ in goal.rows)
+        names = tuple(sorted({name for name, _ in rows} | {goal.metric}))
         # Beyond a bound nothing changes any more.
         x = jnp.clip(x, data.low, data.high)
         kp, kd = jnp.exp(x[0]), jnp.exp(x[1])
 
         def one(spectrum: Spectrum) -> tuple[dict[str, jax.Array], jax.Array]:
-            return log_figures(spectrum, kp, kd, names, sharpness)
+            return log_metrics(spectrum, kp, kd, names, sharpness)
 
         found, stable = jax.vmap(one)(data.spectrum)
         if timed is not None:
             soft = jax.vmap(lambda plant: timed.smooth(kp, kd, plant, sharpness))(data.plant)
-            found = found | {goal.figure: soft}
-        if goal.figure == "kp":
+            found = found | {goal.metric: soft}
+        if goal.metric == "kp":
             found = found | {"kp": x[:1]}  # the same for all members
-        objective = goal.figure, goal.sense
+        objective = goal.metric, goal.sense
         tail = None if goal.tail == 0.0 else data.tail
         return combine(found, stable, rows, data.log_bounds, objective, tail, sharpness)
 
 
 def exact(cases: Sequence[Case], x: np.ndarray, timed: Any = None) -> Exact:
-    """Exact figures of every member of every case at its log-gains x, shape (cases, members)."""
+    """Exact metrics of every member of every case at its log-gains x, shape (cases, members)."""
     plants = {p: np.stack([getattr(c.members, p) for c in cases]) for p in PARAMETERS}
     first = cases[0]
-    extra = tuple(name for name in first.goal.wanted if timed is None or name != timed.figure)
+    extra = tuple(name for name in first.goal.wanted if timed is None or name != timed.metric)
     return metrics.evaluate(x[:, :1], x[:, 1:], plants, first.members.sampling, extra, timed)
 
 
 def rows_of(case_goals: Sequence[Goal], x: np.ndarray, found: Exact) -> Rows:
-    """Values and constraints of each case, from exact figures of its members.
+    """Values and constraints of each case, from exact metrics of its members.
 
     case_goals: of the same objective, constraints and risk; bounds may differ
     x: log-gains, shape (cases, 2)
@@ -187,18 +187,18 @@ def rows_of(case_goals: Sequence[Goal], x: np.ndarray, found: Exact) -> Rows:
     goal = case_goals[0]
     slope = found.gain_slope
     usable = np.all(found.stable, axis=1)
-    if goal.figure == "kp":
+    if goal.metric == "kp":
         value = x[:, :1]
         value_slope = np.broadcast_to(np.array([1.0, 0.0]), (len(x), 1, 2))
     else:
-        bad, bad_slope = -goal.sense * found.log[goal.figure], -goal.sense * slope[goal.figure]
+        bad, bad_slope = -goal.sense * found.log[goal.metric], -goal.sense * slope[goal.metric]
         bad, bad_slope = risk_rows(bad, bad_slope, goal.tail)
         value, value_slope = -bad, -bad_slope
     excess, excess_slope = [np.empty((len(x), 0))], [np.empty((len(x), 0, 2))]
-    for place, (_, figure, sign, _) in enumerate(goal.rows):
+    for place, (_, metric, sign, _) in enumerate(goal.rows):
         bound = np.log([list(g.rows)[place][3] for g in case_goals])
-        over = sign * (found.log[figure] - bound[:, None])
-        row, row_slope = risk_rows(over, sign * slope[figure], goal.tail)
+        over = sign * (found.log[metric] - bound[:, None])
+        row, row_slope = risk_rows(over, sign * slope[metric], goal.tail)
         excess.append(row)
         excess_slope.append(row_slope)
     return Rows(value, value_slope, np.concatenate(excess, axis=1),

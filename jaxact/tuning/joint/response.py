@@ -1,4 +1,4 @@
-"""Figures from simulated time: settling and tracking, smooth for the descent and exact for the end.
+"""Metrics from simulated time: settling and tracking, smooth for the descent and exact for the end.
 
 The loop that is simulated is that of every sweep, drive and all, under the exact mass. Without a
 control rate it is sampled at a tenth of the shortest lag, so that the hold hardly counts; a filter
@@ -39,9 +39,9 @@ _SHARPEST = 100.0
 
 @dataclass(frozen=True)
 class Timed:
-    """What is simulated for a figure; static and hashable.
+    """What is simulated for a metric; static and hashable.
 
-    figure: "settling_time" [s] or "tracking_error", rms [m]
+    metric: "settling_time" [s] or "tracking_error", rms [m]
     ticks: control periods
     period: control period [s]
     reference: setpoints at the ticks [m], shape (ticks,); a step to 1 where empty
@@ -49,7 +49,7 @@ class Timed:
     sampling: of the controller, for the velocity it sees
     """
 
-    figure: str
+    metric: str
     ticks: int
     period: float
     reference: tuple[float, ...]
@@ -57,17 +57,17 @@ class Timed:
     sampling: Sampling
 
     def of_loops(self, kp: jax.Array, kd: jax.Array, plant: jax.Array) -> jax.Array:
-        """The figure of a flat batch of loops, shape (n,); plant: shape (4, n)."""
+        """The metric of a flat batch of loops, shape (n,); plant: shape (4, n)."""
         errors = jax.vmap(self.errors, (0, 0, 1))(kp, kd, plant)
-        return jax.vmap(self._figure)(errors)
+        return jax.vmap(self._metric)(errors)
 
     def smooth(
         self, kp: jax.Array, kd: jax.Array, plant: jax.Array, sharpness: jax.Array
     ) -> jax.Array:
-        """ln of the figure of one loop, smooth; plant: shape (4,)."""
+        """ln of the metric of one loop, smooth; plant: shape (4,)."""
         error = self.errors(kp, kd, plant)
-        if self.figure == "tracking_error":
-            return jnp.log(self._figure(error))
+        if self.metric == "tracking_error":
+            return jnp.log(self._metric(error))
         level = jnp.minimum(sharpness, _SHARPEST)
         time = self.period * jnp.arange(1, self.ticks + 1, dtype=error.dtype)
         outside = jax.nn.log_sigmoid(level * jnp.log(jnp.abs(error) / BAND + 1e-9))
@@ -89,8 +89,8 @@ class Timed:
         )  # fmt: skip
         return path.position - given
 
-    def _figure(self, error: jax.Array) -> jax.Array:
-        if self.figure == "tracking_error":
+    def _metric(self, error: jax.Array) -> jax.Array:
+        if self.metric == "tracking_error":
             return jnp.sqrt(jnp.mean(error * error))
         size = jnp.abs(error)
         outside = size > BAND
@@ -107,12 +107,12 @@ def timed(goal: Goal, ensembles: Sequence[Ensemble]) -> Timed | None:
 
     ensembles: of all cases
     """
-    if goal.figure not in ("settling_time", "tracking_error"):
+    if goal.metric not in ("settling_time", "tracking_error"):
         return None
     sampling = ensembles[0].sampling
     lags = np.concatenate([members.lag for members in ensembles])
     period = sampling.control_period or min(1e-3, 0.1 * max(lags.min(), 1e-4))
-    if goal.figure == "tracking_error":
+    if goal.metric == "tracking_error":
         end = (len(goal.reference) - 1) * goal.reference_period
         ticks = max(2, min(math.floor(end / period), _MOST_TICKS))
         given = np.arange(len(goal.reference)) * goal.reference_period
@@ -124,7 +124,7 @@ def timed(goal: Goal, ensembles: Sequence[Ensemble]) -> Timed | None:
     drive = Drive(Controller(1.0, 1.0), Actuator(delay=longest), control_period=period)
     differenced = sampling.velocity == "differenced"
     options = _drive.options(drive, differenced=differenced)
-    return Timed(goal.figure, ticks, period, tuple(map(float, reference)), options, sampling)
+    return Timed(goal.metric, ticks, period, tuple(map(float, reference)), options, sampling)
 
 
 def step_responses(

@@ -1,107 +1,91 @@
-"""Tuning from end to end: starts, descent, polish, certificate.
+"""Tuning of joints from end to end: starts, descent, polish, certificate.
 
 tuned = tune(ensemble(0.7, 110.0, 0.9, 1e-3), Goal(max_peak=1.6))
+
+Over a box of what is not known, members are samples and corners. The worst point inside is found by
+ascent on the uncertain parameters; if it is worse than the members it becomes one, and the gains
+are polished again: a lucky sample cannot pass.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import jax
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.tuning.certificate import Certificate, Check, Effort, certify, over_all, sentence
-from jaxact.tuning.goal import Goal, check
+from jaxact.tuning.box import KNOWN, Box, Points, ascend, spread
+from jaxact.tuning.certificate import Effort, Metrics, beyond
+from jaxact.tuning.goal import Goal, check, peaks
 from jaxact.tuning.joint import brute
 from jaxact.tuning.joint import problem as joint
-from jaxact.tuning.joint.ensemble import Ensemble
+from jaxact.tuning.joint.ensemble import Ensemble, Uncertain, chosen, joined, uncertain
 from jaxact.tuning.joint.problem import Case
 from jaxact.tuning.joint.rescue import SLOWER, rescue
 from jaxact.tuning.joint.response import timed as timed_of
 from jaxact.tuning.optimise import Descended, Descent, descend
 from jaxact.tuning.phases import Phase, silent
-from jaxact.tuning.polish import Polished, better, polish
+from jaxact.tuning.polish import MET, Polished, better, polish
+from jaxact.tuning.result import Outcome, Tuned, judged
 
-STARTS = 8
+STARTS, SAMPLES, STEPS = 8, 32, 150
 # A smooth violation up to this is the smoothing's own.
 _SMOOTH = 0.01
 # Starts that ended this near are one optimum [-].
 _SAME, _WORTH = 0.03, 0.03
-
-
-@dataclass(frozen=True)
-class Tuned:
-    """Gains, what they were tuned for, and what is known of them.
-
-    members, goal: what was asked
-    kp, kd: gains [N/m], [N s/m]
-    value: figure of the objective, in its unit; for an ensemble the risk's
-    value_before: of the start, NaN where it was unstable
-    before: gains (kp, kd) of the start, None where none was given
-    feasible: every constraint can be met
-    improved: the gains are better than the start's
-    certificate: of the gains returned
-    verdict: one sentence
-    closest: where the constraints cannot be met, the checks of the nearest point
-    paths: of all starts, the given one last
-    evaluations: loops evaluated, smooth and exact
-    iterations: steps of descent and polish
-    seconds: of wall clock, compilation included
-    """
-
-    members: Ensemble
-    goal: Goal
-    kp: float
-    kd: float
-    value: float
-    value_before: float
-    before: tuple[float, float] | None
-    feasible: bool
-    improved: bool
-    certificate: Certificate
-    verdict: str
-    closest: tuple[Check, ...]
-    paths: Descended
-    evaluations: int
-    iterations: int
-    seconds: float
-
-    @property
-    def certified(self) -> bool:
-        """Whether everything that was asked for holds, exactly, for every member."""
-        return self.certificate.met
+# How often the worst interior point may join the members, and from where it is looked for.
+_EXCHANGES, _ASCENTS = 6, 24
 
 
 def tune(
     members: Ensemble,
     goal: Goal,
+    box: Box = KNOWN,
     *,
+    number: int = SAMPLES,
+    seed: int = 0,
     start: tuple[float, float] | None = None,
     starts: int = STARTS,
     how: Descent | None = None,
     verify: bool = False,
     phase: Phase = silent,
 ) -> Tuned:
-    """The best gains for one joint or one ensemble.
+    """The best gains for one joint, one ensemble, or everything in a box around one joint.
 
-    members: one, or many that share the gains
-    goal: objective and constraints
-    start: (kp, kd) to be no worse than [N/m], [N s/m]; may be unstable
-    starts: number of default starts, 0 for the given one alone
-    how: of the descent
-    verify: compare with brute force
-    phase: told what is being done
+    Args:
+        members: one, or many that share the gains; of a box the nominal one.
+        goal: objective and constraints.
+        box: what is not known; where the worst member counts its corners are members too.
+        number: of samples of the box.
+        seed: of the samples.
+        start: (kp, kd) to be no worse than [N/m], [N s/m]; may be unstable.
+        starts: number of default starts, 0 for the given one alone.
+        how: of the descent.
+        verify: compare with brute force.
+        phase: told what is being done.
 
-    Raises UserError for a goal or a start that makes no sense.
+    Raises:
+        UserError: a goal, a box or a start that makes no sense.
     """
     given = None if start is None else [start]
-    return tune_all(
-        [Case(members, goal)], given, starts=starts, how=how, verify=verify, phase=phase
-    )[0]
+    if not box.ranges:
+        return tune_all(
+            [Case(members, goal)], given, starts=starts, how=how, verify=verify, phase=phase
+        )[0]
+    plants = uncertain(members, box)
+    points = box.sample(number, seed) if goal.tail else box.members(number, seed)
+    case = Case(plants.at(points), goal)
+    (found,) = _searched([case], given, starts, how, phase)
+    phase("looking for the worst point of the box")
+    case, found = _exchanged(plants, case, found, given, starts, how, seed)
+    phase("certifying")
+    if goal.tail:
+        found = replace(found, interior=None, notes=(_outside(plants, goal, found),))
+    return _judged(case, found, start, verify, plants, seed)
 
 
 def tune_all(
@@ -115,12 +99,47 @@ def tune_all(
 ) -> list[Tuned]:
     """The best gains of several cases, side by side in one compiled descent.
 
-    cases: with as many members each, and goals that differ in their bounds only
-    given: a start for each
-    starts, how, verify, phase: as for `tune`
+    Args:
+        cases: with as many members each, and goals that differ in their bounds only.
+        given: a start for each.
+        starts, how, verify, phase: as for `tune`.
     """
+    found = _searched(cases, given, starts, how, phase)
+    phase("certifying")
+    return [
+        _judged(case, one, None if given is None else given[i], verify)
+        for i, (case, one) in enumerate(zip(cases, found, strict=True))
+    ]
+
+
+def front(
+    members: Ensemble,
+    goal: Goal,
+    number: int,
+    *,
+    starts: int = STARTS,
+    how: Descent | None = None,
+) -> list[Tuned]:
+    """The best gains for every peak of `jaxact.tuning.goal.peaks`, in one compiled descent.
+
+    Args:
+        members, goal, starts, how: as for `tune`; the goal's own peak does not count.
+        number: of points.
+    """
+    cases = [Case(members, replace(goal, max_peak=float(peak))) for peak in peaks(number)]
+    return tune_all(cases, starts=starts, how=how)
+
+
+def _searched(
+    cases: Sequence[Case],
+    given: Sequence[tuple[float, float]] | None,
+    starts: int,
+    how: Descent | None,
+    phase: Phase = silent,
+) -> list[Outcome]:
+    """Where the search for each case leads."""
     begun = time.perf_counter()
-    how = how or Descent()
+    how = how or Descent(steps=STEPS)
     _check(cases, given, starts)
     timed = timed_of(cases[0].goal, [case.members for case in cases])
     bounds = np.array([joint.log_bounds(case.goal) for case in cases])
@@ -146,17 +165,130 @@ def tune_all(
     closest = _closest(cases, paths, bounds, timed, found) if lost.any() else found
     steps = how.steps + how.polish + polishing + rescues
     number = first.shape[1] * (how.steps + how.polish) + polishing + rescues
-    phase("certifying")
-    results = []
+    effort = Effort(first.shape[1], brute.GRID**2)
+    outcomes = []
     for i, case in enumerate(cases):
         x = (closest if lost[i] else found).x[i]
-        start = None if given is None else (float(given[i][0]), float(given[i][1]))
         own_paths = jax.tree.map(lambda a, i=i: a[i], paths)
         tried = number * len(case.members)
-        results.append(
-            result_of(case, x, start, bool(lost[i]), own_paths, timed, steps, tried, begun, verify)
+        outcomes.append(
+            Outcome(
+                _gains(x), not lost[i], _metrics(case, x), own_paths, tried, steps, begun, effort
+            )
         )
-    return results
+    return outcomes
+
+
+def _gains(x: np.ndarray) -> tuple[float, float]:
+    return float(np.exp(x[0])), float(np.exp(x[1]))
+
+
+def _metrics(case: Case, x: np.ndarray) -> Metrics:
+    """Exact metrics of all members at log-gains x."""
+    found = joint.exact([case], x[None], timed_of(case.goal, [case.members]))
+    return Metrics(found.stable[0], {name: log[0] for name, log in found.log.items()})
+
+
+def _judged(
+    case: Case,
+    found: Outcome,
+    start: tuple[float, float] | None,
+    verify: bool,
+    plants: Uncertain | None = None,
+    seed: int = 0,
+) -> Tuned:
+    """What a search has led to, against brute force where that is asked for, and judged."""
+    goal, members = case.goal, case.members
+    if verify and found.met:
+        timed = timed_of(goal, [members])
+        tried = brute.brute_force(case, timed)
+        ours = float(joint.problem([case], timed)(np.log([found.gains])).worst_value[0])
+        found = replace(
+            found, gap=float(np.expm1(max(tried.value - ours, 0.0))),
+            evaluations=found.evaluations + tried.evaluations * len(members),
+        )  # fmt: skip
+        if tried.value > ours + 1e-3:
+            found = replace(found, gains=_gains(tried.x), metrics=_metrics(case, tried.x))
+
+    def inside(gains: tuple[float, float]) -> float | None:
+        if plants is None or goal.tail:
+            return None
+        return _interior(plants, goal, np.log(gains), seed)[0]
+
+    return judged(
+        goal, members, found, lambda gains: _metrics(case, np.log(gains)), start=start,
+        inside=inside,
+    )  # fmt: skip
+
+
+def _exchanged(
+    plants: Uncertain,
+    case: Case,
+    found: Outcome,
+    given: Sequence[tuple[float, float]] | None,
+    starts: int,
+    how: Descent | None,
+    seed: int,
+) -> tuple[Case, Outcome]:
+    """Members and gains once more, with the worst points inside that were not members."""
+    goal = case.goal
+    low, high = joint.log_bounds(goal)
+    for turn in range(_EXCHANGES + 1):
+        x = np.log([found.gains])
+        interior, worse = _interior(plants, goal, x[0], seed)
+        found = replace(found, interior=interior)
+        if goal.tail or interior <= MET or not found.met or turn == _EXCHANGES:
+            break
+        names = tuple(f"interior {turn}.{i}" for i in range(len(worse)))
+        case = replace(case, members=joined(case.members, replace(worse, names=names)))
+        problem = joint.problem([case], timed_of(goal, [case.members]))
+        polished = polish(problem, x, low[None], high[None])
+        if polished.feasible[0]:
+            again = replace(
+                found, gains=_gains(polished.x[0]), metrics=_metrics(case, polished.x[0]),
+                iterations=found.iterations + polished.evaluations,
+                evaluations=polished.evaluations * len(case.members),
+            )  # fmt: skip
+        else:
+            (again,) = _searched([case], given, starts, how)
+        evaluations = found.evaluations + again.evaluations
+        found = replace(again, evaluations=evaluations, begun=found.begun)
+    return case, found
+
+
+def _interior(plants: Uncertain, goal: Goal, x: np.ndarray, seed: int) -> tuple[float, Ensemble]:
+    """Largest excess in the box at log-gains x, and the members that exceed the bounds."""
+    size = len(plants.box)
+    columns, span = plants.columns, plants.high - plants.low
+
+    def over(u: np.ndarray) -> tuple[Ensemble, np.ndarray, np.ndarray]:
+        """Members, by how much each exceeds the bound it exceeds most, and that slope."""
+        members = plants.at(Points(u, ()))
+        found = joint.exact([Case(members, goal)], x[None])
+        over = np.stack([sign * (found.log[f][0] - np.log(b)) for _, f, sign, b in goal.rows])
+        slope = np.stack([sign * found.slope[f][0, :, 2:] for _, f, sign, b in goal.rows])
+        over = np.where(found.stable, over, np.nan)
+        row = np.argmax(np.where(np.isnan(over), np.inf, over), axis=0)
+        column = np.arange(len(row))
+        return members, over[row, column], slope[row, column][:, columns] * span
+
+    if not goal.rows:
+        return -np.inf, plants.at(Points(np.empty((0, size)), ()))
+    points = ascend(lambda u: over(u)[1:], spread(size, _ASCENTS, seed))
+    members, value, _ = over(points)
+    value = np.where(np.isnan(value), np.inf, value)
+    worse = [int(i) for i in np.argsort(-value)[:4] if value[i] > MET]
+    return float(value.max()), chosen(members, np.array(worse[:3], dtype=int))
+
+
+def _outside(plants: Uncertain, goal: Goal, found: Outcome) -> str:
+    """What the worst corner and interior point are like, where they are not what counts."""
+    corners = plants.at(plants.box.corners())
+    stable = _metrics(Case(corners, goal), np.log(found.gains)).stable
+    if not stable.all():
+        return f"unstable at {corners.name(int(np.argmin(stable)))}"
+    assert found.interior is not None
+    return f"the worst point of the box {beyond(found.interior)}"
 
 
 def _check(cases: Sequence[Case], given: Sequence[tuple[float, float]] | None, starts: int) -> None:
@@ -262,95 +394,3 @@ def _least_violating(paths: Descended) -> list[np.ndarray]:
         np.take_along_axis(paths.gains, place[:, None, None], axis=1)[:, 0].astype(float)
         for place in places
     ]
-
-
-def objective_value(case: Case, x: np.ndarray, timed: Any) -> float:
-    """The figure of the objective at log-gains x, in its unit; for an ensemble the risk's."""
-    goal = case.goal
-    if goal.figure == "kp":
-        return float(np.exp(x[0]))
-    found = joint.exact([case], x[None], timed)
-    if not found.stable.all():
-        return float("nan")
-    bad = -goal.sense * found.log[goal.figure][0]
-    return float(np.exp(-goal.sense * over_all(bad, goal)))
-
-
-def result_of(
-    case: Case,
-    x: np.ndarray,
-    start: tuple[float, float] | None,
-    infeasible: bool,
-    paths: Descended,
-    timed: Any,
-    iterations: int,
-    evaluations: int,
-    begun: float,
-    verify: bool,
-) -> Tuned:
-    """Judge gains of one case, exactly, against everything asked and against the start.
-
-    x: log-gains, shape (2,)
-    start: (kp, kd) to be no worse than, None for none
-    infeasible: whether the constraints cannot all be met; x is then the closest point
-    paths: of the starts of this case
-    timed: of the goal, None for one that needs no simulation
-    iterations, evaluations: so far
-    begun: time of the beginning [s]
-    verify: compare with brute force
-    """
-    goal = case.goal
-    certificate = certify(case, x)
-    closest = certificate.checks if infeasible else ()
-    improved = True
-    value, value_before = objective_value(case, x, timed), float("nan")
-    if start is not None:
-        own = np.log(np.array(start))
-        before = certify(case, own)
-        value_before = objective_value(case, own, timed) if before.stable else float("nan")
-        if not wins(goal, value, certificate, value_before, before):
-            x, value, certificate, improved = own, value_before, before, False
-            closest = certificate.checks if infeasible else ()
-    ends = np.where(paths.violation <= _SMOOTH, paths.value, -np.inf)
-    top = ends.max()
-    agreeing = float(np.mean(ends >= top - 0.01)) if np.isfinite(top) else 0.0
-    certificate = replace(certificate, agreeing=agreeing)
-    if verify and certificate.met:
-        tried = brute.brute_force(case, timed)
-        ours = goal.sense * np.log(value)
-        gap = float(np.expm1(max(tried.value - ours, 0.0)))
-        certificate = replace(certificate, gap=gap)
-        if tried.value > ours + 1e-3:
-            x = tried.x
-            value = objective_value(case, x, timed)
-            certificate = replace(certify(case, x), agreeing=agreeing, gap=gap)
-        evaluations += tried.evaluations * len(case.members)
-    effort = Effort(paths.gains.shape[0], brute.GRID**2)
-    words = sentence(certificate, goal, closest, effort)
-    if not improved and certificate.stable:
-        words = f"the start cannot be improved upon; {words}"
-    kp, kd = start if start is not None and not improved else map(float, np.exp(x))
-    kp = min(max(kp, goal.min_kp), goal.max_kp) if improved else kp
-    return Tuned(
-        case.members, goal, kp, kd, value, value_before, start,
-        not infeasible, improved, certificate, words, tuple(closest), paths, evaluations,
-        iterations, time.perf_counter() - begun,
-    )  # fmt: skip
-
-
-def wins(
-    goal: Goal, value: float, certificate: Certificate, before: float, start: Certificate
-) -> bool:
-    """Whether the tuned gains beat the start: everything met first, then the objective."""
-    if certificate.met != start.met:
-        return certificate.met
-    if certificate.met:
-        return goal.sense * (np.log(value) - np.log(before)) > 0.0
-    if certificate.stable != start.stable:
-        return certificate.stable
-    return _missed(certificate) < _missed(start)
-
-
-def _missed(certificate: Certificate) -> float:
-    missed = max((c.excess for c in certificate.checks), default=0.0)
-    return max(missed, 0.0) + (0.0 if certificate.bounds_met else 1.0)

@@ -141,13 +141,13 @@ def _on_axis(real: jax.Array, imaginary: jax.Array) -> jax.Array:
     return real[:-1] + part * (real[1:] - real[:-1])
 
 
-def log_figures(
+def log_metrics(
     spectrum: Spectrum, kp: jax.Array, kd: jax.Array, names: tuple[str, ...], sharpness: jax.Array
 ) -> tuple[dict[str, jax.Array], jax.Array]:
-    """Smooth ln of the figures of one member, and whether its loop is stable.
+    """Smooth ln of the metrics of one member, and whether its loop is stable.
 
     kp, kd: [N/m], [N s/m], scalars
-    names: static, of the figures wanted
+    names: static, of the metrics wanted
     sharpness: s of the smooth maximum
     """
     real, imaginary = open_loop(spectrum, kp, kd)

@@ -1,7 +1,7 @@
 """The check of a robot's optimum by trying every gain of a grid, where there are few groups.
 
-The smooth figures, sharp and on the whole table, decide which gains could meet the constraints; the
-grid closes in on the best of them, and the last word is that of the exact figures.
+The smooth metrics, sharp and on the whole table, decide which gains could meet the constraints; the
+grid closes in on the best of them, and the last word is that of the exact metrics.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def brute_force(case: RobotCase, centre: np.ndarray) -> Found:
         grid = np.clip(middle + width * offsets, case.low, case.high)
         value, violation = map(np.asarray, _all(surrogate, data, jnp.asarray(grid, jnp.float32)))
         tried += len(grid)
-        # Exact figures take long: no more points than it takes to find one that is fine.
+        # Exact metrics take long: no more points than it takes to find one that is fine.
         order = np.argsort(-np.where(violation <= _SLACK, value, -np.inf))[:_EXACTLY]
         for x in grid[order]:
             known = rows(case, x)

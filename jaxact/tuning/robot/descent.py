@@ -96,7 +96,7 @@ def descended(case: RobotCase, first: np.ndarray, how: Descent) -> Descended:
     one = jax.tree.map(lambda leaf: leaf[None], data)
     still = np.zeros(first.shape[1], np.float32)
     found = descend(surrogate, one, jnp.asarray(first[None], jnp.float32), still, how)
-    return jax.tree.map(np.asarray, found)
+    return jax.tree.map(lambda leaf: np.asarray(leaf[0]), found)
 
 
 def best_of(case: RobotCase, near: Found, paths: Descended, others: np.ndarray,
@@ -107,7 +107,7 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: np.ndarray,
     others: log-gains at which all loops are stable, shape (k, 2 g)
     phase: told what is being done
     """
-    ends = [_stable_end(case, paths, start) for start in range(paths.gains.shape[1])]
+    ends = [_stable_end(case, paths, start) for start in range(len(paths.gains))]
     points = [
         near.x,
         *others,
@@ -144,9 +144,9 @@ def _stable_end(case: RobotCase, paths: Descended, start: int) -> np.ndarray | N
 
     The descent follows peaks alone, which it may jump over, and has no word of stability.
     """
-    path = paths.path[0, start]
+    path = paths.path[start]
     back = [path[int(len(path) * share)] for share in _BACKWARDS]
-    for x in (paths.gains[0, start], *back):
+    for x in (paths.gains[start], *back):
         x = np.clip(np.asarray(x, float), case.low, case.high)
         if np.isfinite(x).all() and case.stable(x):
             return x

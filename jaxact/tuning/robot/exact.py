@@ -14,16 +14,13 @@ import numpy as np
 
 from jaxact.analysis.robot import disk as _disk
 from jaxact.analysis.robot import multiloop as _multiloop
-from jaxact.tuning.certificate import Certificate, Check
+from jaxact.tuning.box import Points, ascend, spread
+from jaxact.tuning.certificate import Metrics
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.robot.loops import OpenLoops, Situation
 from jaxact.tuning.robot.peaks import SHIFTS, growth_rates, limits, peaks, sensitivity
 from jaxact.tuning.robot.rows import RobotCase, excess
-from jaxact.tuning.robot.uncertainty import Members
-from jaxact.tuning.uncertainty import ascend, spread
 
-# Bounds this near (relative) are called binding.
-_BINDING = 1e-5
 # Peaks on the grid below this share of the highest are not refined: the grid, made of the roots,
 # misses a few per cent of a peak at most.
 _LOW = 0.7
@@ -32,55 +29,42 @@ _STARTS, _ASCENTS, _BAND, _STEP = 4, 10, 24, 1e-4
 
 
 @dataclass(frozen=True)
-class Exact:
-    """Figures of l closed loops.
+class Exact(Metrics):
+    """Metrics of l closed loops.
 
-    growth_rate: [1/s], shape (l,); at most 0 is stable
-    log: ln of each figure by name, shape (l,); NaN of an unstable loop
-    angle: w T of its peak [rad], shape (l,) each
+    Attributes:
+        growth_rate: [1/s], shape (l,); at most 0 is stable.
+        angle: w T of each metric's peak [rad], shape (l,) each.
     """
 
     growth_rate: np.ndarray
-    log: dict[str, np.ndarray]
     angle: dict[str, np.ndarray]
 
-    @property
-    def stable(self) -> np.ndarray:
-        """Whether each loop is, shape (l,)."""
-        return self.growth_rate < 0.0
 
-    def excess(self, goal: Goal) -> np.ndarray:
-        """How far each loop is beyond its bounds, ln of the ratio, inf if unstable; shape (l,)."""
-        over = np.full(len(self.growth_rate), -np.inf)
-        for _, figure, sign, bound in goal.rows:
-            over = np.maximum(over, sign * (self.log[figure] - np.log(bound)))
-        return np.where(self.stable, over, np.inf)
-
-
-def exact(loops: OpenLoops, kp: np.ndarray, kd: np.ndarray, figures: tuple[str, ...]) -> Exact:
-    """Stability and figures of every loop.
+def exact(loops: OpenLoops, kp: np.ndarray, kd: np.ndarray, metrics: tuple[str, ...]) -> Exact:
+    """Stability and metrics of every loop.
 
     kp, kd: gains of the joints, shape (m,)
-    figures: names of `jaxact.tuning.robot.peaks.SHIFTS`
+    metrics: names of `jaxact.tuning.robot.peaks.SHIFTS`
     """
     growth = growth_rates(loops, kp, kd)
-    log = {name: np.full(len(loops), np.nan) for name in figures}
-    angle = {name: np.full(len(loops), np.nan) for name in figures}
+    log = {name: np.full(len(loops), np.nan) for name in metrics}
+    angle = {name: np.full(len(loops), np.nan) for name in metrics}
     for index in np.flatnonzero(growth < 0.0):
         loop = _multiloop.multiloop(*loops.closed(int(index), kp, kd), float(loops.period[index]))
-        for name, (value, at) in _peaks(loop, figures).items():
+        for name, (value, at) in _peaks(loop, metrics).items():
             log[name][index], angle[name][index] = value, at
-    return Exact(growth, log, angle)
+    return Exact(growth < 0.0, log, growth, angle)
 
 
-def _peaks(loop: _multiloop.Multiloop, figures: tuple[str, ...]) -> dict[str, tuple[float, float]]:
-    """ln of the figures of one loop, and w T where."""
+def _peaks(loop: _multiloop.Multiloop, metrics: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    """ln of the metrics of one loop, and w T where."""
     grid = _multiloop.grid(loop)
     S = _multiloop.sensitivity(loop, grid)
     S[[0, -1]] = S[[0, -1]].real
-    plain = [name for name in figures if name != "disk_margin"]
+    plain = [name for name in metrics if name != "disk_margin"]
     found = {}
-    if "disk_margin" in figures:
+    if "disk_margin" in metrics:
         peak, at = _disk.largest_bound(loop, grid, S)
         found["disk_margin"] = (-float(np.log(peak)), at)
     if not plain:
@@ -109,33 +93,9 @@ def _summit(X: np.ndarray) -> np.ndarray:
     return np.where(value >= _LOW * float(np.max(value)), value, 0.0)
 
 
-def certificate(loops: OpenLoops, found: Exact, goal: Goal, gains: tuple[np.ndarray, np.ndarray],
-                corners: int = 0, interior: float | None = None) -> Certificate:  # fmt: skip
-    """Everything that was asked, judged.
-
-    loops, found: that were computed, with these gains of the joints
-    corners: how many of the loops are corners of the uncertainty
-    interior: largest excess that ascent on it found
-    """
-    checks, binding = [], []
-    for name, figure, sign, bound in goal.rows:
-        over = sign * (found.log[figure] - np.log(bound))
-        over = np.where(np.isnan(over), np.inf, over)
-        worst = int(np.argmax(over))
-        value = float(np.exp(found.log[figure][worst]))
-        checks.append(Check(name, figure, bound, value, loops.names[worst], float(over[worst])))
-        binding += [loops.names[int(i)] for i in np.flatnonzero(over > -_BINDING)]
-    kp = gains[0]
-    inside = goal.min_kp * (1.0 - 1e-12) <= kp.min() and kp.max() <= goal.max_kp * (1.0 + 1e-12)
-    return Certificate(
-        bool(found.stable.all()), tuple(checks), bool(inside), tuple(dict.fromkeys(binding)),
-        len(loops), corners, interior,
-    )  # fmt: skip
-
-
 def worst_inside(
     situations: Sequence[Situation], case: RobotCase, x: np.ndarray, seed: int
-) -> list[Members]:
+) -> list[Points]:
     """Points of the box where each situation exceeds its bounds most, as ascent finds them.
 
     case: what is known; the worst loops of each situation are starts of their own
@@ -153,10 +113,10 @@ def worst_inside(
         start = np.concatenate(
             [spread(loops.fraction.shape[1], _STARTS, seed), loops.fraction[worst]]
         )
-        known = [found[figure] for _, figure, _, _ in case.goal.rows]
+        known = [found[metric] for _, metric, _, _ in case.goal.rows]
         angles = np.concatenate([p.angle[worst, p.log[worst].argmax(axis=1)] for p in known])
         points = ascend(_riser(one, case.goal, gains, _band(angles)), start, _ASCENTS)
-        every.append(Members(points, tuple(f"interior {i}" for i in range(len(points)))))
+        every.append(Points(points, tuple(f"interior {i}" for i in range(len(points)))))
     return every
 
 
@@ -176,15 +136,15 @@ def _riser(
         return one.opened(one.values(u[None])[0])[:3]
 
     def over(matrices: tuple[np.ndarray, ...], angle: np.ndarray) -> np.ndarray:
-        """ln of how far the worst figure exceeds its bound at each angle [-]."""
+        """ln of how far the worst metric exceeds its bound at each angle [-]."""
         A, B, seen = matrices
         z = np.exp(1j * angle)[:, None, None]
         states = np.linalg.solve(z * np.eye(len(A)) - A, B[None].astype(complex))
         rows = seen.reshape(-1, len(A)) @ states
         S = sensitivity(rows.reshape(len(angle), *seen.shape[:2], -1), *gains)
         worst = np.full(len(angle), -np.inf)
-        for _, figure, sign, bound in goal.rows:
-            c, c0 = SHIFTS[figure]
+        for _, metric, sign, bound in goal.rows:
+            c, c0 = SHIFTS[metric]
             X = c * S + c0 * np.eye(S.shape[-1])
             # mu of the disk margin is one over it
             size = _disk.balanced(X)[0] if sign < 0 else np.linalg.norm(X, 2, axis=(1, 2))

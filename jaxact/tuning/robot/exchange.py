@@ -1,4 +1,4 @@
-"""What only the exact figures and the ascent on the uncertainty know of goes back to the search."""
+"""What only the exact metrics and the ascent on the uncertainty know of goes back to the search."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _EXCHANGES, _OFF = 12, 1e-3
 
 
 @dataclass(frozen=True)
-class Reached:
+class Candidate:
     """Where a search has led.
 
     case: with all loops and frequencies that turned out to matter
     found: the best point
     interior: largest excess that ascent on the uncertainty found there, None if there was none
-    known: exact figures of all loops there, None where they are not known
+    known: exact metrics of all loops there, None where they are not known
     """
 
     case: RobotCase
@@ -33,8 +33,10 @@ class Reached:
     known: Exact | None
 
 
-def exchanged(case: RobotCase, situations: Sequence[Situation], found: Found, seed: int) -> Reached:
-    """Go on from a point with what only the exact figures and the ascent on the box know of."""
+def exchanged(
+    case: RobotCase, situations: Sequence[Situation], found: Found, seed: int
+) -> Candidate:
+    """Go on from a point with what only the exact metrics and the ascent on the box know of."""
     interior, known = None, None
     for turn in range(_EXCHANGES):
         known = exact(case.table.loops, *case.groups.gains(found.x), case.goal.wanted)
@@ -46,7 +48,7 @@ def exchanged(case: RobotCase, situations: Sequence[Situation], found: Found, se
             case = replace(case, table=refined(case.table, np.maximum(angles, 1e-9)))
         else:
             # The ascent takes longest: only where nothing else is left.
-            more = _inside_worse(case, situations, found, seed, turn)
+            more = inside_worse(case, situations, found.x, found.violation, seed, turn)
             if more is None:
                 break
             interior, loops = more
@@ -54,33 +56,41 @@ def exchanged(case: RobotCase, situations: Sequence[Situation], found: Found, se
                 break
             case = replace(case, table=extended(case.table, loops))
         found, known = _polished_again(case, situations, found), None
-    return Reached(case, found, interior, known)
+    return Candidate(case, found, interior, known)
 
 
-def _inside_worse(
+def inside_worse(
     case: RobotCase,
     situations: Sequence[Situation],
-    found: Found,
+    x: np.ndarray,
+    violation: float,
     seed: int,
-    turn: int,
+    turn: int = 0,
 ) -> tuple[float, OpenLoops] | None:
     """The largest excess that ascent finds in the box, and loops worse than those that are known.
 
-    None where nothing is uncertain, or nothing bounded.
+    Args:
+        x: log-gains.
+        violation: of the loops that are known.
+        seed: of where the ascent begins.
+        turn: how many loops have been found so before, for their names.
+
+    Returns:
+        None where nothing is uncertain, or nothing bounded.
     """
-    if not case.goal.rows or not situations[0].spans:
+    if not case.goal.rows or not len(situations[0].box):
         return None
-    gains = case.groups.gains(found.x)
-    points = worst_inside(situations, case, found.x, seed)
+    gains = case.groups.gains(x)
+    points = worst_inside(situations, case, x, seed)
     inside = together(*(
         open_loops([one], own) for one, own in zip(situations, points, strict=True)
     ))  # fmt: skip
     inside = _renamed(inside, situations, turn)
     own = replace(case, table=tabulate(inside))
     stable = growth_rates(inside, *gains) < 0.0
-    over = np.where(stable, excess(own, found.x), np.inf)
+    over = np.where(stable, excess(own, x), np.inf)
     order = np.argsort(-over)
-    worse = order[over[order] > max(found.violation, 0.0) + MET]
+    worse = order[over[order] > max(violation, 0.0) + MET]
     return float(over.max()), inside.take(_apart(inside, worse))
 
 

@@ -31,10 +31,17 @@ from jaxact.loops.samples import explicit
 from jaxact.loops.specification import Setting, Specification
 from jaxact.loops.template import Template
 from jaxact.parameters import base
-from jaxact.parameters import check as in_bounds
 from jaxact.simulation import kernel, mujoco_batch, plans, robot_loop
 from jaxact.simulation.kernel import Case
-from jaxact.tuning.robot.uncertainty import OF_BODY, Members, Span
+from jaxact.tuning.box import KNOWN, Box, Points
+
+OF_BODY = ("payload", "inertia_scale", "joint_damping", "joint_armature", "contact_friction")
+"""What may be uncertain of a robot itself. Its controllers use the nominal model: setpoint and
+feedforward are those of the robot without. Damping and armature are added to the model's own, as
+in a sweep (`jaxact.plants.variation`)."""
+
+VARIED = ("wn", "zeta", "delay", "measurement_delay", "output_delay", *OF_BODY)
+"""What may be uncertain of a robot and its drives, of all joints alike."""
 
 # Parameters that the gains of a joint come from.
 _GAINS = ("kp", "kd", "gain_scale")
@@ -59,11 +66,11 @@ class Situation:
     residual: largest acceleration left at the posture [rad/s^2 or m/s^2]
     specification: that it was made of
     payload_body: name of the body that carries a payload
-    spans: what is uncertain
+    box: what is uncertain
     opened: from values of `keys`, shape (keys,), to a loop (`jaxact.simulation.robot_loop.OpenMap`)
         and its inertias, compiled
     keys: parameters that vary
-    places: number of the span that each of them follows, shape (keys,)
+    places: number of the range that each of them follows, shape (keys,)
     low, high: their values at the ends of the box, shape (keys,)
     """
 
@@ -78,7 +85,7 @@ class Situation:
     residual: float
     specification: Specification
     payload_body: str
-    spans: tuple[Span, ...]
+    box: Box
     opened: Callable[[np.ndarray], Opened]
     keys: tuple[str, ...]
     places: np.ndarray
@@ -86,7 +93,7 @@ class Situation:
     high: np.ndarray
 
     def values(self, fraction: np.ndarray) -> np.ndarray:
-        """Values of `keys` at fractions of the spans, shape (n, spans) -> (n, keys)."""
+        """Values of `keys` at fractions of the ranges, shape (n, ranges) -> (n, keys)."""
         return self.low + (self.high - self.low) * fraction[:, self.places]
 
     def columns(self, fraction: np.ndarray) -> dict[str, np.ndarray]:
@@ -94,17 +101,17 @@ class Situation:
         return dict(zip(self.keys, self.values(fraction).T, strict=True))
 
 
-def situation(specification: Specification, name: str, spans: tuple[Span, ...] = ()) -> Situation:
+def situation(specification: Specification, name: str, box: Box = KNOWN) -> Situation:
     """Prepare a robot in a posture.
 
     specification: with a plant; nothing in it varies
     name: to call it by
-    spans: what is uncertain
+    box: what is uncertain
 
     Raises UserError for a robot that cannot be used, and for a range that does not fit.
     """
     specification, owned = _with_gains(specification)
-    keys, places, low, high = _ends(specification, spans)
+    keys, places, low, high = _ends(specification, box)
     columns = dict(zip(keys, np.stack([low, high], axis=1), strict=True))
     # What differs between models must be part of what is compiled.
     bodies = {key: float(rows[0]) for key, rows in columns.items() if base(key) in OF_BODY}
@@ -135,7 +142,7 @@ def situation(specification: Specification, name: str, spans: tuple[Span, ...] =
         residual=scene.posture.residual,
         specification=specification,
         payload_body=model.body(scene.payload_body).name or f"body {scene.payload_body}",
-        spans=spans,
+        box=box,
         opened=opened,
         keys=keys,
         places=places,
@@ -178,46 +185,24 @@ def _lag(drive: Drive) -> float:
 
 
 def _ends(
-    specification: Specification, spans: Sequence[Span]
+    specification: Specification, box: Box
 ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]:
-    """Parameters that vary, the span of each, and their values at the ends of the box."""
+    """Parameters that vary, the range of each, and their values at the ends of the box."""
     assert specification.plant is not None
     brought = robots.brought(robots.scene(specification.plant))
     rows: list[tuple[str, int, float, float]] = []
-    for place, span in enumerate(spans):
-        own = {k: v for k, v in specification.nominal.items() if base(k) == span.name}
-        if np.isnan(own[span.name]):
-            of_model = np.unique(brought[span.name])
-            if span.factor and of_model.size > 1:
+    for place, one in enumerate(box.ranges):
+        own = {k: v for k, v in specification.nominal.items() if base(k) == one.name}
+        if np.isnan(own[one.name]):
+            of_model = np.unique(brought[one.name])
+            if one.factor and of_model.size > 1:
                 raise UserError(
-                    f"`uncertainty` {span.name}: the model's joints differ in it; give "
-                    f"`{span.name}`"
+                    f"`uncertainty` {one.name}: the model's joints differ in it; give `{one.name}`"
                 )
-            own[span.name] = float(of_model[0])
-        if span.factor and not np.isfinite(list(own.values())).all():
-            raise UserError(
-                f"`uncertainty` {span.name}: the actuator is ideal, its {span.name} cannot vary by "
-                "a factor; give `wn` and `zeta` or an `actuator`"
-            )
-        if span.factor and not any(own.values()):
-            raise UserError(
-                f"`uncertainty` {span.name}: is 0, which no factor changes; write both ends in its "
-                "unit, without x"
-            )
-        if not span.factor and len(own) > 1:
-            raise UserError(
-                f"`uncertainty` {span.name}: joints differ in it; write the ends as factors, 0.8x"
-            )
-        scales = {key: value if span.factor else 1.0 for key, value in own.items()}
-        for key, scale in scales.items():
-            low, high = (
-                in_bounds(key, end * scale, f"`uncertainty` {span.name}: {key}")
-                for end in (span.low, span.high)
-            )
-            rows.append((key, place, low, high))
-    keys = tuple(row[0] for row in rows)
+            own[one.name] = float(of_model[0])
+        rows += [(key, place, *ends) for key, ends in one.ends(own).items()]
     columns = np.array([row[1:] for row in rows], float).reshape(-1, 3).T
-    return keys, columns[0].astype(int), columns[1], columns[2]
+    return tuple(row[0] for row in rows), columns[0].astype(int), columns[1], columns[2]
 
 
 def _opener(
@@ -287,7 +272,7 @@ class OpenLoops:
 
     names: what they are called: situation and member
     situation: number of the situation of each, shape (l,)
-    fraction: of the ranges of the box, shape (l, spans)
+    fraction: of the ranges of the box, shape (l, ranges)
     A, B: shape (l, n, n), (l, n, m)
     seen: positions and velocities as the controllers measure them, shape (l, m, 2, n)
     period: T [s], shape (l,)
@@ -304,6 +289,10 @@ class OpenLoops:
     def __len__(self) -> int:
         """Number of loops."""
         return len(self.names)
+
+    def name(self, index: int) -> str:
+        """What a loop is called."""
+        return self.names[index]
 
     @property
     def joints(self) -> int:
@@ -336,7 +325,7 @@ class OpenLoops:
         return np.concatenate(parts)
 
 
-def open_loops(situations: Sequence[Situation], members: Members) -> OpenLoops:
+def open_loops(situations: Sequence[Situation], members: Points) -> OpenLoops:
     """The loops of every situation with every member."""
     found, names, number = [], [], []
     for place, one in enumerate(situations):

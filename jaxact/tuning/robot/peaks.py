@@ -20,7 +20,7 @@ from jaxact.analysis.robot import disk as _disk
 from jaxact.analysis.robot.limits import MARGINAL
 from jaxact.tuning.robot.loops import OpenLoops, together
 
-# Figure -> (c, c0) of X = c S + c0 I.
+# Metric -> (c, c0) of X = c S + c0 I.
 SHIFTS = {
     "sensitivity_peak": (1.0, 0.0),
     "complementary_peak": (-1.0, 1.0),
@@ -119,7 +119,7 @@ def growth_rates(loops: OpenLoops, kp: np.ndarray, kd: np.ndarray) -> np.ndarray
 
 @dataclass(frozen=True)
 class Peaks:
-    """Peaks of one figure of every loop; up to ROWS for each.
+    """Peaks of one metric of every loop; up to ROWS for each.
 
     log: ln of the singular value there, -inf where there is none, shape (l, ROWS)
     slope: its derivatives by kp and kd of the joints, shape (l, ROWS, m, 2)
@@ -136,59 +136,59 @@ class Peaks:
         return self.log.max(axis=1)
 
 
-def peaks(table: Table, kp: np.ndarray, kd: np.ndarray, figures: Sequence[str]) -> dict[str, Peaks]:
-    """The highest peaks of figures of every loop, of `disk_margin` those of mu(S - I/2).
+def peaks(table: Table, kp: np.ndarray, kd: np.ndarray, metrics: Sequence[str]) -> dict[str, Peaks]:
+    """The highest peaks of metrics of every loop, of `disk_margin` those of mu(S - I/2).
 
     table: of the loops
     kp, kd: gains of the joints, shape (m,)
-    figures: names of SHIFTS
+    metrics: names of SHIFTS
     """
     S = sensitivity(table.response, kp, kd)
-    return {name: _peaks(table, S, kp, kd, name) for name in figures}
+    return {name: _peaks(table, S, kp, kd, name) for name in metrics}
 
 
 def highest(
-    table: Table, kp: np.ndarray, kd: np.ndarray, figures: Sequence[str]
+    table: Table, kp: np.ndarray, kd: np.ndarray, metrics: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """ln of the highest peak of each figure of every loop on the table, not refined; (l,) each."""
+    """ln of the highest peak of each metric of every loop on the table, not refined; (l,) each."""
     S = sensitivity(table.response, kp, kd)
-    return {name: _table(_shifted(S, name), name).max(axis=1) for name in figures}
+    return {name: _table(_shifted(S, name), name).max(axis=1) for name in metrics}
 
 
 def columns(
-    table: Table, kp: np.ndarray, kd: np.ndarray, figures: Sequence[str], depth: float
+    table: Table, kp: np.ndarray, kd: np.ndarray, metrics: Sequence[str], depth: float
 ) -> np.ndarray:
-    """At which columns of the table, or beside, a loop comes near the highest of a figure; (f,).
+    """At which columns of the table, or beside, a loop comes near the highest of a metric; (f,).
 
     depth: what is near [ln]
     """
     S = sensitivity(table.response, kp, kd)
     near = np.zeros(S.shape[1], bool)
-    for name in figures:
+    for name in metrics:
         value = _table(_shifted(S, name), name)
         near |= (value > value.max() - depth).any(axis=0)
     return np.convolve(near, np.ones(2 * _BESIDE + 1), "same") > 0.5
 
 
-def _peaks(table: Table, S: np.ndarray, kp: np.ndarray, kd: np.ndarray, figure: str) -> Peaks:
-    value = _table(_shifted(S, figure), figure)
+def _peaks(table: Table, S: np.ndarray, kp: np.ndarray, kd: np.ndarray, metric: str) -> Peaks:
+    value = _table(_shifted(S, metric), metric)
     loop, place = _summits(value)
     top = value[loop, place]
     angle = table.angle[loop, place]
     near = (top > value.max() - _ROUGH) & (place > 0) & (place < value.shape[1] - 1)
-    angle[near] = _refine(table, kp, kd, figure, loop[near], place[near])
+    angle[near] = _refine(table, kp, kd, metric, loop[near], place[near])
     response = table.loops.response(loop, angle)
-    return _rows(len(table.loops), loop, angle, *_singular(response, kp, kd, figure, near))
+    return _rows(len(table.loops), loop, angle, *_singular(response, kp, kd, metric, near))
 
 
-def _shifted(S: np.ndarray, figure: str) -> np.ndarray:
-    c, c0 = SHIFTS[figure]
+def _shifted(S: np.ndarray, metric: str) -> np.ndarray:
+    c, c0 = SHIFTS[metric]
     return c * S + c0 * np.eye(S.shape[-1])
 
 
-def _largest(X: np.ndarray, figure: str) -> np.ndarray:
-    """Largest singular value of each, scaled where the figure wants it; shape (k,)."""
-    if figure == "disk_margin":
+def _largest(X: np.ndarray, metric: str) -> np.ndarray:
+    """Largest singular value of each, scaled where the metric wants it; shape (k,)."""
+    if metric == "disk_margin":
         return _disk.balanced(X)[0]
     return np.linalg.svd(X, compute_uv=False)[:, 0]
 
@@ -203,19 +203,19 @@ def limits(X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.sqrt((size**2).sum(axis=-2).max(axis=-1)), most
 
 
-def _table(X: np.ndarray, figure: str) -> np.ndarray:
+def _table(X: np.ndarray, metric: str) -> np.ndarray:
     """ln of the largest singular value of each, shape (l, f); -inf of those far below the highest.
 
     Most frequencies need no decomposition.
     """
     least, most = limits(X)
-    highest = most if figure == "disk_margin" else least
+    highest = most if metric == "disk_margin" else least
     # One of every loop at least; what scaling takes off is not known here.
     wanted = most >= np.minimum(np.exp(-_FAR) * least.max(), highest.max(axis=1, keepdims=True))
-    if figure == "disk_margin":
+    if metric == "disk_margin":
         wanted = np.ones_like(wanted)
     value = np.full(X.shape[:2], -np.inf)
-    value[wanted] = np.log(_largest(X[wanted], figure))
+    value[wanted] = np.log(_largest(X[wanted], metric))
     return value
 
 
@@ -235,23 +235,23 @@ def _refine(
     table: Table,
     kp: np.ndarray,
     kd: np.ndarray,
-    figure: str,
+    metric: str,
     loop: np.ndarray,
     place: np.ndarray,
 ) -> np.ndarray:
     """Angles of maxima between the neighbours on the table, shape (k,).
 
-    Parabolas through ln of figure and angle; the best three points are kept each time.
+    Parabolas through ln of metric and angle; the best three points are kept each time.
     """
     sides = place[:, None] + np.array([-1, 0, 1])
     at = np.log(table.angle[loop[:, None], sides])
     around = sensitivity(table.response[loop[:, None], sides], kp, kd)
-    log = np.log(_largest(_shifted(around, figure).reshape(-1, *around.shape[2:]), figure))
+    log = np.log(_largest(_shifted(around, metric).reshape(-1, *around.shape[2:]), metric))
     log = log.reshape(at.shape)
     for _ in range(_PARABOLAS if loop.size else 0):
         new = _vertex(at, log)
         S = sensitivity(table.loops.response(loop, np.exp(new)), kp, kd)
-        found = np.log(_largest(_shifted(S, figure), figure))
+        found = np.log(_largest(_shifted(S, metric), metric))
         at, log = _narrowed(at, log, new, found)
     return np.exp(at[:, 1])
 
@@ -281,16 +281,16 @@ def _narrowed(
 
 
 def _singular(
-    response: np.ndarray, kp: np.ndarray, kd: np.ndarray, figure: str, exact: np.ndarray
+    response: np.ndarray, kp: np.ndarray, kd: np.ndarray, metric: str, exact: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Singular values at k frequencies and their slopes, shapes (k, values), (k, values, m, 2).
 
     exact: where the scaling of the disk margin is to be the best one, shape (k,)
     """
     S = sensitivity(response, kp, kd)
-    X = _shifted(S, figure)
+    X = _shifted(S, metric)
     scale = np.ones(X.shape[:2])
-    if figure == "disk_margin":
+    if metric == "disk_margin":
         _, scale = _disk.balanced(X)
         for i in np.flatnonzero(exact):
             scale[i] = _disk.scaled(X[i])[1]
@@ -299,7 +299,7 @@ def _singular(
     U, V = U[..., :number] * scale[..., None], V[:, :number].conj() / scale[:, None, :]
     left = np.einsum("kba,kbv->kva", S.conj(), U)
     right = np.einsum("kaqb,kbc,kvc->kvaq", response, S, V)
-    c, _ = SHIFTS[figure]
+    c, _ = SHIFTS[metric]
     slope = -c * (left.conj()[..., None] * right).real / sigma[:, :number, None, None]
     return np.log(sigma[:, :number]), slope
 

@@ -71,16 +71,16 @@ def rows(case: RobotCase, x: np.ndarray, *, aim: bool = True, shy: float = 0.0) 
     found = peaks(case.table, *gains, goal.wanted)
     size = len(x)
     excess, slopes = [np.empty(0)], [np.empty((0, size))]
-    for _, figure, sign, bound in goal.rows:
-        log, slope = _of_figure(case, found, figure, gains)
+    for _, metric, sign, bound in goal.rows:
+        log, slope = _of_metric(case, found, metric, gains)
         excess.append((sign * (log - np.log(bound))).ravel() + shy)
         slopes.append((sign * slope).reshape(-1, size))
     value, value_slope = np.zeros(1), np.zeros((1, size))
-    if aim and goal.figure == "kp":
+    if aim and goal.metric == "kp":
         value_slope = np.concatenate([case.groups.share, np.zeros(len(case.groups))])[None]
         value = value_slope @ x
     elif aim:
-        log, slope = _of_figure(case, found, goal.figure, gains)
+        log, slope = _of_metric(case, found, goal.metric, gains)
         value, value_slope = log.ravel(), slope.reshape(-1, size)
     if aim and usable and case.tracking is not None:
         rms, rms_slope = case.tracking.log_rms(x)
@@ -93,12 +93,12 @@ def rows(case: RobotCase, x: np.ndarray, *, aim: bool = True, shy: float = 0.0) 
     )  # fmt: skip
 
 
-def _of_figure(case: RobotCase, found, figure: str, gains) -> tuple[np.ndarray, np.ndarray]:
-    """ln of a figure and its slopes by the log-gains; the disk margin is one over its peak."""
-    sign = -1.0 if figure == "disk_margin" else 1.0
-    by_log = found[figure].slope * np.stack(gains, axis=1)
+def _of_metric(case: RobotCase, found, metric: str, gains) -> tuple[np.ndarray, np.ndarray]:
+    """ln of a metric and its slopes by the log-gains; the disk margin is one over its peak."""
+    sign = -1.0 if metric == "disk_margin" else 1.0
+    by_log = found[metric].slope * np.stack(gains, axis=1)
     by_group = np.einsum("lraq,ag->lrqg", by_log, case.groups.spread)
-    return sign * found[figure].log, sign * by_group.reshape(*by_group.shape[:2], -1)
+    return sign * found[metric].log, sign * by_group.reshape(*by_group.shape[:2], -1)
 
 
 def problem(case: RobotCase, *, aim: bool = True) -> Problem:
@@ -115,12 +115,12 @@ def excess(case: RobotCase, x: np.ndarray) -> np.ndarray:
     gains = case.groups.gains(x)
     found = peaks(case.table, *gains, case.goal.wanted)
     over = np.full(len(case.table.loops), -np.inf)
-    for _, figure, sign, bound in case.goal.rows:
-        log, _ = _of_figure(case, found, figure, gains)
+    for _, metric, sign, bound in case.goal.rows:
+        log, _ = _of_metric(case, found, metric, gains)
         over = np.maximum(over, (sign * (log - np.log(bound))).max(axis=1))
-    if case.goal.figure in found:
+    if case.goal.metric in found:
         # Of an objective, the worst loops count.
-        peak = found[case.goal.figure].highest
+        peak = found[case.goal.metric].highest
         over = np.maximum(over, peak - peak.max())
     return over
 
@@ -248,7 +248,7 @@ def _stage(
     index = np.flatnonzero(near)
     own = replace(case, table=case.table.take(index, np.flatnonzero(kept)))
     of = problem(own, aim=aim)
-    if stage is _FINE and aim and case.goal.figure == "kp":
+    if stage is _FINE and aim and case.goal.metric == "kp":
         found = newton(of, partial(_curvature, own), x, case.low, case.high)
         if -_SLACK < found.violation[0] <= MET:
             return found, found.evaluations * len(index)

@@ -20,9 +20,9 @@ from jaxact.errors import UserError
 from jaxact.tuning.certificate import Effort
 from jaxact.tuning.goal import Goal, check
 from jaxact.tuning.groups import Groups
-from jaxact.tuning.optimise import Descended, Descent
+from jaxact.tuning.optimise import Descended, Descent, no_path
 from jaxact.tuning.phases import Phase, silent
-from jaxact.tuning.polish import MET
+from jaxact.tuning.result import Gains, OfRobot, Outcome, Tuned, judged
 from jaxact.tuning.robot import brute
 from jaxact.tuning.robot.descent import (  # fmt: skip
     approached,
@@ -33,17 +33,15 @@ from jaxact.tuning.robot.descent import (  # fmt: skip
     stabilised,
     usual,
 )
-from jaxact.tuning.robot.exchange import Reached, exchanged
+from jaxact.tuning.robot.exact import Exact, exact
+from jaxact.tuning.robot.exchange import Candidate, exchanged, inside_worse
 from jaxact.tuning.robot.loops import Situation, open_loops
 from jaxact.tuning.robot.peaks import tabulate
 from jaxact.tuning.robot.rows import Found, RobotCase, more, polished
 from jaxact.tuning.robot.starts import Screened, apart, screened
-from jaxact.tuning.robot.tuned import Gains, RobotTuned, Spent, judged, no_path
-from jaxact.tuning.robot.uncertainty import NOMINAL, corners, joined, sample
-from jaxact.tuning.rollouts import tracking as robot_tracking
-from jaxact.tuning.rollouts.tracking import Wish
+from jaxact.tuning.rollouts import tracking
 
-STARTS, STEPS = 8, 80
+STARTS, SAMPLES, STEPS = 8, 8, 80
 OBJECTIVES = ("stiffness", "disk-margin")
 # What of a goal a robot can be asked for.
 BOUNDS = ("max_peak", "min_disk_margin", "min_kp", "max_kp")
@@ -54,54 +52,122 @@ def tune(
     goal: Goal,
     groups: Groups,
     *,
-    number: int = 8,
+    number: int = SAMPLES,
     seed: int = 0,
     start: Gains | None = None,
     starts: int = STARTS,
     steps: int = STEPS,
     verify: bool = False,
-    wish: Wish | None = None,
+    tracking_weight: float = 0.0,
+    derivative: str = "auto",
     phase: Phase = silent,
-) -> RobotTuned:
+) -> Tuned:
     """The best gains of a robot's groups of joints.
 
-    situations: of one robot, with the same joints and the same box of what is uncertain; its
-        corners and worst interior points are members too
-    goal: objective and constraints, of every situation with every member
-    groups: of the joints
-    number: of samples of the box
-    seed: of the samples
-    start: (kp, kd) of the joints to be no worse than, shape (joints,) each; may be unstable
-    starts, steps: of the descent
-    verify: compare with brute force
-    wish: to weigh simulated tracking in the objective, None for margins alone
-    phase: told what is being done
+    Args:
+        situations: of one robot, with the same joints and the same box of what is uncertain; its
+            corners and worst interior points are members too.
+        goal: objective and constraints, of every situation with every member.
+        groups: of the joints.
+        number: of samples of the box.
+        seed: of the samples.
+        start: (kp, kd) of the joints to be no worse than, shape (joints,) each; may be unstable.
+        starts, steps: of the descent.
+        verify: compare with brute force.
+        tracking_weight: of simulated tracking in the objective, 0 for margins alone.
+        derivative: of simulated tracking, "auto", "forward" or "reverse".
+        phase: told what is being done.
 
-    Raises UserError for a goal, situations or a start that make no sense.
+    Raises:
+        UserError: a goal, situations or a start that make no sense.
     """
     begun = time.perf_counter()
     _check(situations, goal, groups, start)
-    wish = _checked(wish, groups, verify=verify)
+    mode = tracking.check(tracking_weight, derivative, len(groups))
+    _check_verify(len(groups), verify=verify, weighed=tracking_weight > 0.0)
     phase("screening gains over orders of magnitude")
     case, x, known = _begun(situations, goal, groups, start, number, seed)
     if not case.stable(x):
-        nowhere = Reached(case, Found(x, -np.inf, np.inf, 0, 0), None, None)
-        spent = Spent(known.tried, 0, begun, Effort(0, known.tried))
-        return judged(situations, nowhere, no_path(x), spent, start=start)
+        nowhere = Candidate(case, Found(x, -np.inf, np.inf, known.tried, 0), None, None)
+        effort = Effort(0, known.tried)
+        return judge(situations, nowhere, seed, begun=begun, effort=effort, start=start)
     paths, found = _searched(case, x, known, starts, steps, phase)
     phase("certifying")
-    reached = exchanged(case, situations, found, seed)
-    aside, gap = reached.found.x, None
-    if wish is not None and reached.found.violation <= MET:
+    best = exchanged(case, situations, found, seed)
+    aside, gap = best.found.x, None
+    if tracking_weight > 0.0 and best.found.met:
         phase("weighing simulated tracking")
-        reached = _traded(reached, situations, wish, seed)
-    if verify and reached.found.violation <= MET:
+        best = _traded(best, situations, tracking_weight, mode, seed)
+    if verify and best.found.met:
         phase("comparing with brute force")
-        reached, gap = _verified(reached)
-    found = reached.found
+        best, gap = _verified(best)
+    best = replace(best, found=more(best.found, known.tried, steps))
     effort = Effort(starts, known.tried)
-    spent = Spent(known.tried + found.evaluations, steps + found.steps, begun, effort)
-    return judged(situations, reached, paths, spent, start=start, gap=gap, aside=aside)
+    return judge(
+        situations, best, seed, paths=paths, begun=begun, effort=effort, start=start, gap=gap,
+        aside=aside,
+    )  # fmt: skip
+
+
+def judge(
+    situations: Sequence[Situation],
+    best: Candidate,
+    seed: int,
+    *,
+    paths: Descended | None = None,
+    begun: float | None = None,
+    effort: Effort | None = None,
+    start: Gains | None = None,
+    gap: float | None = None,
+    aside: np.ndarray | None = None,
+) -> Tuned:
+    """Judge what a search has led to against everything asked, and against the start.
+
+    Args:
+        situations: of the robot.
+        best: what it has led to.
+        seed: of the ascent on the uncertainty.
+        paths: of the starts of the descent, None where there was none.
+        begun: time of the beginning [s], None for now.
+        effort: of the search, None where it only went on from some gains.
+        start: gains of the joints to be no worse than.
+        gap: to brute force, None where that was not asked for.
+        aside: log-gains that the margins alone led to.
+    """
+    case, found = best.case, best.found
+    loops, term = case.table.loops, case.tracking
+    wanted = tuple(sorted({*case.goal.wanted, "sensitivity_peak", "complementary_peak"}))
+
+    def look(gains: Gains) -> Exact:
+        return exact(loops, *gains, wanted)
+
+    def inside(gains: Gains) -> float | None:
+        joints = case.groups.joints
+        own = replace(case, groups=Groups(joints, np.arange(len(joints)), joints))
+        worse = inside_worse(own, situations, own.groups.log_gains(*gains), 0.0, seed)
+        return None if worse is None else worse[0]
+
+    def score(gains: Gains, value: float) -> float:
+        if term is None or np.isnan(value):
+            return value
+        rms, _ = term.log_rms(case.groups.log_gains(*gains))
+        return float(value * np.exp(-term.weight * rms))
+
+    known = best.known if best.known is not None and set(wanted) <= set(best.known.log) else None
+    outcome = Outcome(
+        case.groups.gains(found.x), found.met, known, paths or no_path(found.x), found.evaluations,
+        found.steps, time.perf_counter() if begun is None else begun, effort, best.interior, gap,
+    )  # fmt: skip
+    robot = OfRobot(tuple(situations), case)
+    tuned = judged(
+        case.goal, loops, outcome, look, start=start, inside=inside, score=score, robot=robot
+    )
+    if term is None or aside is None:
+        return tuned
+    x = case.groups.log_gains(tuned.kp, tuned.kd)
+    before = None if start is None else case.groups.log_gains(*start)
+    tracked = term.tracked(case.stable, x, aside, before)
+    return replace(tuned, robot=replace(robot, tracked=tracked))
 
 
 def _begun(
@@ -113,8 +179,7 @@ def _begun(
     seed: int,
 ) -> tuple[RobotCase, np.ndarray, Screened]:
     """All loops of the box, log-gains near the start, and those with which all loops are stable."""
-    spans = situations[0].spans
-    members = joined(sample(spans, number, seed), corners(spans)) if spans else NOMINAL
+    members = situations[0].box.members(number, seed)
     plain = usual(situations, groups)
     x = plain if start is None else groups.log_gains(*start)
     low, high = bounds(goal, groups, x, plain)
@@ -147,29 +212,31 @@ def _searched(
     return paths, more(found, tried, near.steps)
 
 
-def _traded(reached: Reached, situations: Sequence[Situation], wish: Wish, seed: int) -> Reached:
+def _traded(
+    best: Candidate, situations: Sequence[Situation], weight: float, mode: str, seed: int
+) -> Candidate:
     """The same with simulated tracking in the objective; as it was where that leads nowhere."""
-    loops = reached.case.table.loops
+    loops = best.case.table.loops
     fractions = [loops.fraction[loops.situation == s] for s in range(len(situations))]
-    term = robot_tracking.tracking(situations, fractions, reached.case.groups, wish)
-    case = replace(reached.case, tracking=term)
-    before = reached.found
+    term = tracking.tracking(situations, fractions, best.case.groups, weight, mode)
+    case = replace(best.case, tracking=term)
+    before = best.found
     traded = more(polished(case, before.x, fresh=False), before.evaluations, before.steps)
     after = exchanged(case, situations, traded, seed)
-    if after.found.violation <= MET:
+    if after.found.met:
         return after
     spent = {"evaluations": after.found.evaluations, "steps": after.found.steps}
-    return Reached(after.case, replace(before, **spent), after.interior, None)
+    return Candidate(after.case, replace(before, **spent), after.interior, None)
 
 
-def _verified(reached: Reached) -> tuple[Reached, float]:
+def _verified(best: Candidate) -> tuple[Candidate, float]:
     """The best of a grid where that is better, and by how much it is."""
-    found = reached.found
-    best = brute.brute_force(reached.case, found.x)
-    gap = float(np.expm1(max(best.value - found.value, 0.0)))
-    if best.value > found.value + 1e-3:
-        return replace(reached, found=more(best, found.evaluations), known=None), gap
-    return replace(reached, found=more(found, best.evaluations)), gap
+    found = best.found
+    tried = brute.brute_force(best.case, found.x)
+    gap = float(np.expm1(max(tried.value - found.value, 0.0)))
+    if tried.value > found.value + 1e-3:
+        return replace(best, found=more(tried, found.evaluations), known=None), gap
+    return replace(best, found=more(found, tried.evaluations)), gap
 
 
 def _instead(name: str, goal: Goal) -> str:
@@ -190,19 +257,14 @@ def _instead(name: str, goal: Goal) -> str:
     return "`max_kp` and `max_peak` keep the noise down, and `validate` simulates it"
 
 
-def _checked(wish: Wish | None, groups: Groups, *, verify: bool) -> Wish | None:
-    """What is wished, None for nothing."""
-    if wish is not None:
-        robot_tracking.check(wish, len(groups))
-        wish = wish if wish.weight > 0.0 else None
-    if wish is not None and verify:
+def _check_verify(groups: int, *, verify: bool, weighed: bool) -> None:
+    if verify and weighed:
         raise UserError("`verify`: cannot be combined with `tracking_weight`")
-    if verify and len(groups) > brute.MOST_GROUPS:
+    if verify and groups > brute.MOST_GROUPS:
         raise UserError(
-            f"`verify`: tries {2 * len(groups)} gains against each other, which takes too long; "
-            f"group the joints, {brute.MOST_GROUPS} groups at most"
+            f"`verify`: tries {2 * groups} gains against each other, which takes too long; group "
+            f"the joints, {brute.MOST_GROUPS} groups at most"
         )
-    return wish
 
 
 def _check(
@@ -226,7 +288,7 @@ def _check(
         raise UserError("nothing limits the gains; give `max_peak` or `min_disk_margin`")
     for one in situations:
         joints = tuple(name for name, _ in one.names)
-        if one.spans != situations[0].spans:
+        if one.box != situations[0].box:
             raise UserError(f"'{one.name}': what is uncertain is not as for the others")
         if joints != groups.joints:
             raise UserError(

@@ -99,23 +99,23 @@ class RobotSurrogate:
     def __call__(self, x: jax.Array, case: Data, sharpness: jax.Array) -> Smooth:
         """Smoothed objective and bounds at the logarithms of the gains."""
         goal = self.goal
-        rows = tuple((figure, sign) for _, figure, sign, _ in goal.rows)
-        names = tuple(sorted({name for name, _ in rows} | {goal.figure} - {"kp"}))
+        rows = tuple((metric, sign) for _, metric, sign, _ in goal.rows)
+        names = tuple(sorted({name for name, _ in rows} | {goal.metric} - {"kp"}))
         # Beyond a bound nothing changes any more.
         x = jnp.clip(x, case.low, case.high)
         logs = x.reshape(2, -1)
         gains = jnp.exp(logs @ case.spread.T)
-        found, stable = _log_figures(gains, case, names, sharpness, self.loops)
-        if goal.figure == "kp":
+        found, stable = _log_metrics(gains, case, names, sharpness, self.loops)
+        if goal.metric == "kp":
             found = found | {"kp": (logs[0] @ case.share)[None]}
-        objective = goal.figure, goal.sense
+        objective = goal.metric, goal.sense
         return combine(found, stable, rows, case.log_bounds, objective, None, sharpness)
 
 
-def _log_figures(
+def _log_metrics(
     gains: jax.Array, case: Data, names: tuple[str, ...], sharpness: jax.Array, loops: int
 ) -> tuple[dict[str, jax.Array], jax.Array]:
-    """Smooth ln of figures of every loop, and which are stable; gains of shape (2, m)."""
+    """Smooth ln of metrics of every loop, and which are stable; gains of shape (2, m)."""
     G = case.response
     still = jax.lax.stop_gradient(gains)
     loop = still[0][:, None, None] * G[:, 0] + still[1][:, None, None] * G[:, 1]

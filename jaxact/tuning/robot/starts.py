@@ -169,8 +169,8 @@ def _roughly(case: RobotCase, x: np.ndarray) -> tuple[float, float]:
     goal = case.goal
     found = highest(case.table, *case.groups.gains(x), goal.wanted)
     # The disk margin is one over its peak.
-    over = [found[figure].max() - sign * np.log(bound) for _, figure, sign, bound in goal.rows]
-    own = x[: len(x) // 2] @ case.groups.share if goal.figure == "kp" else -found[goal.figure].max()
+    over = [found[metric].max() - sign * np.log(bound) for _, metric, sign, bound in goal.rows]
+    own = x[: len(x) // 2] @ case.groups.share if goal.metric == "kp" else -found[goal.metric].max()
     return float(own), float(max(over, default=-np.inf))
 
 

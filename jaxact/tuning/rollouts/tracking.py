@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,15 +30,22 @@ SECONDS, MEMBERS = 0.4, 2
 
 
 @dataclass(frozen=True)
-class Wish:
-    """What is asked of simulated tracking.
+class Tracked:
+    """Simulated tracking errors, rms over ticks, joints, members and situations [rad or m].
 
-    weight: of ln(rms) in the objective, > 0
-    derivative: "auto", "forward" or "reverse"
+    Attributes:
+        weight: of the term in the objective.
+        mode: of its derivatives.
+        rms: of the gains.
+        aside: of the gains that the margins alone lead to.
+        before: of the start; NaN where it is unstable, None where none was given.
     """
 
     weight: float
-    derivative: str = "auto"
+    mode: str
+    rms: float
+    aside: float
+    before: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,28 +65,51 @@ class Tracking:
         """ln of the rms error at log-gains x, and its slope, shape (2 g,); inf if it diverges."""
         return _log_rms(self, np.asarray(x, float).tobytes())
 
+    def tracked(
+        self,
+        stable: Callable[[np.ndarray], bool],
+        x: np.ndarray,
+        aside: np.ndarray,
+        before: np.ndarray | None,
+    ) -> Tracked:
+        """The errors at some log-gains, as `Tracked` names them."""
 
-def check(wish: Wish, groups: int) -> str:
+        def rms(x: np.ndarray) -> float:
+            return float(np.exp(self.log_rms(x)[0])) if stable(x) else math.nan
+
+        start = None if before is None else rms(before)
+        return Tracked(self.weight, self.mode, rms(x), rms(aside), start)
+
+
+def check(weight: float, derivative: str, groups: int) -> str:
     """The mode of the derivatives.
 
-    Raises UserError for a weight or a mode that makes no sense.
+    Raises:
+        UserError: a weight or a mode that makes no sense.
     """
-    if not (wish.weight >= 0.0 and math.isfinite(wish.weight)):
-        raise UserError(f"`tracking_weight` {wish.weight:g}: give a positive number, 0 for none")
+    if not (weight >= 0.0 and math.isfinite(weight)):
+        raise UserError(f"`tracking_weight` {weight:g}: give a positive number, 0 for none")
     try:
-        return chosen(wish.derivative, 2 * groups)
+        return chosen(derivative, 2 * groups)
     except UserError as mistake:
         raise UserError(f"`derivative`: {mistake}") from None
 
 
 def tracking(
-    situations: Sequence[Situation], fractions: Sequence[np.ndarray], groups: Groups, wish: Wish
+    situations: Sequence[Situation],
+    fractions: Sequence[np.ndarray],
+    groups: Groups,
+    weight: float,
+    mode: str,
 ) -> Tracking:
     """Rollouts of every situation, with some of its actuators.
 
-    fractions: of the ranges of the box for each situation, shape (n, spans); the first are taken
+    Args:
+        fractions: of the ranges of the box for each situation, shape (n, ranges); the first are
+            taken.
+        weight: of ln(rms) in the objective.
+        mode: of the derivatives, "forward" or "reverse".
     """
-    mode = check(wish, len(groups))
     terms = tuple(
         simulated.term(
             exposed(one.specification, duration=SECONDS), groups.members,
@@ -87,7 +117,7 @@ def tracking(
         )
         for one, fraction in zip(situations, fractions, strict=True)
     )  # fmt: skip
-    return Tracking(terms, wish.weight, mode)
+    return Tracking(terms, weight, mode)
 
 
 @functools.lru_cache(maxsize=64)

@@ -33,6 +33,8 @@ from jaxact.simulation import verdicts as _verdicts
 from jaxact.simulation.metrics import Metrics
 from jaxact.simulation.plans import Plan
 from jaxact.status import Verdict
+from jaxact.tuning.result import Tuned
+from jaxact.tuning.rollouts.exposure import exposed
 
 Columns = Mapping[str, np.ndarray]
 
@@ -79,6 +81,49 @@ class Validation:
         order = np.lexsort((self.growth_rate.ravel(), self.verdict.ravel()))
         row, column = np.unravel_index(order[-1], self.verdict.shape)
         return self.situations[row], int(column), self.reasons[row][column]
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """Tuned gains held against nonlinear rollouts, in every situation with every member.
+
+    Attributes:
+        duration: of each rollout [s].
+        after, before: by name of the situation; `before` is empty without a start.
+    """
+
+    duration: float
+    after: Mapping[str, Validation]
+    before: Mapping[str, Validation]
+
+    @property
+    def stable(self) -> tuple[int, int]:
+        """How many of the rollouts with the tuned gains were stable, and of how many."""
+        verdicts = [one.stable for one in self.after.values()]
+        return sum(int(v.sum()) for v in verdicts), sum(v.size for v in verdicts)
+
+
+def rollouts(tuned: Tuned, duration: float) -> Rollouts:
+    """Simulate a robot's gains before and after with everything that the drives have.
+
+    Args:
+        duration: of each rollout [s].
+    """
+    assert tuned.robot is not None
+    loops = tuned.robot.case.table.loops
+
+    def held(kp: np.ndarray, kd: np.ndarray) -> dict[str, Validation]:
+        assert tuned.robot is not None
+        return {
+            one.name: validate(
+                {one.name: exposed(one.specification, duration=duration)}, kp, kd,
+                one.columns(loops.fraction[loops.situation == place]),
+            )
+            for place, one in enumerate(tuned.robot.situations)
+        }  # fmt: skip
+
+    after = held(tuned.kp, tuned.kd)
+    return Rollouts(duration, after, held(*tuned.before) if tuned.before else {})
 
 
 def validate(

@@ -1,0 +1,225 @@
+"""What is not known of a loop: a box of ranges, points of it, and the way to its worst ones.
+
+    wn=0.8..1.2,delay=0..5e-3,payload=0..2,mass=0.8x..1.2x
+
+wn, zeta, inertia_scale and contact_friction are factors on what is given (the scales are 1 where
+nothing is), every other parameter is in its unit; an `x` behind both ends makes them factors, too.
+The order in which they are written does not matter.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxact.errors import UserError, nearest, shown
+from jaxact.parameters import check
+
+_FACTORS = ("wn", "zeta", "inertia_scale", "contact_friction")
+# What cannot vary where it is not among the parameters that can, and why.
+_REFUSED = {
+    "mass": "a robot's masses are its model's; vary payload or inertia_scale",
+    "joint_friction": "any dry friction at all holds a linearised joint alike, so that bounds say "
+    "nothing of its amount; sweep it instead",
+}
+_ASCENTS = 24
+
+Rise = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Points of the unit box (n, d) -> values (n,) and slopes (n, d)."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """A range of one parameter.
+
+    Attributes:
+        name: of the parameter.
+        low, high: its ends, in its unit or as factors.
+        factor: whether they are factors.
+    """
+
+    name: str
+    low: float
+    high: float
+    factor: bool
+
+    def ends(self, given: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+        """The ends of every key of the parameter, in its unit.
+
+        Args:
+            given: nominal values by key, those of some joints (`wn@.*_knee`) too.
+
+        Raises:
+            UserError: a factor on nothing or on infinity, one value for joints that differ, or ends
+                out of the parameter's bounds.
+        """
+        said = f"`uncertainty` {self.name}"
+        if self.factor and not np.isfinite(list(given.values())).all():
+            raise UserError(
+                f"{said}: the actuator is ideal, its {self.name} cannot vary by a factor; give "
+                "`wn` and `zeta` or an `actuator`"
+            )
+        if self.factor and not any(given.values()):
+            raise UserError(
+                f"{said}: is 0, which no factor changes; write both ends in its unit, without x"
+            )
+        if not self.factor and len(given) > 1:
+            raise UserError(f"{said}: joints differ in it; write the ends as factors, 0.8x")
+
+        def end(key: str, value: float) -> float:
+            return check(key, value * given[key] if self.factor else value, f"{said}: {key}")
+
+        return {key: (end(key, self.low), end(key, self.high)) for key in given}
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points of a box; n of them.
+
+    Attributes:
+        fraction: of the ranges, from 0 to 1, shape (n, ranges).
+        names: what they are called.
+    """
+
+    fraction: np.ndarray
+    names: tuple[str, ...]
+
+    def __len__(self) -> int:
+        """Number of points."""
+        return len(self.fraction)
+
+
+@dataclass(frozen=True)
+class Box:
+    """Ranges of what is not known; () where everything is."""
+
+    ranges: tuple[Range, ...] = ()
+
+    def __len__(self) -> int:
+        """Number of ranges."""
+        return len(self.ranges)
+
+    def corners(self) -> Points:
+        """All corners."""
+        fraction = np.array(list(itertools.product((0.0, 1.0), repeat=len(self))))
+        names = [one.name for one in self.ranges]
+        signs = [("+" if up else "-" for up in row) for row in fraction]
+        ends = [" ".join(map(str.__add__, names, sign)) for sign in signs]
+        return Points(fraction, tuple(f"corner {end}" for end in ends))
+
+    def sample(self, number: int, seed: int) -> Points:
+        """Points of a scrambled Sobol sequence."""
+        return Points(sobol(len(self), number, seed), tuple(f"sample {i}" for i in range(number)))
+
+    def members(self, number: int, seed: int) -> Points:
+        """Samples and all corners; the one nominal point where everything is known."""
+        if not self.ranges:
+            return NOMINAL
+        parts = self.sample(number, seed), self.corners()
+        fraction = np.concatenate([part.fraction for part in parts])
+        return Points(fraction, parts[0].names + parts[1].names)
+
+
+KNOWN = Box()
+"""Where everything is known."""
+
+NOMINAL = Points(np.zeros((1, 0)), ("nominal",))
+"""The only point where everything is known."""
+
+
+def read_box(text: str, varied: Collection[str]) -> Box:
+    """The box that a text describes, see the module.
+
+    Args:
+        text: `NAME=LOW..HIGH,...`; "" for none.
+        varied: names of the parameters that can vary.
+
+    Raises:
+        UserError: what cannot be read.
+    """
+    ranges: list[Range] = []
+    for part in (part.strip() for part in text.split(",") if text):
+        name, equals, ends = part.partition("=")
+        first, dots, last = ends.partition("..")
+        if not equals or not dots:
+            raise UserError(f"`uncertainty` {shown(part)}: write it as NAME=LOW..HIGH")
+        if name not in varied:
+            why = _REFUSED.get(name)
+            raise UserError(
+                f"`uncertainty` {name}: {why}" if why
+                else f"`uncertainty` {shown(name)}; {nearest(name, varied)}"
+            )  # fmt: skip
+        if name in (other.name for other in ranges):
+            raise UserError(f"`uncertainty` {name} is given twice")
+        factors = [name in _FACTORS or end.strip().endswith("x") for end in (first, last)]
+        if factors[0] != factors[1]:
+            raise UserError(f"`uncertainty` {part}: write both ends as factors, or none")
+        low, high = _number(first, part), _number(last, part)
+        if low > high:
+            raise UserError(f"`uncertainty` {part}: the lower end is above the upper")
+        if factors[0] and (low < 0.0 or (name in _FACTORS and low == 0.0)):
+            raise UserError(f"`uncertainty` {part}: must be positive")
+        if not factors[0]:
+            check(name, low, f"`uncertainty` {name}")
+        ranges.append(Range(name, low, high, factors[0]))
+    order = list(varied)
+    return Box(tuple(sorted(ranges, key=lambda one: order.index(one.name))))
+
+
+def _number(text: str, part: str) -> float:
+    try:
+        value = float(text.strip().removesuffix("x"))
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UserError(f"`uncertainty` {shown(part)}: {shown(text)} is not a number")
+    return value
+
+
+def sobol(dimensions: int, number: int, seed: int) -> np.ndarray:
+    """Points of a scrambled Sobol sequence in the unit box, shape (number, dimensions)."""
+    from scipy.stats import qmc
+
+    power = max(number - 1, 1).bit_length()
+    return qmc.Sobol(dimensions, scramble=True, rng=seed).random_base2(power)[:number]
+
+
+def spread(dimensions: int, starts: int, seed: int) -> np.ndarray:
+    """The centre of a box and points all over it, as fractions, shape (starts + 1, dimensions)."""
+    return np.concatenate([np.full((1, dimensions), 0.5), sobol(dimensions, starts, seed)])
+
+
+def ascend(rise: Rise, u: np.ndarray, rounds: int = _ASCENTS) -> np.ndarray:
+    """Where projected ascent leads from each point of the unit box, shape (n, dimensions).
+
+    Args:
+        rise: NaN counts as worst.
+        u: where it begins, shape (n, dimensions).
+        rounds: most steps.
+
+    Returns:
+        The best point of every start; all of them, because they may belong to different peaks.
+    """
+    value, slope = _rise(rise, u)
+    radius = np.full(len(u), 0.25)
+    for _ in range(rounds):
+        # The largest linear step in a box of that radius: every parameter to its better side.
+        trial = np.clip(u + radius[:, None] * np.sign(slope), 0.0, 1.0)
+        there, there_slope = _rise(rise, trial)
+        taken = there > value
+        u = np.where(taken[:, None], trial, u)
+        value = np.where(taken, there, value)
+        slope = np.where(taken[:, None], there_slope, slope)
+        radius = np.where(taken, np.minimum(1.5 * radius, 0.5), 0.4 * radius)
+        if np.all(radius < 1e-4):
+            break
+    return u
+
+
+def _rise(rise: Rise, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    value, slope = rise(u)
+    return np.where(np.isnan(value), np.inf, value), np.nan_to_num(slope)

@@ -1,0 +1,307 @@
+"""A result of tuning for people and programs: a report, a small TOML and an MJCF snippet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxact import __version__
+from jaxact.loops import robots, toml
+from jaxact.parameters import base
+from jaxact.robots import elements
+from jaxact.tuning.result import OfRobot, Tuned
+
+if TYPE_CHECKING:
+    from jaxact.tuning.robot.loops import Situation
+    from jaxact.tuning.rollouts.tracking import Tracked
+    from jaxact.tuning.rollouts.validation import Rollouts, Validation
+
+# Metrics that are shown, by the names of `jaxact margins`.
+_SHOWN = ("sensitivity_peak", "complementary_peak", "gain_margin", "delay_margin", "disk_margin")
+
+
+def report(
+    tuned: Tuned, margins: Mapping[str, Any] | None = None, rollouts: Rollouts | None = None
+) -> dict[str, Any]:
+    """The result as plain values, for JSON.
+
+    Args:
+        margins: of a joint's nominal loop, "before" and "after".
+        rollouts: that a robot's gains were held against, None if they were not.
+    """
+    certificate, robot = tuned.certificate, tuned.robot
+    if robot is None:
+        own = {"kp": tuned.kp, "kd": tuned.kd, "margins": margins, "worst": None}
+        if len(tuned.members) > 1:
+            own["worst"] = {side: rows and rows[""] for side, rows in _sides(tuned).items()}
+    else:
+        own = _robot_report(tuned, robot, rollouts)
+    constraints = [
+        {"constraint": c.constraint, "figure": c.metric, "bound": c.bound, "value": c.value,
+         "member": c.member, "met": c.met}
+        for c in certificate.checks
+    ]  # fmt: skip
+    return plain({
+        **own,
+        "objective": tuned.value,
+        "objective_name": tuned.goal.objective,
+        "objective_before": tuned.value_before,
+        "certified": tuned.certified,
+        "feasible": tuned.feasible,
+        "improved": tuned.improved,
+        "verdict": tuned.verdict,
+        "constraints": constraints,
+        "binding": list(certificate.binding),
+        "members" if robot is None else "loops": certificate.members,
+        "corners": certificate.corners,
+        "worst_interior_excess": certificate.interior,
+        "agreeing_starts": certificate.agreeing,
+        "gap_to_brute_force": certificate.gap,
+        "notes": list(certificate.notes),
+        "iterations": tuned.iterations,
+        "evaluations": tuned.evaluations,
+        "seconds": tuned.seconds,
+    })  # fmt: skip
+
+
+def _robot_report(tuned: Tuned, robot: OfRobot, rollouts: Rollouts | None) -> dict[str, Any]:
+    groups, tracked = robot.case.groups, robot.tracked
+    names, kp, kd = np.array(groups.joints), tuned.kp, tuned.kd
+    rows = [
+        [{"name": n, "kp": float(p), "kd": float(d)} for n, p, d in zip(*each, strict=True)]
+        for each in ((groups.names, kp[groups.first], kd[groups.first]), (names.tolist(), kp, kd))
+    ]
+    return {
+        "situations": [one.name for one in robot.situations],
+        "groups": rows[0],
+        "joints": rows[1],
+        "units": list(tuned.units[:2]),
+        "margins": _sides(tuned),
+        "assumed": box(robot.situations),
+        "rollouts": None if rollouts is None else {
+            "duration": rollouts.duration,
+            "before": verdicts(rollouts.before) if rollouts.before else None,
+            "after": verdicts(rollouts.after),
+        },
+        "tracking": None if tracked is None else {
+            "weight": tracked.weight,
+            "derivative": tracked.mode,
+            "rms": tracked.rms,
+            "rms_by_margins_alone": tracked.aside,
+            "rms_before": tracked.before,
+        },
+    }  # fmt: skip
+
+
+def verdicts(rollouts: Mapping[str, Validation]) -> dict[str, dict[str, Any]]:
+    """How many rollouts of each situation were stable, and the worst one's reason."""
+    return {
+        name: {
+            "stable": int(one.stable.sum()),
+            "rollouts": int(one.stable.size),
+            "largest_excursion": float(np.nanmax(one.excursion)),
+            "worst": one.worst[2],
+        }
+        for name, one in rollouts.items()
+    }
+
+
+def plain(value: Any) -> Any:
+    """The same as JSON has it: None for NaN, text for infinity."""
+    if isinstance(value, Mapping):
+        return {key: plain(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [plain(part) for part in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else "inf" if value > 0 else "-inf"
+    return value
+
+
+def _sides(tuned: Tuned) -> dict[str, dict[str, dict[str, Any]] | None]:
+    """Metrics at their worst, before (None without a start) and after."""
+    before = None if tuned.metrics_before is None else worst(tuned, before=True)
+    return {"before": before, "after": worst(tuned)}
+
+
+def worst(tuned: Tuned, *, before: bool = False) -> dict[str, dict[str, Any]]:
+    """Metrics at their worst over all members, exact; None where a member is unstable.
+
+    Args:
+        before: with the gains of the start.
+
+    Returns:
+        Them by the name of the posture, "" of a joint; of a robot with growth rate and number of
+        unstable members.
+    """
+    found: Any = tuned.metrics_before if before else tuned.metrics
+    assert found is not None
+    rows = {}
+    for name, own in _postures(tuned):
+        ends = found.worst(own)
+        row: dict[str, Any] = {metric: ends[metric] for metric in _SHOWN if metric in ends}
+        if tuned.robot is not None:
+            row["growth_rate"] = float(found.growth_rate[own].max())
+            row["unstable_members"] = int((~found.stable[own]).sum())
+        rows[name] = row
+    return rows
+
+
+def _postures(tuned: Tuned) -> list[tuple[str, np.ndarray]]:
+    """Every posture's name, and which members are its own."""
+    if tuned.robot is None:
+        return [("", np.ones(len(tuned.members), bool))]
+    place = tuned.members.situation  # type: ignore[union-attr]
+    return [(one.name, place == i) for i, one in enumerate(tuned.robot.situations)]
+
+
+def document(
+    tuned: Tuned,
+    command: str = "",
+    nominal: Mapping[str, Any] | None = None,
+    rollouts: Rollouts | None = None,
+) -> dict[str, Any]:
+    """The result as tables of plain values.
+
+    Args:
+        command: that made it.
+        nominal: metrics of a joint's nominal loop by name, None where they are not known.
+        rollouts: that a robot's gains were held against, None if they were not.
+    """
+    import jax
+
+    goal, certificate, robot = tuned.goal, tuned.certificate, tuned.robot
+    asked = {name: getattr(goal, name) for name in goal.active}
+    asked |= {"min_kp": goal.min_kp} if goal.min_kp > 0 else {}
+    if robot is not None and robot.tracked is not None:
+        asked["tracking_weight"] = robot.tracked.weight
+    asked |= {"max_kp": goal.max_kp} if math.isfinite(goal.max_kp) else {}
+    objective = {"unit": tuned.units[2], "value": tuned.value}
+    if robot is None:
+        objective = {"figure": goal.metric, **objective, "risk": goal.risk}
+    guaranteed: dict[str, Any] = {
+        "certified": tuned.certified,
+        "verdict": tuned.verdict,
+        "stable": certificate.stable,
+        "binding": list(certificate.binding),
+    }
+    guaranteed |= {f"worst_{check.metric}": check.value for check in certificate.checks}
+    versions = {"jaxact": __version__, "jax": jax.__version__}
+    if robot is None:
+        gains, assumed = {"gains": {"kp": tuned.kp, "kd": tuned.kd}}, _of_joint(tuned)
+        seen = {"nominal": {} if nominal is None else _known(nominal)}
+        seen |= {"worst": _known(worst(tuned)[""])} if len(tuned.members) > 1 else {}
+    else:
+        import mujoco
+
+        gains, assumed = _gains(tuned, robot), _of_robot(tuned, robot)
+        seen = {"simulated": _simulated(robot.tracked, rollouts)}
+        versions["mujoco"] = mujoco.__version__
+    return {
+        **({"command": command} if command else {}),
+        **gains,
+        "objective": {"name": goal.objective, **objective},
+        "asked": asked,
+        "assumed": assumed,
+        "guaranteed": guaranteed,
+        **{name: rows for name, rows in seen.items() if rows},
+        "versions": versions,
+    }
+
+
+def _known(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of the metrics that have a value."""
+    return {name: metrics[name] for name in _SHOWN if metrics[name] is not None}
+
+
+def _gains(tuned: Tuned, robot: OfRobot) -> dict[str, Any]:
+    groups = robot.case.groups
+    shared = {
+        name: [j for j, own in zip(groups.joints, groups.members, strict=True) if own == number]
+        for number, name in enumerate(groups.names)
+    }
+    kp, kd = (dict(zip(groups.joints, map(float, k), strict=True)) for k in (tuned.kp, tuned.kd))
+    return {"kp": kp, "kd": kd, "groups": shared}
+
+
+def _of_joint(tuned: Tuned) -> dict[str, Any]:
+    """What was assumed of a joint: its parameters, or the ends of their ranges."""
+    from jaxact.tuning.joint.ensemble import PARAMETERS
+
+    members: Any = tuned.members
+    assumed: dict[str, Any] = {"members": len(members)}
+    for name in PARAMETERS:
+        values = getattr(members, name)
+        low, high = float(values.min()), float(values.max())
+        assumed[name] = low if low == high else [low, high]
+    sampling = members.sampling
+    if sampling.control_period is not None:
+        assumed |= {"control_period": sampling.control_period, "velocity": sampling.velocity}
+    if math.isfinite(sampling.velocity_filter):
+        assumed |= {"velocity_filter": sampling.velocity_filter}
+    return assumed
+
+
+def _of_robot(tuned: Tuned, robot: OfRobot) -> dict[str, Any]:
+    plants = [one.specification.plant for one in robot.situations]
+    return {
+        "situations": [one.name for one in robot.situations],
+        # Where the files lie is the user's own.
+        "models": [plant.model.name for plant in plants if plant is not None],
+        "control_period": robot.situations[0].period,
+        "loops": len(tuned.members),
+        **box(robot.situations),
+    }
+
+
+def box(situations: Sequence[Situation]) -> dict[str, Any]:
+    """What was uncertain: the ends of every parameter by key, over all situations.
+
+    And, where the body of the robot was, whose setpoint and feedforward are meant.
+    """
+    from jaxact.tuning.robot.loops import OF_BODY
+
+    found: dict[str, Any] = {}
+    for one in situations:
+        for key, low, high in zip(one.keys, one.low, one.high, strict=True):
+            known = found.get(key, [low, high])
+            found[key] = [float(min(low, known[0])), float(max(high, known[1]))]
+    if "payload" in found:
+        found["payload_body"] = situations[0].payload_body
+    if any(base(key) in OF_BODY for key in found):
+        found["setpoint_and_feedforward"] = "of the nominal robot"
+    return found
+
+
+def _simulated(tracked: Tracked | None, rollouts: Rollouts | None) -> dict[str, Any]:
+    simulated: dict[str, Any] = {} if tracked is None else {"tracking_rms": tracked.rms}
+    if rollouts is not None:
+        stable, of = rollouts.stable
+        simulated |= {"duration": rollouts.duration, "stable": stable, "rollouts": of}
+    return simulated
+
+
+def toml_text(tuned: Tuned, command: str = "", **seen: Any) -> str:
+    """The result as TOML; arguments as for `document`."""
+    return toml.dumps(document(tuned, command, **seen))
+
+
+def mjcf_text(tuned: Tuned, joint: str = "joint") -> str:
+    """MuJoCo position actuators with the gains, of a robot in place of the model's own.
+
+    The drives' lag and delay are not in them: MuJoCo's own are something else.
+
+    Args:
+        joint: name of a single joint.
+    """
+    if tuned.robot is not None:
+        plant = tuned.robot.situations[0].specification.plant
+        assert plant is not None
+        return elements.actuators(robots.scene(plant).robot, tuned.kp, tuned.kd)
+    return (
+        "<mujoco>\n  <actuator>\n"
+        f'    <position name="{joint}" joint="{joint}" kp="{tuned.kp!r}" kv="{tuned.kd!r}"/>\n'
+        "  </actuator>\n</mujoco>\n"
+    )
