@@ -133,6 +133,48 @@ def test_between_two_counts_it_is_what_the_describing_function_of_a_relay_predic
     assert found["limit_cycle_frequency"][0] == pytest.approx(crossing, rel=0.07)
 
 
+def _slow(most, fastest, seconds, *, kp=100.0, kd=20.0, setpoint=1.0):
+    """1 kg under PD with a limit of the force [N] and of its change [N/s]; positions at 1 kHz."""
+    position = velocity = force = 0.0
+    positions = []
+    for _ in range(round(1000 * seconds)):
+        asked = kp * (setpoint - position) - kd * velocity
+        force = np.clip(asked, force - 1e-3 * fastest, force + 1e-3 * fastest)
+        force = np.clip(force, -most, most)
+        position += 1e-3 * velocity + 0.5e-6 * force
+        velocity += 1e-3 * force
+        positions.append(position)
+    return np.array(positions)
+
+
+@pytest.mark.parametrize("seconds", [2.0, 4.0])
+def test_a_motion_too_slow_to_turn_is_judged_by_where_it_goes(seconds):
+    """A force limit lets a step arrive, be it after the rollout; a limit of its change loses it."""
+    limits = np.array([0.1, 0.4, np.inf])
+    text = f"""
+        precision = "float64"
+        duration = {seconds}
+        [parameters]
+        mass = 1.0
+        kp = 100.0
+        kd = 20.0
+        setpoint = 1.0
+        [axes]
+        force_limit = {limits.tolist()}
+        force_rate_limit = [1.0, inf]
+    """
+    verdict = _run(text)["verdict"]
+    farthest = np.array([
+        [np.abs(_slow(most, fastest, 60.0)[-20000:] - 1.0).max() for fastest in (1.0, np.inf)]
+        for most in limits
+    ])  # fmt: skip
+    assert (farthest[:, 1] < 0.6).all() and (farthest[1:, 0] > 2.0).all()
+    assert (verdict[farthest < 1.0] == Verdict.STABLE).all()
+    if seconds > 2.0:
+        # Until then the step is on its way.
+        assert (verdict[farthest > 2.0] == Verdict.UNSTABLE).all()
+
+
 @pytest.mark.exhaustive
 def test_a_map_of_quantised_loops_is_the_same_for_every_setpoint():
     axes = """

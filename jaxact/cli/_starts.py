@@ -19,6 +19,10 @@ _NAMES = {
     "kick": "a small kick",
 }
 
+_ON_ITS_WAY = (
+    "The motion had neither turned nor ended when the duration was over: a longer one tells."
+)
+
 
 def lines(run: Single) -> list[str]:
     """What came of each start, where there are several, and what the duration leaves open."""
@@ -26,7 +30,7 @@ def lines(run: Single) -> list[str]:
 
     starts = run.starts
     if len(starts) == 1:
-        return []
+        return [_ON_ITS_WAY] if _on_its_way(run) else []
     rotary, rubs = run.rotary[0], _rubs(run)
     groups: dict[str, list[str]] = {}
     for start in starts:
@@ -80,6 +84,13 @@ def advice(run: Single) -> str:
             "ended the motion, which it may not after a harder push, or where there is less of it."
         )
     return verdict.advice
+
+
+def _on_its_way(run: Single) -> bool:
+    """Whether a joint behind a force limit was stable, but still under way at the end."""
+    own = run.starts[0]
+    ended = own.moving or own.resting or np.isfinite(own.frequency)
+    return len(run.joints) == 1 and own.verdict == 0 and not ended
 
 
 def _rubs(run: Single) -> bool:

@@ -230,6 +230,13 @@ def of_motion(
     # Counts and noise make irregular motions, but none without bound.
     growing &= (last > _FEW * jnp.maximum(scale.count, scale.rest)) | (growth_rate >= 0.0)
     growing &= ~scale.unlimited | (growth_rate >= 0.0)
+    # A limit makes large motions of a mass so slow that a segment holds no whole turn. Halves of
+    # the rollout tell then, and whether the motion went further than it began, away or on its way.
+    slow = scale.plant_linear & ~scale.unlimited & ~jnp.isfinite(motion.frequency)
+    slow &= (growth_rate < 0.0) & (last > _FEW * jnp.maximum(scale.count, scale.rest))
+    wider = jnp.maximum(last, previous) > _GROWING * jnp.maximum(before, motion.amplitude[0])
+    beyond = motion.farthest > motion.span
+    growing = jnp.where(slow, wider & beyond, growing)
     # Half the decay that the linear loop would show is decay; less is a motion that keeps going.
     kept = 1.0 + 0.5 * jnp.expm1(jnp.minimum(growth_rate, 0.0) * segment)
     # An irregular limit cycle is smaller than before now and then, but rarely twice in a row.
@@ -245,6 +252,7 @@ def of_motion(
     ending = (falling | shrinking) & (scale.count == 0.0)
     ending |= ~jnp.isfinite(motion.frequency) & (last <= 0.5 * previous)
     ending &= ~scale.plant_linear
+    ending |= slow & ~beyond
     moving = ~(resting | ending | ((growth_rate < 0.0) & decaying))
     verdict = jnp.where(moving, Verdict.LIMIT_CYCLE, Verdict.STABLE)
     # A perturbation that grows, but has not had the time to, or dies in what the plant has of its
