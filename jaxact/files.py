@@ -1,8 +1,9 @@
-"""Files that are there as a whole, or not at all."""
+"""Files that are there as a whole, or not at all, and who can write to them."""
 
 from __future__ import annotations
 
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -43,3 +44,21 @@ def output(path: Path) -> Iterator[Path]:
     except OSError as error:
         reason = error.strerror or error
         raise UserError(f"output {path}: cannot be written ({reason}); choose another") from error
+
+
+def shared(path: Path) -> str:
+    """Why others than the user could have written into a folder; "" if they could not."""
+    try:
+        facts = path.lstat()
+    except OSError:
+        return ""  # it is not there
+    return "is a symbolic link" if stat.S_ISLNK(facts.st_mode) else writers(facts)
+
+
+def writers(facts: os.stat_result) -> str:
+    """Who else could have written to a file or folder with this status; "" for nobody."""
+    if not hasattr(os, "geteuid") or facts.st_uid != os.geteuid():
+        return "belongs to another user"
+    if facts.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return "can be written to by others (chmod go-w)"
+    return ""

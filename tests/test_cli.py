@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 from quickly import ENVIRONMENT
 
-from jaxact.cli import _xla
+from jaxact.cli import _cache, _xla
 from jaxact.cli.main import VERBS
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -327,6 +327,29 @@ def test_other_commands_keep_their_programs_too_and_say_nothing_where_they_canno
     assert [(ran.returncode, ran.stderr) for ran in said] == [(0, "")] * 3
     assert len({ran.stdout for ran in said}) == 1
     assert any((tmp_path / "jaxact" / "programs").iterdir())
+
+
+@pytest.mark.parametrize("where", ["jaxact", "jaxact/programs", "own"])
+def test_a_cache_that_others_can_write_to_is_not_used(where, tmp_path, monkeypatch, capsys):
+    for name in (_cache._KERNELS, _cache._PROGRAMS, _cache._SHORTEST, _cache._LOUDNESS):
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(_cache, "_accelerated", lambda: True)
+    (tmp_path / where).mkdir(parents=True)
+    (tmp_path / where).chmod(0o777)
+    if where == "own":
+        monkeypatch.setenv(_cache._PROGRAMS, str(tmp_path / where))
+    _cache.prepare(quiet=True)
+    said = capsys.readouterr().err
+    assert said == (
+        f"jaxact: {tmp_path / where}: can be written to by others (chmod go-w); compiling anew\n"
+    )
+    assert _cache._PROGRAMS not in os.environ
+    assert (_cache._KERNELS in os.environ) == (where != "jaxact")
+    (tmp_path / where).chmod(0o755)
+    _cache.prepare(quiet=True)
+    assert _cache._PROGRAMS in os.environ and capsys.readouterr().err == ""
 
 
 def test_info_is_what_a_bug_report_needs():

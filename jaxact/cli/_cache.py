@@ -7,7 +7,9 @@ import os
 import sys
 import warnings
 from importlib.metadata import entry_points
+from pathlib import Path
 
+from jaxact import files
 from jaxact.sweeping import cache
 
 _KERNELS = "JAX_COMPILATION_CACHE_DIR"
@@ -23,7 +25,8 @@ def prepare(*, wanted: bool = True, quiet: bool = False) -> None:
     To be called before JAX starts. Folders that the user names in the environment are respected.
 
     wanted: False turns both off
-    quiet: do not say, in one line, where the folder cannot be used and everything is compiled anew
+    quiet: do not say, in one line, where the folder cannot be written to and everything is compiled
+        anew; of one that others can write to it is said in any case
     """
     if not wanted:
         for name in _FOLDERS:
@@ -32,22 +35,38 @@ def prepare(*, wanted: bool = True, quiet: bool = False) -> None:
     names = _FOLDERS if _accelerated() else (_PROGRAMS,)
     missing = [name for name in names if name not in os.environ]
     reason = cache.usable() if missing else ""
-    if reason and quiet:
-        return
     if reason:
-        print(
-            f"jaxact: {cache.folder()}: cannot be used as cache ({reason}); compiling anew,"
-            " --no-cache does so silently",
-            file=sys.stderr,
-        )
+        if not quiet:
+            silent = "compiling anew, --no-cache does so silently"
+            _say(cache.folder(), f"cannot be used as cache ({reason}); {silent}")
         return
     for name in missing:
         os.environ[name] = str(cache.folder() / _FOLDERS[name])
+    _drop_shared(missing)
     os.environ.setdefault(_SHORTEST, "0.3")
     # XLA tells of every kernel it loads which CPU it was compiled for
     os.environ.setdefault(_LOUDNESS, "3")
     # a full or damaged cache costs time, no results
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation")
+
+
+def _drop_shared(ours: list[str]) -> None:
+    """Keep nothing where others can write: it is run, and they could run anything as this user.
+
+    ours: variables of folders that the user has not named; JAX's own is checked if it is one
+    """
+    if ours and (reason := files.shared(cache.folder())):
+        _say(cache.folder(), f"{reason}; compiling anew")
+        for name in ours:
+            del os.environ[name]
+    for name in dict.fromkeys([*ours, _PROGRAMS]):
+        if name in os.environ and (reason := files.shared(Path(os.environ[name]))):
+            _say(Path(os.environ[name]), f"{reason}; compiling anew")
+            del os.environ[name]
+
+
+def _say(folder: Path, reason: str) -> None:
+    print(f"jaxact: {folder}: {reason}", file=sys.stderr)
 
 
 def _accelerated() -> bool:

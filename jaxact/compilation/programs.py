@@ -1,7 +1,9 @@
 """Compiled programs that are kept from process to process, in a folder that is named by `FOLDER`.
 
 JAX finds a kept kernel by what it was traced to, and tracing takes longer than loading. Here a
-program is found by what its trace follows from, so that nothing is traced.
+program is found by what its trace follows from, see `jaxact.compilation.keys`, so that nothing is
+traced. What is kept is run as machine code: it is read from, and written to, only a folder that
+belongs to the user and that nobody else can write to.
 """
 
 from __future__ import annotations
@@ -11,28 +13,25 @@ import functools
 import hashlib
 import os
 import pickle
-import platform
 import re
-import tempfile
+import secrets
+import stat
+import warnings
 import zlib
-from collections.abc import Callable
-from importlib.metadata import version
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import jax
-import numpy as np
-from jax.experimental import serialize_executable
-
-import jaxact
+from jaxact.compilation import keys
+from jaxact.files import shared, writers
 
 FOLDER = "JAXACT_PROGRAMS"
-"""Environment variable: the folder, of the user's own, as what is in it is executed. Unset: nothing
-is kept."""
+"""Environment variable: the folder. Unset: nothing is kept."""
 
 KEPT = 32
-"""Programs of one kind that a process keeps: each takes some hundred mappings of memory, of which
-Linux gives a process 65,530, and XLA crashes where none is left."""
+"""Programs of one function, and as many shapes of the inputs of each, that a process keeps: each
+takes some hundred mappings of memory, of which Linux gives a process 65,530, and XLA crashes where
+none is left."""
 
 MOST = 2**30
 """Bytes of all programs that are kept; those that were not used for longest make room."""
@@ -48,137 +47,197 @@ _OBJECT_CODE = (b"\x7fELF", b"\xcf\xfa\xed\xfe")
 
 
 class Program:
-    """A function that is compiled for each shape of its inputs, when it is called or before."""
+    """A function that is compiled for each shape of its inputs, when it is called or before.
 
-    def __init__(self, make: Callable[[], Callable], name: object | None, devices: int = 1) -> None:
-        """Take a function.
+    Arguments by position are trees of arrays, arguments by name static: hashable, and written out
+    in full in the program's key.
+    """
+
+    def __init__(self, function: Callable, *, builds: bool = False) -> None:
+        """Take a function at the top level of a module; to be used as a decorator.
 
         Args:
-            make: gives the function of arrays; not asked where the program has been kept.
-            name: what it computes, whose `repr` tells everything that its trace depends on beside
-                its inputs, JAX's settings, and the code of jaxact; None: it cannot be kept.
-            devices: on which it runs, the first of the local ones.
+            function: of arrays and static arguments. One that is defined elsewhere is not kept.
+            builds: it takes the static arguments only, and gives the function of arrays; it is not
+                called where the program has been kept.
         """
-        self._make = make
-        self._name = name
-        self._devices = devices
-        self._compiled: dict[Any, Callable] = {}
+        functools.update_wrapper(self, function)
+        self._function = function
+        self._builds = builds
+        self._compiled: dict[Any, dict[Any, Callable]] = {}
 
-    def __call__(self, *inputs: Any) -> Any:
+    def __call__(self, *inputs: Any, **static: Any) -> Any:
         """Run it."""
-        return self.compiled(*inputs)(*inputs)
+        return self.compiled(*inputs, **static)(*inputs)
 
-    def compiled(self, *inputs: Any) -> Callable:
-        """What runs on inputs like these; threads may compile different programs side by side."""
-        shapes = _shapes(inputs)
-        if shapes not in self._compiled:
-            path = None if self._name is None else _path(self._name, shapes)
-            found = None if path is None else _load(path, self._devices)
-            if found is None:
-                found = self._function.lower(*inputs).compile()
-                if path is not None:
-                    _keep(path, found)
-            self._compiled[shapes] = found
-            for old in list(self._compiled)[:-KEPT]:
-                self._compiled.pop(old, None)
-            return found
-        return self._compiled[shapes]
+    def compiled(self, *inputs: Any, **static: Any) -> Callable:
+        """What runs on inputs like these; threads may compile different programs side by side.
 
-    @functools.cached_property
-    def _function(self) -> Any:
-        return jax.jit(self._make())
+        Args:
+            inputs: trees of arrays.
+            static: static arguments; `devices` among them is on how many it runs, the first ones.
+        """
+        known = _recent(self._compiled, frozenset(static.items()), dict)
+        return _recent(known, _shapes(inputs), lambda: self._found(inputs, static))
+
+    def _found(self, inputs: Any, static: dict[str, Any]) -> Callable:
+        """The program, from the folder or compiled."""
+        name = _name(self._function, static, inputs)
+        found = None if name is None else _load(name, static.get("devices", 1))
+        if found is None:
+            found = self._compile(inputs, static)
+            if name is not None:
+                _keep(name, found)
+        return found
+
+    def _compile(self, inputs: Any, static: dict[str, Any]) -> Any:
+        import jax
+
+        function = functools.partial(self._function, **static)
+        return jax.jit(function() if self._builds else function).lower(*inputs).compile()
+
+
+def building(function: Callable) -> Program:
+    """A decorator: the program of what the function gives for its static arguments."""
+    return Program(function, builds=True)
+
+
+def _recent(store: dict, key: Any, make: Callable[[], Any]) -> Any:
+    """The value of a key, made where it is new; the oldest ones go."""
+    if key not in store:
+        made = make()
+        store[key] = made
+        for old in list(store)[:-KEPT]:
+            store.pop(old, None)
+        return made
+    return store[key]
 
 
 def _shapes(inputs: Any) -> Any:
+    import jax
+
     leaves, structure = jax.tree.flatten(inputs)
     return structure, jax.numpy.result_type(float), tuple(map(jax.typeof, leaves))
 
 
-def _path(name: object, shapes: Any) -> Path | None:
-    """The file of a program; None where programs are not kept."""
-    folder = os.environ.get(FOLDER)
-    if not folder or jax.default_backend() != "cpu":
+def _name(function: Callable, static: dict[str, Any], inputs: Any) -> str | None:
+    """The name of a program's file; None where it cannot be kept."""
+    import jax
+
+    if not os.environ.get(FOLDER) or jax.default_backend() != "cpu":
         return None
-    settings = {name: value for name, value in jax.config.values.items() if "cache" not in name}
-    flags = os.environ.get("XLA_FLAGS")
-    facts = (name, shapes, sorted(settings.items()), flags, _surroundings())
-    told = repr(facts)
-    if "array(" in told:
-        return None  # NumPy shortens long ones
-    return Path(folder) / (hashlib.sha256(told.encode()).hexdigest() + _ENDING)
+    key = keys.key(function, static, inputs)
+    return None if key is None else key + _ENDING
+
+
+@contextlib.contextmanager
+def _folder(*, make: bool = False) -> Iterator[int | None]:
+    """The open folder; None where there is none, or somebody else could have written to it."""
+    path = os.environ.get(FOLDER, "")
+    opened = None
+    with contextlib.suppress(OSError):
+        if make:
+            Path(path).mkdir(mode=0o700, parents=True, exist_ok=True)
+        opened = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        reason = shared(Path(path)) if opened is None else writers(os.fstat(opened))
+        if reason:
+            _say(path, reason)
+        yield None if reason else opened
+    finally:
+        if opened is not None:
+            os.close(opened)
 
 
 @functools.cache
-def _surroundings() -> tuple[Any, ...]:
-    """All that a trace and its compilation depend on beside settings: code, packages, devices."""
-    code = hashlib.sha256()
-    for path in sorted(Path(jaxact.__file__).parent.rglob("*.py")):
-        code.update(path.read_bytes())
-    packages = tuple(version(name) for name in ("jax", "jaxlib", "mujoco", "mujoco-mjx"))
-    devices = tuple((one.platform, one.device_kind, one.id) for one in jax.local_devices())
-    build = jax.local_devices()[0].client.platform_version
-    return code.hexdigest(), packages, devices, build, platform.python_version(), _processor()
+def _say(path: str, reason: str) -> None:
+    warnings.warn(f"{path}: {reason}; compiling anew", stacklevel=2)
 
 
-def _processor() -> str:
-    """What the processor can do: a home folder may be that of many machines."""
-    with contextlib.suppress(OSError):
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        told = {line for line in lines if line.startswith(("model name", "flags", "Features"))}
-        return " ".join(sorted(told))
-    return platform.processor()
-
-
-def _load(path: Path, devices: int) -> Callable | None:
+def _load(name: str, devices: int) -> Callable | None:
     """A kept program; None if there is none, or it is damaged or cannot be used here."""
-    with contextlib.suppress(Exception):  # whatever is wrong with it, it can be compiled
-        content = path.read_bytes()
-        if hashlib.sha256(content[_DIGEST:]).digest() == content[:_DIGEST]:
-            os.utime(path)
-            calls, (code, inputs, outputs) = pickle.loads(zlib.decompress(content[_DIGEST:]))
-            if calls:
-                _start_lapack()
-            chosen = jax.local_devices()[:devices]
-            return serialize_executable.deserialize_and_load(
-                code, inputs, outputs, execution_devices=chosen
-            )
+    with contextlib.suppress(Exception), _folder() as folder:  # it can always be compiled
+        content = None if folder is None else _read(folder, name)
+        if content and hashlib.sha256(content[_DIGEST:]).digest() == content[:_DIGEST]:
+            return _started(content[_DIGEST:], devices)
     return None
+
+
+def _read(folder: int, name: str) -> bytes | None:
+    """The content of a file of the user's own, which is the one used last then."""
+    with open(name, "rb", opener=_opener(folder, os.O_NOFOLLOW)) as file:
+        facts = os.fstat(file.fileno())
+        if not stat.S_ISREG(facts.st_mode) or writers(facts):
+            return None
+        os.utime(file.fileno())
+        return file.read()
+
+
+def _opener(folder: int, flags: int) -> Callable[[str, int], int]:
+    return lambda name, mode: os.open(name, mode | flags, 0o600, dir_fd=folder)
+
+
+def _started(content: bytes, devices: int) -> Callable:
+    import jax
+    from jax.experimental import serialize_executable
+
+    calls, (code, inputs, outputs) = pickle.loads(zlib.decompress(content))
+    if calls:
+        _start_lapack()
+    chosen = jax.local_devices()[:devices]
+    return serialize_executable.deserialize_and_load(
+        code, inputs, outputs, execution_devices=chosen
+    )
 
 
 @functools.cache
 def _start_lapack() -> None:
     """JAX starts it when it lowers something that calls it; without that, calls crash."""
+    import jax
+    import numpy as np
+
     jax.jit(jax.lax.linalg.cholesky).lower(np.eye(1, dtype=np.float32))
 
 
-def _keep(path: Path, compiled: Any) -> None:
+def _keep(name: str, compiled: Any) -> None:
     """Keep a program; silently not where that is impossible."""
+    from jax.experimental import serialize_executable
+
     with contextlib.suppress(Exception):  # not every program can be, nor every folder be written
         calls = set(_CALL.findall(compiled.as_text()))
-        if not all(name.startswith(_LAPACK) for name in calls):
+        if not all(call.startswith(_LAPACK) for call in calls) or not keys.unchanged():
             return
         parts = serialize_executable.serialize(compiled)
         if not any(start in parts[0] for start in _OBJECT_CODE):
             return
         content = zlib.compress(pickle.dumps((calls, parts)), level=1)
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=_ENDING)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(hashlib.sha256(content).digest() + content)
-            os.replace(name, path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.unlink(name)
-            raise
-        _make_room(path.parent)
+        with _folder(make=True) as folder:
+            if folder is not None:
+                _write(folder, name, hashlib.sha256(content).digest() + content)
+                _make_room(folder)
 
 
-def _make_room(folder: Path) -> None:
+def _write(folder: int, name: str, content: bytes) -> None:
+    """A file that is there as a whole, or not at all."""
+    partial = f".{secrets.token_hex(8)}{_ENDING}"
+    try:
+        with open(partial, "xb", opener=_opener(folder, os.O_NOFOLLOW)) as file:
+            file.write(content)
+        os.replace(partial, name, src_dir_fd=folder, dst_dir_fd=folder)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(partial, dir_fd=folder)
+        raise
+
+
+def _make_room(folder: int) -> None:
     """Delete programs, and nothing else that somebody may keep in the folder."""
-    kept = [(file.stat(), file) for file in folder.glob(f"*{_ENDING}")]
+    with os.scandir(folder) as found:
+        kept = [(file.stat(follow_symlinks=False), file.name) for file in found
+                if file.name.endswith(_ENDING)]  # fmt: skip
     size = 0
-    for facts, file in sorted(kept, key=lambda one: -one[0].st_mtime):
+    for facts, name in sorted(kept, key=lambda one: -one[0].st_mtime):
         size += facts.st_size
         if size > MOST:
-            file.unlink(missing_ok=True)
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(name, dir_fd=folder)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import jax
@@ -13,7 +14,7 @@ from jaxact.analysis.robot.delay import DelayBorne, delay_borne
 from jaxact.analysis.robot.margins import RobotMargins, robot_margins
 from jaxact.analysis.robot.modes import Robot
 from jaxact.analysis.robot.multiloop import Curves, Matrices, curves, multiloop
-from jaxact.compilation.programs import Program
+from jaxact.compilation.programs import building
 from jaxact.drive.step import DriveOptions
 from jaxact.loops.robots import Scene
 from jaxact.loops.samples import Samples, expand
@@ -79,14 +80,14 @@ def evaluate(specification: Specification, samples: Samples | None = None) -> li
         numbers = np.concatenate([batch[:n] for batch, n in plans.batches(plan, samples)])
         case, setting = kernel.linear_part(plan.case, specification.setting)
         with jax.enable_x64(True):
-            template, compiled = _compiled(case, setting)
+            template = _template(case, setting)
         moved = mujoco_batch.moved(plan.case, specification.setting, samples.take(numbers))
         for place, number in enumerate(numbers):
             values = {
                 name: float(row[0]) for name, row in samples.take(numbers[place, None]).items()
             }
             own = None if moved is None else tuple(part[place] for part in moved)
-            found[int(number)] = _one(case, setting, template, compiled, values, own)
+            found[int(number)] = _one(case, setting, template, values, own)
     return [found[number] for number in range(len(samples))]
 
 
@@ -96,12 +97,15 @@ def _options(case: Case) -> DriveOptions:
 
 
 @functools.lru_cache(maxsize=8)
-def _compiled(case: Case, setting: Setting) -> tuple[Template, Program]:
-    """What the samples share, and a program, both in float64.
+def _template(case: Case, setting: Setting) -> Template:
+    """What the samples share, in float64."""
+    return kernel.template_of(case, setting, "growth_rate")
 
-    The program goes from parameters and an extra delay to the loop's matrices, inertias and gains.
-    """
-    template = kernel.template_of(case, setting, "growth_rate")
+
+@building
+def _matrices(*, case: Case, setting: Setting) -> Callable:
+    """From parameters and an extra delay to the loop's matrices, inertias, gains and delays."""
+    template = _template(case, setting)
     options = _options(case)
 
     def matrices(values, moved, extra):
@@ -112,7 +116,7 @@ def _compiled(case: Case, setting: Setting) -> tuple[Template, Program]:
         inertias = robot_loop.felt_inertias(loop.plant)
         return found, inertias, gains.kp + like, gains.kd + like, delay + like
 
-    return template, Program(lambda: matrices, ("matrices", case, setting))
+    return matrices
 
 
 def _left_out(setting: Setting, scene: Scene, values: dict[str, float]) -> float:
@@ -124,13 +128,14 @@ def _left_out(setting: Setting, scene: Scene, values: dict[str, float]) -> float
 
 
 def _one(
-    case: Case, setting: Setting, template: Template, compiled, values: dict[str, float], moved
+    case: Case, setting: Setting, template: Template, values: dict[str, float], moved
 ) -> WholeRobot:
     def computed(extra: float):
         with jax.enable_x64(True):
             inputs = {name: jnp.asarray(value, float) for name, value in values.items()}
             own = None if moved is None else tuple(jnp.asarray(part, float) for part in moved)
-            return jax.tree.map(np.asarray, compiled(inputs, own, jnp.asarray(extra, float)))
+            loop = inputs, own, jnp.asarray(extra, float)
+            return jax.tree.map(np.asarray, _matrices(*loop, case=case, setting=setting))
 
     def matrices(extra: float) -> Matrices:
         found = computed(extra)[0]

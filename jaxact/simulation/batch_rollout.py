@@ -8,7 +8,6 @@ period; physics runs in between.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -18,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxact.compilation.packing import Packed, pack, unpack
-from jaxact.compilation.programs import KEPT, Program
+from jaxact.compilation.programs import Program, building
 from jaxact.compilation.single_kernel import single_kernel
 from jaxact.drive import sensor as _sensor
 from jaxact.drive import step as _drive
@@ -171,23 +170,13 @@ def _end(
     )
 
 
-@dataclass(frozen=True)
-class _Stages:
-    """The compiled functions of a batch; states and `_Fixed` are packed."""
-
-    first: Program
-    turn: Program
-    middle: tuple[Program, ...]
-    last: Program
-
-
-@functools.lru_cache(maxsize=KEPT)
-def _stages(options: DriveOptions, masked: bool) -> _Stages:
-    """The functions between which the physics runs; batched over loops.
+@building
+def _stage(*, name: str, options: DriveOptions, masked: bool) -> Callable:
+    """One of the functions between which the physics runs, batched over loops; trees are packed.
 
     `first` begins a rollout, `turn` ends a period and begins the next one, `middle` is the force of
-    a later physics step of a period, `last` ends a rollout. Each takes what `_seen` gives: of what
-    a call costs, most is for the arrays that are handed over.
+    a later physics step of a period, the `place`-th, `last` ends a rollout. Each takes what `_seen`
+    gives: of what a call costs, most is for the arrays that are handed over.
     """
     final = options.substeps - 1
 
@@ -220,24 +209,18 @@ def _stages(options: DriveOptions, masked: bool) -> _Stages:
     def last(fixed, state, seen):
         return pack(end(unpack(fixed), unpack(state), seen))
 
-    def program(stage: Callable, **static: int) -> Program:
-        name = (stage.__name__, options, masked, static)
-        batched = jax.vmap(functools.partial(stage, **static))
-        return Program(lambda: single_kernel(batched), name)
-
-    return _Stages(
-        first=program(first),
-        turn=program(turn),
-        middle=tuple(program(middle, place=place) for place in range(1, options.substeps)),
-        last=program(last),
-    )
+    stages: dict[str, Callable] = {"first": first, "turn": turn, "middle": middle, "last": last}
+    axes = (0, 0, 0, None) if name == "middle" else (0, 0, 0)
+    return single_kernel(jax.vmap(stages[name], in_axes=axes))
 
 
 def _now(seen: jax.Array) -> Pair:
     return seen[0], seen[1]
 
 
-_packed = Program(lambda: jax.vmap(pack), "pack")
+@Program
+def _packed(trees: Any) -> Packed:
+    return jax.vmap(pack)(trees)
 
 
 def _unpacked(packed: Packed) -> Any:
@@ -284,16 +267,19 @@ def evaluate(
     Returns: see `jaxact.simulation.metrics.Metrics`, shape (loops,) or (loops, joints); and what
         came of this start alone, shape (loops, joints).
     """
-    stages = _stages(options, masked)
+    static = {"options": options, "masked": masked}
     aims = None if setpoints is None else _rows(setpoints)
     dtype = np.dtype(jnp.result_type(float))
+    places = np.arange(1, options.substeps, dtype=np.int32)
     with silenced():
         simulations.start(*start)
         seen = _seen(simulations, dtype, None if aims is None else aims[0])
         fixed = _fixed(coefficients, setpoint, active_ticks, keys, seen)
-        held, force = stages.first(fixed, _packed(_before(state, setpoint, seen)), seen)
-        middle = [stage.compiled(fixed, held, seen) for stage in stages.middle]
-        turn = stages.turn.compiled(fixed, held, seen)
+        held = _packed(_before(state, setpoint, seen))
+        held, force = _stage(fixed, held, seen, name="first", **static)
+        if options.substeps > 1:
+            middle = _stage.compiled(fixed, held, seen, places[0], name="middle", **static)
+        turn = _stage.compiled(fixed, held, seen, name="turn", **static)
         envelopes = []
         for number in range(1, ticks + 1):
             for place in range(options.substeps):
@@ -303,11 +289,11 @@ def evaluate(
                 aim = None if aims is None else aims[min(number, ticks - 1)]
                 seen = _seen(simulations, dtype, aim)
                 if place + 1 < options.substeps:
-                    held, force = middle[place](fixed, held, seen)
+                    held, force = middle(fixed, held, seen, places[place])
             if number < ticks:
                 held, force = turn(fixed, held, seen)
             else:
-                held = stages.last(fixed, held, seen)
+                held = _stage(fixed, held, seen, name="last", **static)
             if number % (ticks // SEGMENTS) == 0:
                 whole = _unpacked(held)
                 envelopes.append(whole.envelope)
@@ -355,6 +341,11 @@ def _before(drive: DriveState, setpoint: Setpoint, seen: np.ndarray) -> BatchSta
     )
 
 
+@Program
+def _finish(ticks: jax.Array, *loops: Any) -> tuple[Metrics, Judgement]:
+    return jax.vmap(_finished, (None, *(0,) * 9))(ticks, *loops)
+
+
 def _finished(
     ticks, running, envelopes, reference, growth_rate, period, counted, rest, drive, others
 ) -> tuple[Metrics, Judgement]:
@@ -371,9 +362,6 @@ def _finished(
         scale=_verdicts.scale(drive, size, rest, linear_plant=False),
         others=others,
     )
-
-
-_finish = Program(lambda: jax.vmap(_finished, (None, *(0,) * 9)), "finish")
 
 
 def _seen(simulations: Simulations, dtype: np.dtype, aim: np.ndarray | None) -> np.ndarray:

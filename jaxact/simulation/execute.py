@@ -15,7 +15,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxact.compilation.programs import Program
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.simulation import plans, spectra, tiles
@@ -83,8 +82,8 @@ def _simulated(
             return _Batch(slice(None), rates, found)
         order = _by_life(plan, rates.growth)
         growth = rates.growth[order]
-        program, inputs = _program(plan, specification, samples, numbers[order], growth)
-        return _Batch(order, rates, program(*inputs))
+        inputs, static = _inputs(plan, specification, samples, numbers[order], growth)
+        return _Batch(order, rates, tiles.run(*inputs, **static))
 
 
 def prepare(
@@ -100,24 +99,23 @@ def prepare(
             continue
         with _precision(specification):
             rates = np.zeros(batch.size)
-            program, inputs = _program(plan, specification, samples, batch, rates)
-            program.compiled(*inputs)
+            inputs, static = _inputs(plan, specification, samples, batch, rates)
+            tiles.run.compiled(*inputs, **static)
 
 
 def _precision(specification: Specification) -> AbstractContextManager[Any]:
     return jax.enable_x64(True) if specification.precision == "float64" else nullcontext()
 
 
-def _program(
+def _inputs(
     plan: plans.Plan,
     specification: Specification,
     samples: Samples,
     numbers: np.ndarray,
     growth: np.ndarray,
-) -> tuple[Program, tuple[Any, ...]]:
-    """What simulates a batch in JAX, and its inputs."""
-    double = specification.precision == "float64"
-    dtype = np.float64 if double else np.float32
+) -> tuple[tuple[Any, ...], dict[str, Any]]:
+    """What `jaxact.simulation.tiles.run` simulates a batch from: arrays and static arguments."""
+    dtype = np.float64 if specification.precision == "float64" else np.float32
     shared, values = tiles.tiled(plan, samples, numbers, dtype)
     shape = values[tiles.NEVER_SHARED].shape
     inputs = (
@@ -127,8 +125,7 @@ def _program(
         np.full(shape, specification.seed, np.uint32),
         (samples.first + numbers).reshape(shape).astype(np.uint32),
     )
-    setting = specification.setting
-    return tiles.compiled("metrics", plan.case, plan.devices, setting, double), inputs
+    return inputs, tiles.static(plan, "metrics", plan.case, specification.setting)
 
 
 def _by_life(plan: plans.Plan, growth: np.ndarray) -> slice | np.ndarray:

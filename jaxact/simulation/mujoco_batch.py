@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from jaxact.compilation.programs import Program
+from jaxact.compilation.programs import building
 from jaxact.drive import step as _drive
 from jaxact.drive.controller import Setpoint
 from jaxact.drive.step import Coefficients
@@ -217,8 +217,8 @@ def _rolled(
     assert scene is not None
     dtype = jnp.result_type(float)
     arrays = {name: jnp.asarray(value, dtype) for name, value in values.items()}
-    begin = _prepare(*_beginning(case, setting, start))
-    prepared = begin(arrays, np.uint32(seed), jnp.asarray(numbers, jnp.uint32))
+    loops = arrays, np.uint32(seed), jnp.asarray(numbers, jnp.uint32)
+    prepared = _prepare(*loops, **_beginning(case, setting, start))
     fields = {}
     if case.varied:
         rows = np.stack([_at_joints(case, setting, values, name) for name in case.varied], axis=1)
@@ -265,19 +265,19 @@ def _impulse(setting: Setting, scene: Scene) -> Impulse | None:
     return Impulse(number, force, push.time, push.duration)
 
 
-def _beginning(case: Case, setting: Setting, start: str) -> tuple[Case, Setting]:
+def _beginning(case: Case, setting: Setting, start: str) -> dict[str, Any]:
     """What the beginning of a batch depends on: the drive, the robot, and how it is moved."""
     ticks = case.rollout.ticks if setting.motion is not None else 0
     begun = Case(
         "mujoco", case.drive, RolloutOptions(ticks), False, 0.0, case.model, step=case.step,
         starts=(start,) if start else (),
     )  # fmt: skip
-    return begun, replace(setting, push=None)
+    return {"case": begun, "setting": replace(setting, push=None)}
 
 
-@functools.lru_cache(maxsize=8)
-def _prepare(case: Case, setting: Setting) -> Program:
-    """The program that makes everything a batch starts from out of its parameters."""
+@building
+def _prepare(*, case: Case, setting: Setting) -> Callable:
+    """The function that makes everything a batch starts from out of its parameters."""
     made = template(case, setting)
 
     def one(values: Mapping[str, jax.Array], seed: jax.Array, number: jax.Array):
@@ -305,7 +305,7 @@ def _prepare(case: Case, setting: Setting) -> Program:
             jnp.broadcast_to(trembling, rest.shape),
         )
 
-    return Program(lambda: jax.vmap(one, in_axes=(0, None, 0)), ("start", case, setting))
+    return jax.vmap(one, in_axes=(0, None, 0))
 
 
 def followed(

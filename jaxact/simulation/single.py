@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.compilation.programs import Program
+from jaxact.compilation.programs import building
 from jaxact.errors import UserError
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Setting, Specification
@@ -192,18 +192,16 @@ def _in_jax(
 ) -> tuple[Metrics, Trajectory, Judgement]:
     """The counterpart of `jaxact.simulation.mujoco_batch.followed` for plants in JAX."""
 
-    def make() -> Callable[..., tuple[Metrics, Trajectory, Judgement]]:
-        template = kernel.template_of(case, setting, "metrics")
-        one = functools.partial(_one, case, template)
-        return jax.vmap(one, in_axes=(0, 0, None, 0))
-
     dtype = jnp.result_type(float)
     inputs = {name: jnp.asarray(value, dtype) for name, value in values.items()}
-    program = Program(make, None if case.engine == "warp" else ("followed", case, setting))
-    found = program(
-        inputs, jnp.asarray(growth, dtype), np.uint32(seed), jnp.asarray(numbers, jnp.uint32)
-    )
-    return jax.tree.map(np.asarray, found)
+    loops = inputs, jnp.asarray(growth, dtype), np.uint32(seed), jnp.asarray(numbers, jnp.uint32)
+    return jax.tree.map(np.asarray, _all(*loops, case=case, setting=setting))
+
+
+@building
+def _all(*, case: Case, setting: Setting) -> Callable[..., tuple[Metrics, Trajectory, Judgement]]:
+    one = functools.partial(_one, case, kernel.template_of(case, setting, "metrics"))
+    return jax.vmap(one, in_axes=(0, 0, None, 0))
 
 
 def _one(

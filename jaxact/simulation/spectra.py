@@ -106,8 +106,8 @@ def _each(
 ) -> np.ndarray:
     """Growth rates, every sample by itself."""
     case, setting = kernel.linear_part(plan.case, specification.setting)
-    grow = tiles.compiled("growth_rate", case, plan.devices, setting, True)
-    found = grow(*tiles.tiled(plan, samples, numbers, np.float64))
+    static = tiles.static(plan, "growth_rate", case, setting)
+    found = tiles.run(*tiles.tiled(plan, samples, numbers, np.float64), **static)
     return np.asarray(found).reshape(-1)
 
 
@@ -118,7 +118,7 @@ def _of_robots(
     case, setting = kernel.linear_part(plan.case, specification.setting)
     # MJX's own derivatives are the same, and take as long to compile as its simulation.
     case = replace(case, engine="mujoco")
-    look = tiles.compiled("slow_modes", case, plan.devices, setting, True)
+    static = tiles.static(plan, "slow_modes", case, setting)
     inputs: list[Any] = [*tiles.tiled(plan, samples, numbers, np.float64)]
     if plan.case.varied:
         from jaxact.simulation import mujoco_batch  # imports MuJoCo
@@ -127,7 +127,7 @@ def _of_robots(
         assert moved is not None
         rows = plan.devices * plan.tiles, plan.tile
         inputs.append([part.reshape(*rows, *part.shape[1:]) for part in moved])
-    modes = jax.tree.map(np.asarray, look(*inputs))
+    modes = jax.tree.map(np.asarray, tiles.run(*inputs, **static))
     modes = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), modes)
     rate = samples.take(numbers, {"control_rate"})["control_rate"]
     return Rates(modes.growth * rate, _shaking(modes, rate) * rate)
@@ -226,9 +226,9 @@ def _polynomials(
     few = replace(plan, tiles=-(-number // (plan.tile * plan.devices)))
     numbers = np.minimum(np.arange(few.batch), number - 1)
     case, setting = kernel.linear_part(plan.case, setting)
-    compute = tiles.compiled("transition", case, plan.devices, setting, True)
+    static = tiles.static(plan, "transition", case, setting)
     try:
-        found = np.asarray(compute(*tiles.tiled(few, samples, numbers, np.float64)))
+        found = np.asarray(tiles.run(*tiles.tiled(few, samples, numbers, np.float64), **static))
     except TooManyStatesError:
         return None
     found = _fed_back(found.reshape(few.batch, *found.shape[2:])[:number])
@@ -283,6 +283,6 @@ def _of_gains(
     if len(sets.bases) > 1:
         shared = {"bases": sets.bases}
         own["place"] = values["place"].reshape(rows).astype(np.int32)
-    find = tiles.compiled("log_radius", _of_any(plan.case), plan.devices, _NO_ROBOT, True)
-    found = np.asarray(find(shared, own)).reshape(-1)
+    static = tiles.static(plan, "log_radius", _of_any(plan.case), _NO_ROBOT)
+    found = np.asarray(tiles.run(shared, own, **static)).reshape(-1)
     return found * values["control_rate"], sets.linear[values["place"]]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
-from jaxact.compilation.programs import KEPT, Program
+from jaxact.compilation.programs import building
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Setting
 from jaxact.simulation import kernel
@@ -20,24 +21,16 @@ from jaxact.simulation.plans import Plan
 NEVER_SHARED = "kp"
 
 
-@functools.lru_cache(maxsize=KEPT)
-def compiled(stage: str, case: Case, devices: int, setting: Setting, double: bool) -> Program:
-    """The program that runs one batch: arrays of shape (devices * tiles, tile) in and out.
+@building
+def run(*, stage: str, case: Case, devices: int, setting: Setting) -> Callable:
+    """The function that runs one batch: arrays of shape (devices * tiles, tile) in and out.
 
     Its first argument are the parameters that all samples share, numbers of shape ().
 
     Args:
         stage: name of the function of `jaxact.simulation.kernel` to run on every sample.
         case, devices, setting: static.
-        double: whether JAX computes in float64 at this moment; the model is loaded in it.
     """
-    # The kernels of MJX-Warp call this process.
-    name = None if case.engine == "warp" else (stage, case, devices, setting, double)
-    return Program(lambda: _sharded(stage, case, devices, setting), name, devices)
-
-
-def _sharded(stage: str, case: Case, devices: int, setting: Setting) -> Callable:
-    """A stage of the kernel on the tiles of devices; arguments as for `compiled`."""
     template = kernel.template_of(case, setting, stage)
     one = functools.partial(getattr(kernel, stage), case, template)
     mesh = Mesh(np.array(jax.local_devices()[:devices]), ("device",))
@@ -61,6 +54,11 @@ def _sharded(stage: str, case: Case, devices: int, setting: Setting) -> Callable
         return parted(shared, *inputs)
 
     return sharded
+
+
+def static(plan: Plan, stage: str, case: Case, setting: Setting) -> dict[str, Any]:
+    """The static arguments of `run` for a plan's batches."""
+    return {"stage": stage, "case": case, "devices": plan.devices, "setting": setting}
 
 
 def tiled(

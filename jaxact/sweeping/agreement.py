@@ -8,7 +8,6 @@ matrix is of the linear loop: quantisation, noise and limits are not in it.
 
 from __future__ import annotations
 
-import functools
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.compilation.programs import Program
 from jaxact.status import Verdict
 from jaxact.sweeping import store
 
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from jaxact.analysis.boundary.boundary import BoundaryCurve
-    from jaxact.compilation.programs import Program
-
 # What the stability of the linear loop depends on; the gains first.
 LINEAR_PARAMETERS = (
     "kp", "kd", "mass", "wn", "zeta", "delay", "measurement_delay", "output_delay",
@@ -261,17 +259,16 @@ def _matrices(values: Mapping[str, np.ndarray], velocity: str, most: int, chunk:
         velocity=velocity,
     )
     with jax.enable_x64(True):
-        return np.asarray(_compiled(most)(loop))[:count]
+        return np.asarray(_matrices_of(loop, most=most))[:count]
 
 
-@functools.lru_cache(maxsize=16)
-def _compiled(most: int) -> Program:
+@Program
+def _matrices_of(loops: Any, *, most: int) -> Any:
     import jax
 
     from jaxact.analysis.sampled.period_map import one_period_matrix
-    from jaxact.compilation.programs import Program
 
-    return Program(lambda: jax.vmap(lambda loop: one_period_matrix(loop, most)), ("matrix", most))
+    return jax.vmap(lambda loop: one_period_matrix(loop, most))(loops)
 
 
 def _cut(matrices: np.ndarray, held: int, most: int) -> np.ndarray:

@@ -7,20 +7,18 @@ continuous time by the argument principle, both bisected to a millionth of a cel
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.compilation.programs import Program
 from jaxact.sweeping import agreement, store
 from jaxact.sweeping.tracing import Curve, trace
 
 if TYPE_CHECKING:
     import xarray as xr
-
-    from jaxact.compilation.programs import Program
 
 _CHUNK = 2048
 # Seconds of eigenvalues that the boundary of one panel may take on one core.
@@ -149,13 +147,12 @@ def stable_in_continuous_time(values: Mapping[str, np.ndarray]) -> np.ndarray:
             part = [column[start : start + _CHUNK] for column in columns]
             number = len(part[0])
             padded = [jnp.asarray(np.resize(column, _CHUNK)) for column in part]
-            counts.append(np.asarray(_counter()(JointLoop(*padded)))[:number])
+            counts.append(np.asarray(_unstable_roots(JointLoop(*padded)))[:number])
     return np.concatenate(counts) == 0
 
 
-@functools.cache
-def _counter() -> Program:
+@Program
+def _unstable_roots(loop: Any) -> Any:
     from jaxact.analysis.joint.roots import count_unstable_roots
-    from jaxact.compilation.programs import Program
 
-    return Program(lambda: count_unstable_roots, "unstable roots of loops")
+    return count_unstable_roots(loop)

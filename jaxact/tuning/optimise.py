@@ -7,9 +7,8 @@ the next ones are shorter.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -90,20 +89,17 @@ def descend(
     slower: added to log-gains that are unstable, until they are not, shape (d,)
     how: static
     """
-    return _descent(surrogate, how)(data, starts, slower)
+    return _descended(data, starts, slower, surrogate=surrogate, how=how)
 
 
-@functools.lru_cache(maxsize=32)
-def _descent(surrogate: Surrogate, how: Descent) -> Program:
-    def every(data: Any, starts: jax.Array, slower: jax.Array) -> Descended:
-        each_start = jax.vmap(
-            lambda start, data: _from_one(surrogate, data, start, slower, how), (0, None)
-        )
-        return jax.vmap(each_start)(starts, data)
-
-    # A function's name does not tell what it computes.
-    told = is_dataclass(surrogate) and how.chain is None
-    return Program(lambda: every, ("descent", surrogate, how) if told else None)
+@Program
+def _descended(
+    data: Any, starts: jax.Array, slower: jax.Array, *, surrogate: Surrogate, how: Descent
+) -> Descended:
+    each_start = jax.vmap(
+        lambda start, data: _from_one(surrogate, data, start, slower, how), (0, None)
+    )
+    return jax.vmap(each_start)(starts, data)
 
 
 def _from_one(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -225,7 +224,7 @@ def _flat(loop: ControlLoop) -> dict[str, np.ndarray]:
 
 def _continuous(values: Mapping[str, np.ndarray]) -> tuple[Margins, jax.Array]:
     """Margins and rightmost roots of loops and some more; to be called where float64 is on."""
-    return _program()(conversion.continuous(_filled_up(values)))
+    return _with_root(conversion.continuous(_filled_up(values)))
 
 
 def _sampled(values: Mapping[str, np.ndarray], velocity: str) -> SampledMargins:
@@ -233,7 +232,8 @@ def _sampled(values: Mapping[str, np.ndarray], velocity: str) -> SampledMargins:
     steps = delay_steps(conversion.total_delay(values), 1.0 / values["control_rate"])
     # Long delays take long to compute, so that one loop is not to wait for others.
     filled = _filled_up(values) if steps <= _STEPS else values
-    return _sampled_program(_rounded_up(steps, _STEPS))(conversion.sampled(filled, velocity))
+    loops = conversion.sampled(filled, velocity)
+    return _with_steps(loops, steps=_rounded_up(steps, _STEPS))
 
 
 def _filled_up(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -253,15 +253,11 @@ def _arrays(found: Any, number: int) -> dict[str, np.ndarray]:
     return {one.name: np.asarray(getattr(found, one.name))[:number] for one in fields(found)}
 
 
-@functools.cache
-def _program() -> Program:
-    def function(loop: Any) -> Any:
-        return _continuous_margins(loop), rightmost_root(loop)
-
-    return Program(lambda: function, "margins, root")
+@Program
+def _with_root(loop: Any) -> tuple[Margins, jax.Array]:
+    return _continuous_margins(loop), rightmost_root(loop)
 
 
-@functools.cache
-def _sampled_program(steps: int) -> Program:
-    function = functools.partial(_sampled_margins, max_delay_steps=steps)
-    return Program(lambda: function, ("sampled margins", steps))
+@Program
+def _with_steps(loop: Any, *, steps: int) -> SampledMargins:
+    return _sampled_margins(loop, max_delay_steps=steps)

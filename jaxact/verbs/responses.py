@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.compilation.programs import Program
 from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.verbs.margins import of_values
 from jaxact.verbs.naming import Loops
 
 if TYPE_CHECKING:
-    from jaxact.compilation.programs import Program
     from jaxact.plotting.response import LoopResponse
 
 MOST_CURVES = 12
@@ -38,20 +37,18 @@ def sampled_margins(loops: Loops, velocity: str) -> dict[str, np.ndarray]:
     return of_values(loops.values, velocity)
 
 
-@functools.cache
-def _compiled_response() -> Program:
+@Program
+def _response(loop: Any, w: Any) -> Any:
     from jaxact.analysis.joint.frequency import loop_response, phase
-    from jaxact.compilation.programs import Program
 
-    return Program(lambda: lambda loop, w: (loop_response(loop, w), phase(loop, w)), "response")
+    return loop_response(loop, w), phase(loop, w)
 
 
-@functools.cache
-def _compiled_sampled_response() -> Program:
+@Program
+def _sampled_response(loop: Any, w: Any) -> Any:
     from jaxact.analysis.sampled.search import sampled_response
-    from jaxact.compilation.programs import Program
 
-    return Program(lambda: sampled_response, "sampled response")
+    return sampled_response(loop, w)
 
 
 def responses(loops: Loops, *, sampled: bool, velocity: str) -> list[LoopResponse]:
@@ -131,7 +128,7 @@ def _continuous(
     values = loops.one(index)
     w = _frequencies(loops)
     with jax.enable_x64(True):
-        open_loop, turned = _compiled_response()(conversion.continuous(values), w)
+        open_loop, turned = _response(conversion.continuous(values), w)
     return LoopResponse(
         label=_label(loops.labels[index], "continuous time" if named else ""),
         frequency=w,
@@ -153,7 +150,7 @@ def _sampled(loops: Loops, found: dict[str, np.ndarray], index: int, velocity: s
     # One program serves all rates: what is above half of it is computed there, and left out.
     w = np.append(np.minimum(_frequencies(loops), nyquist), nyquist)
     with jax.enable_x64(True):
-        found_there = _compiled_sampled_response()(conversion.sampled(values, velocity), w)
+        found_there = _sampled_response(conversion.sampled(values, velocity), w)
     shown = np.append(w[:-1] < nyquist, True)
     w, open_loop = w[shown], np.asarray(found_there)[shown]
     turned = np.degrees(np.unwrap(np.angle(open_loop)))

@@ -127,14 +127,13 @@ impulse = [0, 0, 1.0]
 """
 
 
-def test_neither_errors_nor_what_moves_a_robot_need_another_program(tmp_path):
+def test_neither_errors_nor_what_moves_a_robot_need_another_program(tmp_path, monkeypatch):
     (tmp_path / "pendulum.xml").write_text(PENDULUM)
     calm = reading.parse(ROBOT.format(duration=0.2, moved="", errors=""), tmp_path)
     errors = "position_noise = 1e-4\ncommand_resolution = 0.01\nforce_limit = 50"
     rough = reading.parse(ROBOT.format(duration=0.35, moved=MOVED, errors=errors), tmp_path)
     found, _ = _rates(calm)
-    compiled = tiles.compiled.cache_info().misses
+    monkeypatch.setattr(tiles.run, "_found", None)  # what it calls for a program that is not there
     again, _ = _rates(rough)
-    assert tiles.compiled.cache_info().misses == compiled
     np.testing.assert_array_equal(again, found)
     assert found[0] != found[1]

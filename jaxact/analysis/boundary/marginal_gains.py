@@ -12,7 +12,6 @@ Sampled, on z = exp(j w T): the two real unknowns of 1 + kp Gp(z) + kd Gv(z) = 0
 z = 1 (kp = 0) and z = -1. NumPy at the edge, float64.
 """
 
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -26,7 +25,7 @@ from jaxact.analysis.joint.frequency import JointLoop
 from jaxact.analysis.joint.roots import count_unstable_roots
 from jaxact.analysis.sampled.period_map import SampledLoop, one_period_matrix
 from jaxact.analysis.sampled.pulse import plant_response, pulse_transfer
-from jaxact.compilation.programs import KEPT, Program
+from jaxact.compilation.programs import Program
 
 _CHUNK = 128
 
@@ -120,7 +119,9 @@ def sampled_marginal(
         steps = int(transfer.steps)
         # The matrix is affine in the gains.
         base, along_kp, along_kd = (
-            np.asarray(_period_matrix(steps)(replace(plant, kp=zero + kp, kd=zero + kd)))
+            np.asarray(
+                _period_matrix(replace(plant, kp=zero + kp, kd=zero + kd), max_delay_steps=steps)
+            )
             for kp, kd in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
         )
 
@@ -146,13 +147,9 @@ def sampled_marginal(
     return Marginal(gains, None, nyquist, at_nyquist, delay + 4.0 * control_period, count)
 
 
-_transfer = Program(lambda: pulse_transfer, "pulse transfer")
-_counter = Program(lambda: count_unstable_roots, "unstable roots")
-
-
-@functools.lru_cache(maxsize=KEPT)
-def _period_matrix(steps: int) -> Program:
-    return Program(lambda: lambda loop: one_period_matrix(loop, steps), ("period matrix", steps))
+_transfer = Program(pulse_transfer)
+_counter = Program(count_unstable_roots)
+_period_matrix = Program(one_period_matrix)
 
 
 def _check_plant(mass: float, wn: float, zeta: float, delay: float) -> None:

@@ -7,7 +7,6 @@ gains and by the members' parameters.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from jaxact.analysis.joint.frequency import JointLoop
 from jaxact.analysis.joint.margins import margins
 from jaxact.analysis.sampled.margins import sampled_margins
 from jaxact.analysis.sampled.period_map import SampledLoop, delay_steps
-from jaxact.compilation.programs import KEPT, Program
+from jaxact.compilation.programs import Program
 from jaxact.tuning.joint.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
 from jaxact.tuning.joint.noise import bandwidth, noise_gain
 
@@ -79,14 +78,14 @@ def evaluate(
         steps = delay_steps(flat[5], sampling.control_period)
     # Only what makes a difference to the program, so that goals share it.
     wanted = tuple(name for name in _EXTRA if name in extra)
+    static = {"sampling": sampling, "steps": steps, "wanted": wanted, "timed": timed}
     parts = []
     with jax.enable_x64(True):
-        function = _compiled(sampling, steps, wanted, timed)
         for start in range(0, flat.shape[1], _SIZE):
             part = flat[:, start : start + _SIZE]
             number = part.shape[1]
             padded = np.pad(part, ((0, 0), (0, _SIZE - number)), mode="edge")
-            found = jax.tree.map(np.asarray, function(jnp.asarray(padded)))
+            found = jax.tree.map(np.asarray, _with_slopes(jnp.asarray(padded), **static))
             parts.append(jax.tree.map(lambda a, n=number: a[..., :n], found))
     joined = jax.tree.map(lambda *a: np.concatenate(a, axis=-1), *parts)
     stable, log, slope = joined
@@ -97,8 +96,12 @@ def evaluate(
     )
 
 
-@functools.lru_cache(maxsize=KEPT)
-def _compiled(sampling: Sampling, steps: int, wanted: tuple[str, ...], timed: Any) -> Program:
+@Program
+def _with_slopes(
+    inputs: jax.Array, *, sampling: Sampling, steps: int, wanted: tuple[str, ...], timed: Any
+) -> tuple[jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
+    """Which loops are stable, ln of all metrics, and its slopes; inputs (6, loops)."""
+
     def logs(inputs: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         """ln of all metrics of loops, shape (loops,), and which loops are stable."""
         kp, kd = jnp.exp(inputs[0]), jnp.exp(inputs[1])
@@ -108,13 +111,10 @@ def _compiled(sampling: Sampling, steps: int, wanted: tuple[str, ...], timed: An
         result = {name: jnp.log(value) for name, value in found.items()}
         return result | {"log_gain_to_boundary": distance}, stable
 
-    def both(inputs: jax.Array) -> tuple[jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
-        value, push, stable = jax.linearize(logs, inputs, has_aux=True)
-        # Each loop depends on its own inputs only: one pass for each kind of input does all loops.
-        basis = jnp.eye(_INPUTS, dtype=inputs.dtype)[:, :, None] * jnp.ones_like(inputs)[None]
-        return stable, value, jax.vmap(push)(basis)
-
-    return Program(lambda: both, ("metrics", sampling, steps, wanted, timed))
+    value, push, stable = jax.linearize(logs, inputs, has_aux=True)
+    # Each loop depends on its own inputs only: one pass for each kind of input does all loops.
+    basis = jnp.eye(_INPUTS, dtype=inputs.dtype)[:, :, None] * jnp.ones_like(inputs)[None]
+    return stable, value, jax.vmap(push)(basis)
 
 
 def _metrics(

@@ -7,7 +7,6 @@ of the velocity then sees positions differenced at that rate.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -144,11 +143,11 @@ def step_responses(
     plant = np.stack([getattr(members, name) for name in PARAMETERS])
     with jax.enable_x64(True):
         gains = (jnp.full(len(members), gain) for gain in (kp, kd))
-        errors = _errors(how)(*gains, jnp.asarray(plant))
+        errors = _errors(*gains, jnp.asarray(plant), how=how)
     return how.period * np.arange(how.ticks), 1.0 + np.asarray(errors)
 
 
-@functools.lru_cache(maxsize=16)
-def _errors(how: Timed) -> Program:
-    """From kp, kd (n,) and plants (4, n): errors of a flat batch of loops, shape (n, ticks)."""
-    return Program(lambda: jax.vmap(how.errors, (0, 0, 1)), ("errors", how))
+@Program
+def _errors(kp: jax.Array, kd: jax.Array, plant: jax.Array, *, how: Timed) -> jax.Array:
+    """Errors of a flat batch of loops, shape (n, ticks), from gains (n,) and plants (4, n)."""
+    return jax.vmap(how.errors, (0, 0, 1))(kp, kd, plant)

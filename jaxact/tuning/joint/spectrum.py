@@ -18,7 +18,7 @@ import numpy as np
 from jaxact.analysis.joint.frequency import JointLoop, servo_denominator
 from jaxact.analysis.sampled.period_map import SampledLoop
 from jaxact.analysis.sampled.pulse import plant_response, pulse_transfer
-from jaxact.compilation.programs import KEPT, Program
+from jaxact.compilation.programs import Program
 from jaxact.tuning.joint.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
 from jaxact.tuning.objective import softmax
 
@@ -81,12 +81,12 @@ def _continuous(members: Ensemble, w: np.ndarray) -> np.ndarray:
 def _sampled(members: Ensemble, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     with jax.enable_x64(True):
         plants = tuple(jnp.asarray(getattr(members, name)) for name in PARAMETERS)
-        both = _pulse_responses(members.sampling)(plants, jnp.asarray(w))
+        both = _pulse_responses(plants, jnp.asarray(w), sampling=members.sampling)
     return np.asarray(both[0]), np.asarray(both[1])
 
 
-@functools.lru_cache(maxsize=KEPT)
-def _pulse_responses(sampling: Sampling) -> Program:
+@Program
+def _pulse_responses(plants: tuple[jax.Array, ...], w: jax.Array, *, sampling: Sampling) -> tuple:
     """From parameters of plants, (n,) each, and frequencies: Gp and Gv, shape (n, points)."""
 
     def one(plant: tuple[jax.Array, ...], w: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -104,7 +104,7 @@ def _pulse_responses(sampling: Sampling) -> Program:
         hold = jax.lax.complex(jnp.cos(lag), -jnp.sin(lag))
         return plant_response(transfer, u, s, hold)
 
-    return Program(lambda: jax.vmap(one), ("pulse responses", sampling))
+    return jax.vmap(one)(plants, w)
 
 
 def single_precision(spectrum: Spectrum) -> Spectrum:

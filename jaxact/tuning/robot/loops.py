@@ -22,7 +22,7 @@ import mujoco
 import numpy as np
 
 from jaxact.analysis.robot.multiloop import joined
-from jaxact.compilation.programs import Program
+from jaxact.compilation.programs import building
 from jaxact.drive.step import Drive
 from jaxact.errors import UserError
 from jaxact.loops import robots
@@ -212,41 +212,40 @@ def _opener(
     linearised = _linearised(case, setting, nominal, keys)
     # One NaN, which is found again as a key, for all that the model brings.
     known = {key: math.nan if np.isnan(value) else value for key, value in nominal.items()}
-    compiled = _open_loop(*kernel.linear_part(case, setting), tuple(sorted(known.items())), keys)
+    case, setting = kernel.linear_part(case, setting)
+    constant = tuple(sorted(known.items()))
 
     def opened(row: np.ndarray) -> Opened:
         with jax.enable_x64(True):
             moved = jax.tree.map(jnp.asarray, linearised(row))
-            return jax.tree.map(np.asarray, compiled(jnp.asarray(row, float), moved))
+            member = jnp.asarray(row, float), moved
+            loop = _open_loop(*member, case=case, setting=setting, nominal=constant, keys=keys)
+            return jax.tree.map(np.asarray, loop)
 
     return opened
 
 
-@functools.lru_cache(maxsize=16)
+@building
 def _open_loop(
-    case: Case, setting: Setting, nominal: tuple[tuple[str, float], ...], keys: tuple[str, ...]
-) -> Program:
+    *, case: Case, setting: Setting, nominal: tuple[tuple[str, float], ...], keys: tuple[str, ...]
+) -> Callable:
     """From values of the keys and a plant of their own to a loop, see `Situation.opened`.
 
     What is nominal is a constant there, so that little is left to be compiled.
     """
 
-    def make() -> Callable:
-        """The function; the robot is linearised only where its program is not kept."""
-        template = kernel.template_of(case, setting, "growth_rate")
+    template = kernel.template_of(case, setting, "growth_rate")
 
-        def matrices(row: jax.Array, moved: tuple[jax.Array, jax.Array] | None):
-            """A, B, what controllers measure, and inertias of one member."""
-            values = {name: jnp.asarray(value) for name, value in nominal}
-            values |= {key: row[place] for place, key in enumerate(keys)}
-            loop = kernel.linear_loop(case, template, values, moved)
-            found = robot_loop.open_map(loop, case.drive)
-            seen = jnp.stack([found.positions, found.velocities], axis=1)
-            return found.A, found.B, seen, robot_loop.felt_inertias(loop.plant)
+    def matrices(row: jax.Array, moved: tuple[jax.Array, jax.Array] | None):
+        """A, B, what controllers measure, and inertias of one member."""
+        values = {name: jnp.asarray(value) for name, value in nominal}
+        values |= {key: row[place] for place, key in enumerate(keys)}
+        loop = kernel.linear_loop(case, template, values, moved)
+        found = robot_loop.open_map(loop, case.drive)
+        seen = jnp.stack([found.positions, found.velocities], axis=1)
+        return found.A, found.B, seen, robot_loop.felt_inertias(loop.plant)
 
-        return matrices
-
-    return Program(make, ("open loop", case, setting, nominal, keys))
+    return matrices
 
 
 def _linearised(

@@ -6,7 +6,6 @@ ensemble of drives: the same rollouts and the same verdicts as those of a sweep.
 
 from __future__ import annotations
 
-import functools
 import re
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -16,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.compilation.programs import Program
+from jaxact.compilation.programs import building
 from jaxact.errors import UserError
 from jaxact.loops import robots
 from jaxact.loops.robots import Scene
@@ -350,42 +349,37 @@ class _Farthest:
 def _in_mjx(plan: Plan, asked: Specification, values: Columns, numbers, growth):
     double = asked.precision == "float64"
     dtype = np.float64 if double else np.float32
-    simulate = _compiled(plan.case, asked.setting, double)
     inputs = {name: jnp.asarray(value, dtype) for name, value in values.items()}
     seed = jnp.full(len(numbers), asked.seed, jnp.uint32)
     numbers = jnp.asarray(numbers, jnp.uint32)
-    return simulate(inputs, jnp.asarray(growth, dtype), seed, numbers)
+    loops = inputs, jnp.asarray(growth, dtype), seed, numbers
+    return _excursions(*loops, case=plan.case, setting=asked.setting)
 
 
-@functools.lru_cache(maxsize=8)
-def _compiled(case: kernel.Case, setting: Setting, double: bool) -> Program:
-    """A batch of rollouts in MJX; `double`: the precision that JAX has at this moment."""
+@building
+def _excursions(*, case: kernel.Case, setting: Setting) -> Callable:
+    """A batch of rollouts in MJX."""
+    template = kernel.template_of(case, setting, "metrics")
 
-    def make() -> Callable:
-        """The function, traced only where its program is not kept."""
-        template = kernel.template_of(case, setting, "metrics")
+    def one(values, growth_rate, seed, number):
+        """Metrics, largest distances and final configuration of one sample."""
+        key = jax.random.fold_in(jax.random.key(seed), number)
+        prepared, state, setpoint = kernel.start(case, template, values)
+        start, _ = prepared.plant.measure(state.plant)
+        end, running, envelopes = _rollout.run(
+            prepared, case.drive, case.rollout, state, setpoint, key,
+            setpoints=kernel.setpoints(template, values, case.rollout.ticks),
+        )  # fmt: skip
+        reference = _metrics.reference(start, setpoint.position)
+        drive = prepared.drive.drive
+        rest = _starts.rest_amplitude(case.drive, values, drive, robot=True)
+        size = jnp.maximum(jnp.abs(start), jnp.abs(setpoint.position))
+        result, _ = _metrics.finish(
+            running, envelopes, reference, growth_rate,
+            period=drive.control_period, ticks=case.rollout.ticks, counted=case.rollout.ticks,
+            scale=_verdicts.scale(drive, size, rest, linear_plant=False),
+        )  # fmt: skip
+        result = jax.tree.map(lambda leaf: jnp.nanmax(leaf) if leaf.ndim else leaf, result)
+        return result, running.farthest, end.plant.qpos
 
-        def one(values, growth_rate, seed, number):
-            """Metrics, largest distances and final configuration of one sample."""
-            key = jax.random.fold_in(jax.random.key(seed), number)
-            prepared, state, setpoint = kernel.start(case, template, values)
-            start, _ = prepared.plant.measure(state.plant)
-            end, running, envelopes = _rollout.run(
-                prepared, case.drive, case.rollout, state, setpoint, key,
-                setpoints=kernel.setpoints(template, values, case.rollout.ticks),
-            )  # fmt: skip
-            reference = _metrics.reference(start, setpoint.position)
-            drive = prepared.drive.drive
-            rest = _starts.rest_amplitude(case.drive, values, drive, robot=True)
-            size = jnp.maximum(jnp.abs(start), jnp.abs(setpoint.position))
-            result, _ = _metrics.finish(
-                running, envelopes, reference, growth_rate,
-                period=drive.control_period, ticks=case.rollout.ticks, counted=case.rollout.ticks,
-                scale=_verdicts.scale(drive, size, rest, linear_plant=False),
-            )  # fmt: skip
-            result = jax.tree.map(lambda leaf: jnp.nanmax(leaf) if leaf.ndim else leaf, result)
-            return result, running.farthest, end.plant.qpos
-
-        return jax.vmap(one)
-
-    return Program(make, ("excursions", case, setting, double))
+    return jax.vmap(one)
