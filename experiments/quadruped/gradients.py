@@ -17,8 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxact.loops import robots
-from jaxact.tuning.rollouts import term as simulated
-from jaxact.tuning.rollouts.gradient import value_and_gradient
+from jaxact.tuning.rollouts.tracking import term, value_and_gradient
 
 KINDS = ("HAA", "HFE", "KFE")
 SIZE = 1e-4  # of the differences in the logarithm of a gain
@@ -34,17 +33,16 @@ def slopes(situation: str) -> tuple[np.ndarray, np.ndarray]:
     groups = [KINDS.index(kind) for kind in kinds]
     gains = [asked.parameters["kp"]] * 3 + [asked.parameters[f"kd@.*_{kind}"] for kind in KINDS]
     x = np.log(np.array(gains, float))
-    term = simulated.term(asked, groups, {})
     # MJX's own steps in place of those with derivatives.
-    own = simulated.term(asked, groups, {}, differentiable=False)
+    own = term(asked, groups, {}, differentiable=False)
     with jax.enable_x64(True):
-        value = jax.jit(own.objective)
+        value = jax.jit(own.error)
         ends = [
             [float(value(jnp.asarray(x + sign * SIZE * unit))) for sign in (1.0, -1.0)]
             for unit in np.eye(x.size)
         ]
     differences = np.array([(high - low) / (2.0 * SIZE) for high, low in ends])
-    return value_and_gradient(term, x, "forward").gradient, differences
+    return value_and_gradient(term(asked, groups, {}), x, "forward")[1], differences
 
 
 def main() -> None:

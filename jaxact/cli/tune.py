@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import shlex
 import sys
@@ -24,12 +25,46 @@ NOT_MET = 1
 Parameters = _loops.options((*_loops.LINEAR, "control_rate"), several=False)
 
 
-def _number(metavar: str, words: str, default: str) -> Any:
-    return arg(metavar=metavar, help=words, help_behavior_hint=f"(default: {default})")
+# Bounds of a goal: what is written for the value, what it is against, and the default.
+_BOUNDS = {
+    "max_peak": (
+        "RATIO", "Largest Ms and Mt, against any modelling error; inf: none.", _loops.UNSET
+    ),
+    "min_gain_margin": ("FACTOR", "Smallest gain margin, against a lighter load; 1: none.", 1.0),
+    "min_delay_margin": (
+        "SECONDS", "Smallest delay margin [s], against a later bus; 0: none.", 0.0
+    ),
+    "min_disk_margin": (
+        "VALUE",
+        "Smallest disk margin, against gain and phase off, in each joint separately; 0: none.", 0.0,
+    ),
+    "min_kp": (
+        "VALUE", "Softest kp [N/m; N m/rad of a hinge], against a joint too soft; 0: none.", 0.0
+    ),
+    "max_kp": (
+        "VALUE", "Stiffest kp [N/m; N m/rad of a hinge], against hard contact; inf: none.", math.inf
+    ),
+    "max_noise_gain": (
+        "VALUE",
+        "Largest rms force per encoder count [N/m], against noise and heat: rounding read at the "
+        "control rate, 1 kHz without one; inf: none.", math.inf,
+    ),
+}  # fmt: skip
+
+
+def _bound(name: str) -> tuple[str, Any, Any]:
+    metavar, words, default = _BOUNDS[name]
+    hint = "(default: 1.6, none for disk-margin)" if default is _loops.UNSET else None
+    conf = arg(metavar=metavar, help=words, help_behavior_hint=hint)
+    return name, Annotated[float, conf], dataclasses.field(default=default)
+
+
+Bounds = dataclasses.make_dataclass("Bounds", [_bound(name) for name in _BOUNDS], frozen=True)
 
 
 def main(
     parameters: Annotated[Parameters, OmitArgPrefixes] = Parameters(),  # type: ignore[valid-type] # noqa: B008
+    bounds: Annotated[Bounds, OmitArgPrefixes] = Bounds(),  # type: ignore[valid-type] # noqa: B008
     robot: Annotated[_robot_tuning.Options, OmitArgPrefixes] = _robot_tuning.Options(),  # noqa: B008
     *,
     objective: Annotated[
@@ -41,52 +76,6 @@ def main(
             "time [s], setpoint [m].",
         ),
     ] = "stiffness",
-    max_peak: Annotated[
-        float,
-        _number(
-            "RATIO",
-            "Largest Ms and Mt, against any modelling error; inf: none.",
-            "1.6, none for disk-margin",
-        ),
-    ] = _loops.UNSET,
-    min_gain_margin: Annotated[
-        float,
-        arg(metavar="FACTOR", help="Smallest gain margin, against a lighter load; 1: none."),
-    ] = 1.0,
-    min_delay_margin: Annotated[
-        float,
-        arg(metavar="SECONDS", help="Smallest delay margin [s], against a later bus; 0: none."),
-    ] = 0.0,
-    min_disk_margin: Annotated[
-        float,
-        arg(
-            metavar="VALUE",
-            help="Smallest disk margin, against gain and phase off, in each joint separately; "
-            "0: none.",
-        ),
-    ] = 0.0,
-    min_kp: Annotated[
-        float,
-        arg(
-            metavar="VALUE",
-            help="Softest kp [N/m; N m/rad of a hinge], against a joint too soft; 0: none.",
-        ),
-    ] = 0.0,
-    max_kp: Annotated[
-        float,
-        arg(
-            metavar="VALUE",
-            help="Stiffest kp [N/m; N m/rad of a hinge], against hard contact; inf: none.",
-        ),
-    ] = math.inf,
-    max_noise_gain: Annotated[
-        float,
-        arg(
-            metavar="VALUE",
-            help="Largest rms force per encoder count [N/m], against noise and heat: rounding read "
-            "at the control rate, 1 kHz without one; inf: none.",
-        ),
-    ] = math.inf,
     uncertainty: Annotated[
         str,
         arg(
@@ -170,9 +159,7 @@ def main(
     if not 0 <= seed < 2**63:
         raise UserError(f"--seed {seed}: give between 0 and 2^63 - 1")
     given = _loops.given(parameters)
-    goal = _goal(objective, risk, max_peak=max_peak, min_gain_margin=min_gain_margin,
-                 min_delay_margin=min_delay_margin, min_disk_margin=min_disk_margin,
-                 min_kp=min_kp, max_kp=max_kp, max_noise_gain=max_noise_gain)  # fmt: skip
+    goal = _goal(objective, risk, **vars(bounds))
     if pareto:
         _check_front(pareto, robot)
     if whole and joint != "joint":

@@ -44,18 +44,19 @@ MOST_PEAKS = 200
 class Goal:
     """An objective and its constraints, for a loop or an ensemble.
 
-    objective: a name of OBJECTIVES
-    max_peak: largest Ms and Mt [-], > 1, inf = none
-    min_gain_margin: [-], >= 1, 1 = none
-    min_delay_margin: [s], >= 0, 0 = none
-    min_disk_margin: balanced [-], >= 0, 0 = none
-    max_noise_gain: force rms per encoder count [N/m], > 0, inf = none; see
-        `jaxact.tuning.joint.noise`
-    min_kp, max_kp: stiffness [N/m], 0 and inf = none
-    risk: "worst" member, "mean", or "cvar:A", the mean of the worst share 1 - A of the members;
-        every member is stable, whichever is asked
-    reference: setpoints [m] at the control ticks for "tracking", shape (ticks,)
-    reference_period: time between them [s]
+    Attributes:
+        objective: a name of OBJECTIVES.
+        max_peak: largest Ms and Mt [-], > 1, inf = none.
+        min_gain_margin: [-], >= 1, 1 = none.
+        min_delay_margin: [s], >= 0, 0 = none.
+        min_disk_margin: balanced [-], >= 0, 0 = none.
+        max_noise_gain: force rms per encoder count [N/m], > 0, inf = none; see
+            `jaxact.tuning.joint.noise`.
+        min_kp, max_kp: stiffness [N/m], 0 and inf = none.
+        risk: "worst" member, "mean", or "cvar:A", the mean of the worst share 1 - A of the members;
+            every member is stable, whichever is asked.
+        reference: setpoints [m] at the control ticks for "tracking", shape (ticks,).
+        reference_period: time between them [s].
     """
 
     objective: str = "stiffness"
@@ -111,7 +112,8 @@ class Goal:
 def check(goal: Goal) -> Goal:
     """The same goal, if it can be asked for.
 
-    Raises UserError for a name or a bound that makes no sense.
+    Raises:
+        UserError: a name or a bound that makes no sense.
     """
     if goal.objective not in OBJECTIVES:
         raise UserError(f"objective {shown(goal.objective)}; {nearest(goal.objective, OBJECTIVES)}")
@@ -152,7 +154,8 @@ def _option(name: str) -> str:
 def risk_tail(risk: str) -> float:
     """Share of the members that a risk weighs; see `Goal.tail`.
 
-    Raises UserError for any other word.
+    Raises:
+        UserError: any other word.
     """
     if risk == "worst":
         return 0.0
@@ -171,8 +174,9 @@ def risk_tail(risk: str) -> float:
 def tail_weights(values: Any, tail: float) -> np.ndarray:
     """Weights of the members, largest values first, that make their risk; rows sum to 1.
 
-    values: what is bad when large, shape (..., n)
-    tail: share that counts, > 0; of n members the worst tail * n, the last one in part
+    Args:
+        values: what is bad when large, shape (..., n).
+        tail: share that counts, > 0; of n members the worst tail * n, the last one in part.
     """
     values = np.asarray(values)
     number = values.shape[-1]

@@ -18,9 +18,10 @@ from jaxact.errors import UserError, shown
 class Groups:
     """Which joints share their gains; g groups of m joints.
 
-    names: of the groups
-    members: number of the group of each joint, shape (m,)
-    joints: names of the joints
+    Attributes:
+        names: of the groups.
+        members: number of the group of each joint, shape (m,).
+        joints: names of the joints.
     """
 
     names: tuple[str, ...]
@@ -60,12 +61,14 @@ class Groups:
 def group(patterns: Sequence[str], names: Sequence[tuple[str, str]]) -> Groups:
     """The groups of a robot's joints.
 
-    patterns: regular expressions that are found anywhere in the name of a joint or of its
-        actuator, one for each group; none: every joint is a group of its own
-    names: of each driven joint and of its actuator
+    Args:
+        patterns: regular expressions that are found anywhere in the name of a joint or of its
+            actuator, one for each group; none: every joint is a group of its own.
+        names: of each driven joint and of its actuator.
 
-    Raises UserError for a pattern that is none or matches nothing, for joints that two patterns
-    match, and for joints that none does.
+    Raises:
+        UserError: a pattern that is none or matches nothing, for joints that two patterns match,
+            and for joints that none does.
     """
     joints = tuple(joint for joint, _ in names)
     if not patterns:

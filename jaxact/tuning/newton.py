@@ -39,10 +39,11 @@ def newton(
 ) -> Polished:
     """The optimum next to x, where there is one value only.
 
-    problem: rows at a point, of one problem
-    curvature: of its constraints; that of the value is learnt on the way
-    x: shape (d,), within a few steps of where the constraints are met
-    low, high: bounds that are never left, shape (d,) each
+    Args:
+        problem: rows at a point, of one problem.
+        curvature: of its constraints; that of the value is learnt on the way.
+        x: shape (d,), within a few steps of where the constraints are met.
+        low, high: bounds that are never left, shape (d,) each.
     """
     rows = problem(x[None])
     best = Polished(x[None], rows.worst_value, rows.violation, 1)
@@ -139,8 +140,9 @@ def _searched(
 def _updated(own: np.ndarray, moved: np.ndarray, turned: np.ndarray) -> np.ndarray:
     """Second derivatives of minus the value, by the update of Broyden, Fletcher, Goldfarb, Shanno.
 
-    moved: of x, shape (d,)
-    turned: what that did to the slope
+    Args:
+        moved: of x, shape (d,).
+        turned: what that did to the slope.
     """
     along = float(moved @ turned)
     if along <= 1e-8 * np.linalg.norm(moved) * np.linalg.norm(turned):
@@ -166,7 +168,8 @@ def _step(
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """Step of the quadratic programme, None where it has none, and weights of the constraints.
 
-    low, high: smallest and largest step, shape (d,) each
+    Args:
+        low, high: smallest and largest step, shape (d,) each.
     """
     excess, slope = rows.excess[0], rows.excess_slope[0]
     used = np.flatnonzero(np.isfinite(excess) & (excess > -_INSIDE))

@@ -30,9 +30,10 @@ PENALTY = 40.0
 class Smooth:
     """What the descent sees of one point.
 
-    value: ln of the objective's metric, signed so that larger is better [-]
-    violation: smooth maximum over constraints and members of ln(metric / bound) [-]
-    stable: whether every member is
+    Attributes:
+        value: ln of the objective's metric, signed so that larger is better [-].
+        violation: smooth maximum over constraints and members of ln(metric / bound) [-].
+        stable: whether every member is.
     """
 
     value: jax.Array
@@ -60,12 +61,13 @@ def combine(
 ) -> Smooth:
     """Risks over the members of ln metrics of all of them.
 
-    metrics: ln of each metric by name, shape (n,)
-    stable: shape (n,)
-    rows: (metric, sign) of every constraint, static
-    log_bounds: ln of the bounds, shape (rows,)
-    objective: (metric, sign), static
-    tail: share of the members that counts, shape (); None for the worst alone
+    Args:
+        metrics: ln of each metric by name, shape (n,).
+        stable: shape (n,).
+        rows: (metric, sign) of every constraint, static.
+        log_bounds: ln of the bounds, shape (rows,).
+        objective: (metric, sign), static.
+        tail: share of the members that counts, shape (); None for the worst alone.
     """
     metric, sense = objective
     value = -_risk(-sense * metrics[metric], tail, sharpness)

@@ -30,10 +30,11 @@ _SLOWDOWNS = 16
 class Descent:
     """How to descend; static.
 
-    chain: makes the optax chain of the number of steps, None for Adam with cosine decay
-    steps: of that chain
-    polish: steps of L-BFGS behind it
-    gradient: "forward" or "reverse"; None to choose by counting the gains
+    Attributes:
+        chain: makes the optax chain of the number of steps, None for Adam with cosine decay.
+        steps: of that chain.
+        polish: steps of L-BFGS behind it.
+        gradient: "forward" or "reverse"; None to choose by counting the gains.
     """
 
     chain: Callable[[int], optax.GradientTransformation] | None = None
@@ -51,10 +52,11 @@ class Descent:
 class Descended:
     """Where every start ended, and how it got there; cases and starts in front.
 
-    gains: log-gains, shape (cases, starts, d)
-    value, violation: smooth, of the end [-], shape (cases, starts); inf where it is unstable
-    path: log-gains on the way, shape (cases, starts, steps, d)
-    path_value, path_violation: shape (cases, starts, steps)
+    Attributes:
+        gains: log-gains, shape (cases, starts, d).
+        value, violation: smooth, of the end [-], shape (cases, starts); inf where it is unstable.
+        path: log-gains on the way, shape (cases, starts, steps, d).
+        path_value, path_violation: shape (cases, starts, steps).
     """
 
     gains: jax.Array
@@ -82,12 +84,13 @@ def descend(
 ) -> Descended:
     """Descend from all starts of all cases.
 
-    surrogate: static; smooth objective of one point of one case; one that is a dataclass says all
-        that it computes in its `repr`
-    data: of the cases, each leaf with a leading axis (cases,)
-    starts: log-gains, shape (cases, starts, d)
-    slower: added to log-gains that are unstable, until they are not, shape (d,)
-    how: static
+    Args:
+        surrogate: static; smooth objective of one point of one case; one that is a dataclass says
+            all that it computes in its `repr`.
+        data: of the cases, each leaf with a leading axis (cases,).
+        starts: log-gains, shape (cases, starts, d).
+        slower: added to log-gains that are unstable, until they are not, shape (d,).
+        how: static.
     """
     return _descended(data, starts, slower, surrogate=surrogate, how=how)
 

@@ -37,11 +37,12 @@ _LOOKS = 6
 class Rows:
     """Exact values and constraints of several problems at one point each; p problems, d unknowns.
 
-    value: to be large, shape (p, k)
-    value_slope: shape (p, k, d)
-    excess: c, at most 0 where a constraint is met, shape (p, r)
-    excess_slope: shape (p, r, d)
-    usable: whether the problem's rows mean anything, every member stable; shape (p,)
+    Attributes:
+        value: to be large, shape (p, k).
+        value_slope: shape (p, k, d).
+        excess: c, at most 0 where a constraint is met, shape (p, r).
+        excess_slope: shape (p, r, d).
+        usable: whether the problem's rows mean anything, every member stable; shape (p,).
     """
 
     value: np.ndarray
@@ -74,11 +75,12 @@ def _smallest(rows: np.ndarray) -> np.ndarray:
 class Polished:
     """Best points found; p problems.
 
-    x: shape (p, d)
-    value: smallest value [-], shape (p,)
-    violation: largest excess [-], shape (p,); at most MET where all constraints are met
-    evaluations: points at which each problem was evaluated
-    end: where the way led in the end, maybe a little beyond the constraints, shape (p, d)
+    Attributes:
+        x: shape (p, d).
+        value: smallest value [-], shape (p,).
+        violation: largest excess [-], shape (p,); at most MET where all constraints are met.
+        evaluations: points at which each problem was evaluated.
+        end: where the way led in the end, maybe a little beyond the constraints, shape (p, d).
     """
 
     x: np.ndarray
@@ -117,14 +119,15 @@ def polish(
 ) -> Polished:
     """The best points near the starts.
 
-    problem: rows of every problem at a point of each
-    start: shape (p, d)
-    low, high: bounds that are never left, shape (p, d)
-    steps: most linear programmes
-    worth: gain at which a feasible point is left as it is [-]
-    radius: of the trust region to begin with [-]
-    kinks: look to all sides where it gets stuck, which takes 2 d evaluations
-    memory: points before whose rows count as well, where a point shows a few of its rows only
+    Args:
+        problem: rows of every problem at a point of each.
+        start: shape (p, d).
+        low, high: bounds that are never left, shape (p, d).
+        steps: most linear programmes.
+        worth: gain at which a feasible point is left as it is [-].
+        radius: of the trust region to begin with [-].
+        kinks: look to all sides where it gets stuck, which takes 2 d evaluations.
+        memory: points before whose rows count as well, where a point shows a few of its rows only.
     """
     start = np.clip(start, low, high)
     best, x, stuck = _descend(problem, start, low, high, steps, worth, radius, memory)
@@ -305,12 +308,13 @@ def _linear_steps(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Linear programmes of n problems: steps (n, d), weights of a violation (n,), gains promised.
 
-    cuts: of each
-    sides: smallest and largest steps, shape (n, 2, d)
-    violation: present largest excess, shape (n,)
-
     Unknowns (s, t, e) of each: maximise t - elastic * e with value + slope s >= t and
     excess + slope s <= e. All are solved as one, a block each, as most of a small one is the call.
+
+    Args:
+        cuts: of each.
+        sides: smallest and largest steps, shape (n, 2, d).
+        violation: present largest excess, shape (n,).
     """
     number, _, size = sides.shape
     step, weight, gain = np.zeros((number, size)), np.ones(number), np.zeros(number)
@@ -339,7 +343,8 @@ def _solved(
 ) -> list[tuple[np.ndarray, float, float, float] | None]:
     """Step, target, slack and the sum of duals of each linear programme; None where there is none.
 
-    problems: rows and sides of each
+    Args:
+        problems: rows and sides of each.
     """
     from scipy.optimize import linprog
     from scipy.sparse import block_diag, coo_array

@@ -285,7 +285,7 @@ def test_simulated_tracking_is_traded_for_stiffness_where_that_is_asked_for(know
     with optimised_little():
         traded = robot.tune(one, Goal(max_peak=1.8), groups, tracking_weight=2.0, **QUICK)
     assert traded.certified and traded.value < plain.value
-    S, T = _fine(traded.loops, 0, traded.kp, traded.kd)
+    S, T = _fine(traded.members, 0, traded.kp, traded.kd)
     assert max(S.max(), T.max()) <= 1.8 * (1.0 + 1e-9)
     # Better by the objective that was asked for, and in simulation by what is said.
     errors = [_simulated(one[0].specification, *gains)

@@ -12,8 +12,7 @@ from robots import MONOPED, QUADRUPED
 from jaxact.errors import UserError
 from jaxact.loops import reading, robots
 from jaxact.loops.specification import Push
-from jaxact.tuning.rollouts import term as simulated
-from jaxact.tuning.rollouts.gradient import chosen, value_and_gradient, work
+from jaxact.tuning.rollouts.tracking import chosen, term, value_and_gradient, work
 
 SIZE = 1e-4
 
@@ -34,11 +33,11 @@ def test_the_gradient_of_a_standing_quadruped_is_that_of_central_differences():
     groups = [("HAA", "HFE", "KFE").index(label.partition("_")[2]) for label in labels]
     x = np.log([709.0, 709.0, 709.0, 39.9, 41.4, 5.57])
     members = {"output_delay": np.array([0.0012])}
-    term = simulated.term(asked, groups, members, effort_weight=1e-6)
-    found = value_and_gradient(term, x)
-    assert found.mode == "forward" and found.objective > found.tracking > 0.0
-    differences = _differences(lambda x: value_and_gradient(term, x).objective, x)
-    np.testing.assert_allclose(found.gradient, differences, rtol=1e-5)
+    made = term(asked, groups, members)
+    value, gradient = value_and_gradient(made, x, "forward")
+    assert value > 0.0
+    differences = _differences(lambda x: value_and_gradient(made, x, "forward")[0], x)
+    np.testing.assert_allclose(gradient, differences, rtol=1e-5)
 
 
 @pytest.fixture(scope="module")
@@ -58,17 +57,16 @@ def test_backwards_is_central_differences_too(monoped):
         "velocity_noise": np.array([0.0, 0.01]),
         "position_resolution": np.full(2, 1e-3),
     }
-    term = simulated.term(monoped, [0], members, effort_weight=1e-6)
-    assert term.ticks >= 40 and term.ticks % term.chunk == 0
-    found = value_and_gradient(term, x, "reverse")
-    assert found.mode == "reverse" and found.objective > found.tracking > 0.0
+    made = term(monoped, [0], members)
+    assert made.ticks >= 40 and made.ticks % made.chunk == 0
+    value, gradient = value_and_gradient(made, x, "reverse")
     # MJX's own steps, which nobody has made differentiable.
-    plain = simulated.term(monoped, [0], members, effort_weight=1e-6, differentiable=False)
+    plain = term(monoped, [0], members, differentiable=False)
     with jax.enable_x64(True):
-        own = jax.jit(plain.objective)
-        assert found.objective == pytest.approx(float(own(jnp.asarray(x))), rel=1e-9)
+        own = jax.jit(plain.error)
+        assert value == pytest.approx(float(own(jnp.asarray(x))), rel=1e-9)
         differences = _differences(lambda x: float(own(jnp.asarray(x))), x)
-    np.testing.assert_allclose(found.gradient, differences, rtol=1e-5)
+    np.testing.assert_allclose(gradient, differences, rtol=1e-5)
 
 
 def test_the_mode_is_chosen_by_counting():
@@ -83,4 +81,4 @@ def test_the_mode_is_chosen_by_counting():
 def test_the_tracking_of_a_single_joint_is_refused():
     asked = reading.parse("[axes]\nkp = [400.0]\n")
     with pytest.raises(UserError, match="only of a robot"):
-        simulated.term(asked, [0], {})
+        term(asked, [0], {})

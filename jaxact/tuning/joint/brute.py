@@ -31,9 +31,11 @@ _SLACK = 2e-4
 class Brute:
     """What brute force found.
 
-    value: ln of the objective, signed so that larger is better; -inf if nothing meets everything
-    x: log-gains, shape (2,)
-    evaluations: gains tried
+    Attributes:
+        value: ln of the objective, signed so that larger is better; -inf if nothing meets
+            everything.
+        x: log-gains, shape (2,).
+        evaluations: gains tried.
     """
 
     value: float

@@ -27,10 +27,11 @@ DEFAULT_PERIOD = 1e-3
 class Sampling:
     """How the controller samples; static, the same for all members.
 
-    control_period: T [s]; None for the loop in continuous time
-    velocity: "sampled" or "differenced"; the same in continuous time
-    velocity_filter: cutoff of the first-order filter of the differenced velocity, in continuous
-        time of the velocity [rad/s], inf = none
+    Attributes:
+        control_period: T [s]; None for the loop in continuous time.
+        velocity: "sampled" or "differenced"; the same in continuous time.
+        velocity_filter: cutoff of the first-order filter of the differenced velocity, in continuous
+            time of the velocity [rad/s], inf = none.
     """
 
     control_period: float | None = None
@@ -42,12 +43,13 @@ class Sampling:
 class Ensemble:
     """Plants and actuators, n of them; float64 NumPy arrays of shape (n,).
 
-    mass: m [kg], > 0
-    natural_frequency: wn of the force servo [rad/s], > 0, inf = ideal
-    damping_ratio: zeta [-], > 0
-    delay: sum of command, measurement and output delay [s], >= 0
-    sampling: of the controller, or that there is none
-    names: what each is called in reports, numbered by default
+    Attributes:
+        mass: m [kg], > 0.
+        natural_frequency: wn of the force servo [rad/s], > 0, inf = ideal.
+        damping_ratio: zeta [-], > 0.
+        delay: sum of command, measurement and output delay [s], >= 0.
+        sampling: of the controller, or that there is none.
+        names: what each is called in reports, numbered by default.
     """
 
     mass: np.ndarray
@@ -83,7 +85,10 @@ def ensemble(
 ) -> Ensemble:
     """A checked ensemble from numbers or arrays that broadcast to one dimension.
 
-    Arguments as the fields of `Ensemble`. Raises UserError for values out of their domain.
+    Arguments as the fields of `Ensemble`.
+
+    Raises:
+        UserError: values out of their domain.
     """
     given = (mass, natural_frequency, damping_ratio, delay)
     arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, dtype=float)) for a in given))

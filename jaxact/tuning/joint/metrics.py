@@ -38,9 +38,10 @@ _INPUTS = 2 + len(PARAMETERS)
 class Exact:
     """Metrics of loops, NumPy float64; `log` and `slope` are NaN where they mean nothing.
 
-    stable: shape (...)
-    log: ln of each metric by name, shape (...); `log_gain_to_boundary` is the metric itself
-    slope: derivatives of `log` by (ln kp, ln kd, mass, wn, zeta, delay), shape (..., 6)
+    Attributes:
+        stable: shape (...).
+        log: ln of each metric by name, shape (...); `log_gain_to_boundary` is the metric itself.
+        slope: derivatives of `log` by (ln kp, ln kd, mass, wn, zeta, delay), shape (..., 6).
     """
 
     stable: np.ndarray
@@ -63,11 +64,12 @@ def evaluate(
 ) -> Exact:
     """Exact metrics of many loops.
 
-    log_kp, log_kd: ln of the gains, any shape
-    members: parameters that broadcast with them
-    sampling: of the controller
-    extra: metrics beyond the margins, "noise_gain" and "bandwidth"; other names change nothing
-    timed: static `jaxact.tuning.joint.response.Timed`, of what takes simulated time, or None
+    Args:
+        log_kp, log_kd: ln of the gains, any shape.
+        members: parameters that broadcast with them.
+        sampling: of the controller.
+        extra: metrics beyond the margins, "noise_gain" and "bandwidth"; other names change nothing.
+        timed: static `jaxact.tuning.joint.response.Timed`, of what takes simulated time, or None.
     """
     rows = [members[n] if isinstance(members, Mapping) else getattr(members, n) for n in PARAMETERS]
     arrays = np.broadcast_arrays(log_kp, log_kd, *rows)

@@ -30,8 +30,9 @@ _BISECTIONS = 45
 def noise_gain(loop: JointLoop, period: float) -> jax.Array:
     """F [N/m]: rms force per count of the encoder, in the loop in continuous time; shape (n,).
 
-    loop: fields of shape (n,), stable
-    period: T, time between the encoder's readings [s]
+    Args:
+        loop: fields of shape (n,), stable.
+        period: T, time between the encoder's readings [s].
     """
     top = jnp.pi / period
     w = top * jnp.logspace(-_DECADES, 0.0, _POINTS, dtype=loop.kp.dtype)[:, None]
@@ -59,7 +60,8 @@ def follows(loop: JointLoop, w: jax.Array) -> jax.Array:
 def bandwidth(loop: JointLoop) -> jax.Array:
     """First frequency with |q / r| = 1/sqrt(2) [rad/s], shape (n,).
 
-    loop: fields of shape (n,), stable
+    Args:
+        loop: fields of shape (n,), stable.
     """
     level = -0.5 * jnp.log(2.0)
     frozen = jax.lax.stop_gradient(loop)

@@ -51,7 +51,8 @@ def time_scale(case: Case) -> np.ndarray:
 def starts(case: Case, number: int) -> np.ndarray:
     """Default log-gains to start from, shape (number, 2): the same for all joints but for scale.
 
-    number: the first ones of STARTS, and between them where more are asked for
+    Args:
+        number: the first ones of STARTS, and between them where more are asked for.
     """
     table = np.log(np.array(STARTS))
     if number > len(table):
@@ -83,11 +84,12 @@ def log_bounds(goal: Goal) -> np.ndarray:
 class Table:
     """What the descent needs of each case; leading axes (cases, members) or (cases,).
 
-    spectrum: of every member, float32
-    log_bounds: ln of the bounds of the constraints, shape (cases, rows)
-    low, high: bounds of the log-gains, shape (cases, 2)
-    plant: of every member for metrics of simulated time, shape (cases, members, 4)
-    tail: share of the members that counts, shape (cases,)
+    Attributes:
+        spectrum: of every member, float32.
+        log_bounds: ln of the bounds of the constraints, shape (cases, rows).
+        low, high: bounds of the log-gains, shape (cases, 2).
+        plant: of every member for metrics of simulated time, shape (cases, members, 4).
+        tail: share of the members that counts, shape (cases,).
     """
 
     spectrum: Spectrum
@@ -140,8 +142,9 @@ def family(goal: Goal) -> Goal:
 class JointSurrogate:
     """The smooth problem of a goal; its numbers come with the data, so that they may vary.
 
-    goal: objective, kind of risk, and which constraints there are; see `family`
-    timed: `jaxact.tuning.joint.response.Timed` for an objective in simulated time
+    Attributes:
+        goal: objective, kind of risk, and which constraints there are; see `family`.
+        timed: `jaxact.tuning.joint.response.Timed` for an objective in simulated time.
     """
 
     goal: Goal
@@ -181,8 +184,9 @@ def exact(cases: Sequence[Case], x: np.ndarray, timed: Any = None) -> Exact:
 def rows_of(case_goals: Sequence[Goal], x: np.ndarray, found: Exact) -> Rows:
     """Values and constraints of each case, from exact metrics of its members.
 
-    case_goals: of the same objective, constraints and risk; bounds may differ
-    x: log-gains, shape (cases, 2)
+    Args:
+        case_goals: of the same objective, constraints and risk; bounds may differ.
+        x: log-gains, shape (cases, 2).
     """
     goal = case_goals[0]
     slope = found.gain_slope
@@ -208,7 +212,8 @@ def rows_of(case_goals: Sequence[Goal], x: np.ndarray, found: Exact) -> Rows:
 def risk_rows(bad: np.ndarray, slope: np.ndarray, tail: float) -> tuple[np.ndarray, np.ndarray]:
     """Every member a row where the worst counts, else one row of weighted members.
 
-    bad: shape (cases, n);  slope: shape (cases, n, d)
+    Args:
+        bad: shape (cases, n);  slope: shape (cases, n, d).
     """
     if tail == 0.0:
         return bad, slope
@@ -224,7 +229,8 @@ def risk_rows(bad: np.ndarray, slope: np.ndarray, tail: float) -> tuple[np.ndarr
 def problem(cases: Sequence[Case], timed: Any = None, *, aim: bool = True) -> Problem:
     """Exact rows of cases as a function of their log-gains.
 
-    aim: False leaves the objective out: only the constraints are to be met
+    Args:
+        aim: False leaves the objective out: only the constraints are to be met.
     """
     goals = [case.goal for case in cases]
 

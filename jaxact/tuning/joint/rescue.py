@@ -27,12 +27,14 @@ def rescue(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Stable points near unstable ones; stable starts stay where they are.
 
-    x: log-gains, shape (p, d)
-    slower: added where the slope leads nowhere, shape (d,)
-    low, high: bounds of the log-gains, shape (p, d)
+    Args:
+        x: log-gains, shape (p, d).
+        slower: added where the slope leads nowhere, shape (d,).
+        low, high: bounds of the log-gains, shape (p, d).
 
-    Returns the points, and the number of steps each took. A point that stays unstable within its
-    bounds is returned as it is.
+    Returns:
+        The points, and the number of steps each took. A point that stays unstable within its bounds
+        is returned as it is.
     """
     steps = np.zeros(len(x), dtype=int)
     nearest = np.full(len(x), -np.inf)

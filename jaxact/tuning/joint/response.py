@@ -40,12 +40,13 @@ _SHARPEST = 100.0
 class Timed:
     """What is simulated for a metric; static and hashable.
 
-    metric: "settling_time" [s] or "tracking_error", rms [m]
-    ticks: control periods
-    period: control period [s]
-    reference: setpoints at the ticks [m], shape (ticks,); a step to 1 where empty
-    options: of the drive
-    sampling: of the controller, for the velocity it sees
+    Attributes:
+        metric: "settling_time" [s] or "tracking_error", rms [m].
+        ticks: control periods.
+        period: control period [s].
+        reference: setpoints at the ticks [m], shape (ticks,); a step to 1 where empty.
+        options: of the drive.
+        sampling: of the controller, for the velocity it sees.
     """
 
     metric: str
@@ -104,7 +105,8 @@ class Timed:
 def timed(goal: Goal, ensembles: Sequence[Ensemble]) -> Timed | None:
     """What a goal needs to be simulated, None for one that needs nothing.
 
-    ensembles: of all cases
+    Args:
+        ensembles: of all cases.
     """
     if goal.metric not in ("settling_time", "tracking_error"):
         return None
@@ -131,10 +133,12 @@ def step_responses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Step responses of all members to a setpoint of 1, with the same gains.
 
-    kp, kd: [N/m], [N s/m]
-    duration: [s]
+    Args:
+        kp, kd: [N/m], [N s/m].
+        duration: [s].
 
-    Returns time [s], shape (ticks,), and positions relative to the step, shape (members, ticks).
+    Returns:
+        Time [s], shape (ticks,), and positions relative to the step, shape (members, ticks).
     """
     goal = Goal(objective="settling")
     how = timed(goal, [members])

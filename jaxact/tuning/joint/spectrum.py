@@ -37,11 +37,12 @@ _TINY = 1e-30
 class Spectrum:
     """Responses of one member to its command; members and cases go in front.
 
-    frequency: w [rad/s], ascending, shape (..., points)
-    position: Gp as real and imaginary part [m/N], shape (..., 2, points)
-    velocity: Gv as the controller sees it, likewise [m/s/N]
-    mass: [kg], shape (...)
-    period: between readings of the encoder [s], shape (...)
+    Attributes:
+        frequency: w [rad/s], ascending, shape (..., points).
+        position: Gp as real and imaginary part [m/N], shape (..., 2, points).
+        velocity: Gv as the controller sees it, likewise [m/s/N].
+        mass: [kg], shape (...).
+        period: between readings of the encoder [s], shape (...).
     """
 
     frequency: jax.Array
@@ -54,7 +55,8 @@ class Spectrum:
 def tabulate(members: Ensemble, scale: np.ndarray, points: int = POINTS) -> Spectrum:
     """Spectra of all members, float64 NumPy arrays with the members in front.
 
-    scale: time that normalises the frequencies of each [s], shape (n,)
+    Args:
+        scale: time that normalises the frequencies of each [s], shape (n,).
     """
     x = np.geomspace(_LOW, _HIGH, points)
     w = x / scale[:, None]
@@ -146,9 +148,10 @@ def log_metrics(
 ) -> tuple[dict[str, jax.Array], jax.Array]:
     """Smooth ln of the metrics of one member, and whether its loop is stable.
 
-    kp, kd: [N/m], [N s/m], scalars
-    names: static, of the metrics wanted
-    sharpness: s of the smooth maximum
+    Args:
+        kp, kd: [N/m], [N s/m], scalars.
+        names: static, of the metrics wanted.
+        sharpness: s of the smooth maximum.
     """
     real, imaginary = open_loop(spectrum, kp, kd)
     gain = real**2 + imaginary**2

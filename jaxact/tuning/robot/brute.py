@@ -33,7 +33,8 @@ _SLACK, _EXACTLY = 2e-3, 48
 def brute_force(case: RobotCase, centre: np.ndarray) -> Found:
     """The best log-gains of a grid around a point, refined.
 
-    centre: shape (2 g,), of at most MOST_GROUPS groups
+    Args:
+        centre: shape (2 g,), of at most MOST_GROUPS groups.
     """
     size = len(centre)
     table = case.table.take(np.argsort(-excess(case, centre))[:_LOOPS])

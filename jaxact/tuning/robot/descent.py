@@ -103,9 +103,10 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: np.ndarray,
             phase: Phase = silent) -> Found:  # fmt: skip
     """The best of all that is known, polished: ends of the descent, and where it began.
 
-    near: a point that is fine
-    others: log-gains at which all loops are stable, shape (k, 2 g)
-    phase: told what is being done
+    Args:
+        near: a point that is fine.
+        others: log-gains at which all loops are stable, shape (k, 2 g).
+        phase: told what is being done.
     """
     ends = [_stable_end(case, paths, start) for start in range(len(paths.gains))]
     points = [

@@ -44,8 +44,9 @@ class Exact(Metrics):
 def exact(loops: OpenLoops, kp: np.ndarray, kd: np.ndarray, metrics: tuple[str, ...]) -> Exact:
     """Stability and metrics of every loop.
 
-    kp, kd: gains of the joints, shape (m,)
-    metrics: names of `jaxact.tuning.robot.peaks.SHIFTS`
+    Args:
+        kp, kd: gains of the joints, shape (m,).
+        metrics: names of `jaxact.tuning.robot.peaks.SHIFTS`.
     """
     growth = growth_rates(loops, kp, kd)
     log = {name: np.full(len(loops), np.nan) for name in metrics}
@@ -98,9 +99,10 @@ def worst_inside(
 ) -> list[Points]:
     """Points of the box where each situation exceeds its bounds most, as ascent finds them.
 
-    case: what is known; the worst loops of each situation are starts of their own
-    x: log-gains
-    seed: of the other starts
+    Args:
+        case: what is known; the worst loops of each situation are starts of their own.
+        x: log-gains.
+        seed: of the other starts.
     """
     loops = case.table.loops
     gains = case.groups.gains(x)

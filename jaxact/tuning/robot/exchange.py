@@ -21,10 +21,11 @@ _EXCHANGES, _OFF = 12, 1e-3
 class Candidate:
     """Where a search has led.
 
-    case: with all loops and frequencies that turned out to matter
-    found: the best point
-    interior: largest excess that ascent on the uncertainty found there, None if there was none
-    known: exact metrics of all loops there, None where they are not known
+    Attributes:
+        case: with all loops and frequencies that turned out to matter.
+        found: the best point.
+        interior: largest excess that ascent on the uncertainty found there, None if there was none.
+        known: exact metrics of all loops there, None where they are not known.
     """
 
     case: RobotCase

@@ -54,24 +54,25 @@ Opened = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 class Situation:
     """A robot in a posture, ready to be opened with any member of a box.
 
-    name: of the posture
-    names: of each driven joint and of its actuator
-    kp, kd: gains that are given, or that the model brings, shape (joints,); None where some joint
-        has none
-    inertias: that forces on the joints feel [kg or kg m^2], at the end of the box where they are
-        smaller, shape (joints,)
-    rotary: whether a joint is a hinge, shape (joints,)
-    lag: of the slowest drive of the box [s], delays + 2 zeta / wn + T / 2
-    period: control period T [s]
-    residual: largest acceleration left at the posture [rad/s^2 or m/s^2]
-    specification: that it was made of
-    payload_body: name of the body that carries a payload
-    box: what is uncertain
-    opened: from values of `keys`, shape (keys,), to a loop (`jaxact.simulation.robot_loop.OpenMap`)
-        and its inertias, compiled
-    keys: parameters that vary
-    places: number of the range that each of them follows, shape (keys,)
-    low, high: their values at the ends of the box, shape (keys,)
+    Attributes:
+        name: of the posture.
+        names: of each driven joint and of its actuator.
+        kp, kd: gains that are given, or that the model brings, shape (joints,); None where some
+            joint has none.
+        inertias: that forces on the joints feel [kg or kg m^2], at the end of the box where they
+            are smaller, shape (joints,).
+        rotary: whether a joint is a hinge, shape (joints,).
+        lag: of the slowest drive of the box [s], delays + 2 zeta / wn + T / 2.
+        period: control period T [s].
+        residual: largest acceleration left at the posture [rad/s^2 or m/s^2].
+        specification: that it was made of.
+        payload_body: name of the body that carries a payload.
+        box: what is uncertain.
+        opened: from values of `keys`, shape (keys,), to a loop
+            (`jaxact.simulation.robot_loop.OpenMap`) and its inertias, compiled.
+        keys: parameters that vary.
+        places: number of the range that each of them follows, shape (keys,).
+        low, high: their values at the ends of the box, shape (keys,).
     """
 
     name: str
@@ -104,11 +105,13 @@ class Situation:
 def situation(specification: Specification, name: str, box: Box = KNOWN) -> Situation:
     """Prepare a robot in a posture.
 
-    specification: with a plant; nothing in it varies
-    name: to call it by
-    box: what is uncertain
+    Args:
+        specification: with a plant; nothing in it varies.
+        name: to call it by.
+        box: what is uncertain.
 
-    Raises UserError for a robot that cannot be used, and for a range that does not fit.
+    Raises:
+        UserError: a robot that cannot be used, and for a range that does not fit.
     """
     specification, owned = _with_gains(specification)
     keys, places, low, high = _ends(specification, box)
@@ -269,12 +272,13 @@ def _linearised(
 class OpenLoops:
     """Open loops of a robot, l of them, with n states (the smaller ones filled up) and m joints.
 
-    names: what they are called: situation and member
-    situation: number of the situation of each, shape (l,)
-    fraction: of the ranges of the box, shape (l, ranges)
-    A, B: shape (l, n, n), (l, n, m)
-    seen: positions and velocities as the controllers measure them, shape (l, m, 2, n)
-    period: T [s], shape (l,)
+    Attributes:
+        names: what they are called: situation and member.
+        situation: number of the situation of each, shape (l,).
+        fraction: of the ranges of the box, shape (l, ranges).
+        A, B: shape (l, n, n), (l, n, m).
+        seen: positions and velocities as the controllers measure them, shape (l, m, 2, n).
+        period: T [s], shape (l,).
     """
 
     names: tuple[str, ...]

@@ -44,9 +44,10 @@ _PARABOLAS = 3
 class Table:
     """Responses of open loops, l of them at f frequencies each.
 
-    loops: the loops
-    angle: w T [rad], rising, shape (l, f)
-    response: G there, shape (l, f, m, 2, m)
+    Attributes:
+        loops: the loops.
+        angle: w T [rad], rising, shape (l, f).
+        response: G there, shape (l, f, m, 2, m).
     """
 
     loops: OpenLoops
@@ -98,8 +99,9 @@ def refined(table: Table, angle: np.ndarray) -> Table:
 def sensitivity(response: np.ndarray, kp: np.ndarray, kd: np.ndarray) -> np.ndarray:
     """S at the plant's input, shape (..., m, m).
 
-    response: G, shape (..., m, 2, m)
-    kp, kd: shape (m,)
+    Args:
+        response: G, shape (..., m, 2, m).
+        kp, kd: shape (m,).
     """
     loop = kp[:, None] * response[..., 0, :] + kd[:, None] * response[..., 1, :]
     return np.linalg.inv(np.eye(len(kp)) + loop)
@@ -121,9 +123,10 @@ def growth_rates(loops: OpenLoops, kp: np.ndarray, kd: np.ndarray) -> np.ndarray
 class Peaks:
     """Peaks of one metric of every loop; up to ROWS for each.
 
-    log: ln of the singular value there, -inf where there is none, shape (l, ROWS)
-    slope: its derivatives by kp and kd of the joints, shape (l, ROWS, m, 2)
-    angle: w T [rad], shape (l, ROWS)
+    Attributes:
+        log: ln of the singular value there, -inf where there is none, shape (l, ROWS).
+        slope: its derivatives by kp and kd of the joints, shape (l, ROWS, m, 2).
+        angle: w T [rad], shape (l, ROWS).
     """
 
     log: np.ndarray
@@ -139,9 +142,10 @@ class Peaks:
 def peaks(table: Table, kp: np.ndarray, kd: np.ndarray, metrics: Sequence[str]) -> dict[str, Peaks]:
     """The highest peaks of metrics of every loop, of `disk_margin` those of mu(S - I/2).
 
-    table: of the loops
-    kp, kd: gains of the joints, shape (m,)
-    metrics: names of SHIFTS
+    Args:
+        table: of the loops.
+        kp, kd: gains of the joints, shape (m,).
+        metrics: names of SHIFTS.
     """
     S = sensitivity(table.response, kp, kd)
     return {name: _peaks(table, S, kp, kd, name) for name in metrics}
@@ -160,7 +164,8 @@ def columns(
 ) -> np.ndarray:
     """At which columns of the table, or beside, a loop comes near the highest of a metric; (f,).
 
-    depth: what is near [ln]
+    Args:
+        depth: what is near [ln].
     """
     S = sensitivity(table.response, kp, kd)
     near = np.zeros(S.shape[1], bool)
@@ -285,7 +290,8 @@ def _singular(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Singular values at k frequencies and their slopes, shapes (k, values), (k, values, m, 2).
 
-    exact: where the scaling of the disk margin is to be the best one, shape (k,)
+    Args:
+        exact: where the scaling of the disk margin is to be the best one, shape (k,).
     """
     S = sensitivity(response, kp, kd)
     X = _shifted(S, metric)

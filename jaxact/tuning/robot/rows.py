@@ -40,11 +40,12 @@ _INSIDE = 1e-5
 class RobotCase:
     """A robot's loops, and what is asked of their gains.
 
-    table: responses of the loops
-    groups: of the joints
-    goal: objective and constraints
-    low, high: bounds of the log-gains, shape (2 g,)
-    tracking: a term of the objective, None for none
+    Attributes:
+        table: responses of the loops.
+        groups: of the joints.
+        goal: objective and constraints.
+        low, high: bounds of the log-gains, shape (2 g,).
+        tracking: a term of the objective, None for none.
     """
 
     table: Table
@@ -62,8 +63,9 @@ class RobotCase:
 def rows(case: RobotCase, x: np.ndarray, *, aim: bool = True, shy: float = 0.0) -> Rows:
     """Exact values and constraints at log-gains x of shape (2 g,), as those of one problem.
 
-    aim: False leaves the objective out
-    shy: how far inside the bounds to stay [ln]
+    Args:
+        aim: False leaves the objective out.
+        shy: how far inside the bounds to stay [ln].
     """
     goal = case.goal
     gains = case.groups.gains(x)
@@ -134,11 +136,12 @@ def part(case: RobotCase, index: np.ndarray) -> RobotCase:
 class Found:
     """Log-gains found.
 
-    x: shape (2 g,)
-    value: of the objective, ln, signed so that larger is better [-]
-    violation: largest excess [-], at most `polish.MET` where everything is met
-    evaluations: loops evaluated
-    steps: points at which
+    Attributes:
+        x: shape (2 g,).
+        value: of the objective, ln, signed so that larger is better [-].
+        violation: largest excess [-], at most `polish.MET` where everything is met.
+        evaluations: loops evaluated.
+        steps: points at which.
     """
 
     x: np.ndarray
@@ -162,11 +165,12 @@ def more(found: Found, evaluations: int, steps: int = 0) -> Found:
 class _Stage:
     """How closely the polish looks.
 
-    idle: loops that far inside the bounds are looked at only now and then [ln]
-    depth: frequencies that far below the highest peak are not either [ln]
-    steps: linear programmes
-    worth: of a step [ln]
-    radius: of the trust region to begin with
+    Attributes:
+        idle: loops that far inside the bounds are looked at only now and then [ln].
+        depth: frequencies that far below the highest peak are not either [ln].
+        steps: linear programmes.
+        worth: of a step [ln].
+        radius: of the trust region to begin with.
     """
 
     idle: float
@@ -192,13 +196,14 @@ def polished(
 ) -> Found:
     """The best log-gains near x, where all loops are stable.
 
-    aim: False leaves the objective out
-    steps: most linear programmes, of those that take large steps
-    fresh: False where x is nearly the best already
-    fine: False leaves out the last digits
-
     Only loops that are near their bounds are computed at every step, and at the frequencies of
     their peaks; all are looked at in between, and join if they turn out to matter.
+
+    Args:
+        aim: False leaves the objective out.
+        steps: most linear programmes, of those that take large steps.
+        fresh: False where x is nearly the best already.
+        fine: False leaves out the last digits.
     """
     over = excess(case, x)
     near = np.zeros(len(over), bool)
@@ -281,10 +286,11 @@ def rescued(loops: OpenLoops, groups: Groups, x: np.ndarray, lag: float,
             low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, int]:  # fmt: skip
     """Log-gains near x at which every loop is stable, and the points tried.
 
-    lag: that makes rates comparable [s]
-
     The largest growth rates of all loops are made small together, by the slopes of their roots.
     What cannot be made stable ends where its growth rate is smallest.
+
+    Args:
+        lag: that makes rates comparable [s].
     """
 
     def of(points: np.ndarray) -> Rows:

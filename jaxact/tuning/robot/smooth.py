@@ -32,11 +32,12 @@ _TINY = 1e-20
 class Data:
     """What the descent needs of one case; f frequencies of l loops lie behind each other.
 
-    response: G, complex64, shape (m, 2, m, l f)
-    spread: of the groups, shape (m, g)
-    share: of the groups in the joints, shape (g,)
-    log_bounds: ln of the bounds of the constraints, shape (rows,)
-    low, high: bounds of the log-gains, shape (2 g,)
+    Attributes:
+        response: G, complex64, shape (m, 2, m, l f).
+        spread: of the groups, shape (m, g).
+        share: of the groups in the joints, shape (g,).
+        log_bounds: ln of the bounds of the constraints, shape (rows,).
+        low, high: bounds of the log-gains, shape (2 g,).
     """
 
     response: jax.Array
@@ -64,9 +65,10 @@ def data(
 ) -> Data:
     """One case, its loops as tabulated.
 
-    table: of the loops
-    low, high: bounds of the log-gains, shape (2 g,)
-    points: frequencies of the table that are kept
+    Args:
+        table: of the loops.
+        low, high: bounds of the log-gains, shape (2 g,).
+        points: frequencies of the table that are kept.
     """
     every = np.unique(np.linspace(0, table.angle.shape[1] - 1, points).round().astype(int))
     response = table.response[:, every]
@@ -89,8 +91,9 @@ def family(goal: Goal) -> Goal:
 class RobotSurrogate:
     """The smooth problem of a goal; its bounds come with the data.
 
-    goal: objective and which constraints there are
-    loops: l of the data
+    Attributes:
+        goal: objective and which constraints there are.
+        loops: l of the data.
     """
 
     goal: Goal

@@ -37,10 +37,11 @@ _SAME = 0.5
 class Screened:
     """Log-gains at which all loops that were looked at are stable, the best first; k of them.
 
-    x: shape (k, 2 g)
-    value: of the objective, ln, signed so that larger is better [-], shape (k,)
-    violation: largest excess over the bounds [-], shape (k,)
-    tried: gains looked at, stable or not
+    Attributes:
+        x: shape (k, 2 g).
+        value: of the objective, ln, signed so that larger is better [-], shape (k,).
+        violation: largest excess over the bounds [-], shape (k,).
+        tried: gains looked at, stable or not.
     """
 
     x: np.ndarray
@@ -54,10 +55,11 @@ def screened(
 ) -> Screened:
     """Gains over orders of magnitude, judged at the loops that say most.
 
-    x: log-gains that are known, shape (2 g,); may be unstable
-    inertia: that forces on the joints move [kg or kg m^2], shape (joints,)
-    lag: of the slowest drive [s]
-    seed: of the points around the best ones
+    Args:
+        x: log-gains that are known, shape (2 g,); may be unstable.
+        inertia: that forces on the joints move [kg or kg m^2], shape (joints,).
+        lag: of the slowest drive [s].
+        seed: of the points around the best ones.
     """
     from scipy.stats import qmc
 

@@ -40,12 +40,14 @@ def exposed(
 ) -> Specification:
     """A robot with errors of its sensors and a push, where its specification gives none.
 
-    specification: with a plant
-    duration: of the rollouts [s]; None: 2 s
-    push: whether it is pushed; the specification's own push is left out, too, if not
+    Args:
+        specification: with a plant.
+        duration: of the rollouts [s]; None: 2 s.
+        push: whether it is pushed; the specification's own push is left out, too, if not.
 
-    Raises UserError for a push that does not end within the first quarter: verdicts compare the
-    motion from quarter to quarter.
+    Raises:
+        UserError: a push that does not end within the first quarter: verdicts compare the motion
+            from quarter to quarter.
     """
     seconds = _DURATION if duration is None else duration
     parameters = dict(specification.parameters)
@@ -79,10 +81,12 @@ def usual_push(scene: Scene, duration: float) -> Push | None:
     gives the free body's centre of mass the velocity v along n at once; J is its Jacobian and M the
     robot's inertia.
 
-    scene: the robot in its posture
-    duration: of the rollout [s]
+    Args:
+        scene: the robot in its posture.
+        duration: of the rollout [s].
 
-    Returns None for a robot none of whose moving bodies has a name.
+    Returns:
+        None for a robot none of whose moving bodies has a name.
     """
     model = scene.robot.model
     moving = [

@@ -42,14 +42,15 @@ Columns = Mapping[str, np.ndarray]
 class Validation:
     """What the rollouts of p postures with n members each ended as; m joints.
 
-    situations: names of the postures
-    joints: names of the joints
-    verdict: codes of `jaxact.status.Verdict`, shape (p, n); a robot that falls is unstable
-    growth_rate: of small perturbations of the linearised loops [1/s], shape (p, n)
-    excursion: largest distance of each joint from its setpoint [rad or m], shape (p, n, m)
-    fallen: whether a floating robot had turned over or sunk in the end, shape (p, n)
-    reasons: a sentence for each, p rows of n
-    engines: that simulated each posture, "mjx", "mujoco" or "warp"
+    Attributes:
+        situations: names of the postures.
+        joints: names of the joints.
+        verdict: codes of `jaxact.status.Verdict`, shape (p, n); a robot that falls is unstable.
+        growth_rate: of small perturbations of the linearised loops [1/s], shape (p, n).
+        excursion: largest distance of each joint from its setpoint [rad or m], shape (p, n, m).
+        fallen: whether a floating robot had turned over or sunk in the end, shape (p, n).
+        reasons: a sentence for each, p rows of n.
+        engines: that simulated each posture, "mjx", "mujoco" or "warp".
     """
 
     situations: tuple[str, ...]
@@ -137,17 +138,19 @@ def validate(
 
     The same gains scaled, or other ones, compile nothing anew.
 
-    situations: specifications with a plant by name of the posture; what they say of gains and of
-        what the members differ in does not matter. `jaxact.tuning.rollouts.exposure.exposed`
-        completes them.
-    kp, kd: of the joints in the order of the first posture's robot, which the others have as well,
-        shape (m,) [N m/rad or N/m], [N m s/rad or N s/m]
-    members: values of the parameters in which they differ by key (see `jaxact.parameters`;
-        `actuator` holds names of presets), shape (n,) each; none: one member
-    engine: "mjx", "mujoco", "warp" or "auto"; None: the specification's own
+    Args:
+        situations: specifications with a plant by name of the posture; what they say of gains and
+            of what the members differ in does not matter. `jaxact.tuning.rollouts.exposure.exposed`
+            completes them.
+        kp, kd: of the joints in the order of the first posture's robot, which the others have as
+            well, shape (m,) [N m/rad or N/m], [N m s/rad or N s/m].
+        members: values of the parameters in which they differ by key (see `jaxact.parameters`;
+            `actuator` holds names of presets), shape (n,) each; none: one member.
+        engine: "mjx", "mujoco", "warp" or "auto"; None: the specification's own.
 
-    Raises UserError for postures with other joints, for values out of their bounds, and for a robot
-    that cannot be simulated.
+    Raises:
+        UserError: postures with other joints, for values out of their bounds, and for a robot that
+            cannot be simulated.
     """
     if not situations:
         raise UserError("validation: needs a posture at least")
@@ -185,7 +188,8 @@ def _scene(specification: Specification, name: str) -> Scene:
 def checked_members(members: Columns) -> dict[str, np.ndarray]:
     """The members' values, shape (n,) each; a column that changes nothing where there is none.
 
-    Raises UserError for columns of different length, unknown parameters and values out of bounds.
+    Raises:
+        UserError: columns of different length, unknown parameters and values out of bounds.
     """
     columns = {key: np.atleast_1d(np.asarray(values)) for key, values in members.items()}
     if len({values.shape for values in columns.values()}) > 1:
@@ -210,13 +214,15 @@ def with_gains(
 ) -> Specification:
     """A specification with gains for every joint, and nothing varied but what the columns hold.
 
-    specification: with a plant
-    scene: its robot
-    joints: names of joints
-    kp, kd: of these joints, shape (m,)
-    columns: of samples; what they hold is part of the specification, at its first value
+    Args:
+        specification: with a plant.
+        scene: its robot.
+        joints: names of joints.
+        kp, kd: of these joints, shape (m,).
+        columns: of samples; what they hold is part of the specification, at its first value.
 
-    Raises UserError for a name that means several joints, and for gains out of their bounds.
+    Raises:
+        UserError: a name that means several joints, and for gains out of their bounds.
     """
     kept: dict[str, float | str] = {
         key: value
