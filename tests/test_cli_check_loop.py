@@ -107,6 +107,16 @@ def test_it_is_said_in_sentences(capsys):
     assert "have kp, no kd" not in said and "Dry friction" not in said and "base free" not in said
 
 
+def test_dry_friction_is_named_without_gains_too(capsys):
+    for loss, said in ((0.3, True), (0, False)):
+        text = STOOL.format(floor="", damping=0, loss=loss)
+        text = text.replace(
+            '<position name="servo" joint="swing" kp="60"/>', '<motor joint="swing"/>'
+        )
+        words = " ".join(_check(capsys, text).split())
+        assert ("Dry friction of up to 0.3 N m is left out, as it damps no" in words) == said
+
+
 def test_a_free_base_that_topples_or_falls_is_proposed_a_stand(capsys):
     text = STOOL.format(floor="", damping=2.0, loss=0)
     said = " ".join(_check(capsys, text).split())

@@ -215,12 +215,16 @@ def test_simulate_writes_picture_and_numbers(capsys):
     )
     with open("run.csv") as file:
         rows = list(csv.DictReader(file))
-    arrays = np.load("run.npz")
+    with np.load("run.npz") as file:
+        arrays = dict(file)
     assert len(rows) == 200 and arrays["position"].shape == (200, 1)
     column = [float(row["position [m]"]) for row in rows]
     np.testing.assert_allclose(column, arrays["position"][:, 0], rtol=1e-8)
     assert json.loads(str(arrays["parameters"]))["delay"] == 0.005
+    assert "overshoot" in said
     assert "exists" in _again(capsys, arguments)
+    lost = _said(capsys, *arguments, "--kd", "400", "--overwrite")
+    assert "unstable" in lost and "overshoot" not in lost and "time" not in lost
     assert main([*arguments, "--overwrite", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["verdict"] == "stable" and figures["parameters"]["wn"] == 110.0

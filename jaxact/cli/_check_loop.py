@@ -131,10 +131,26 @@ def _of_friction(known: OnStand) -> list[str]:
     if known.stuck is None:
         return []
     return [
-        f"Dry friction of up to {known.friction:.3g} {known.friction_unit} is left out, as it "
-        "damps no joint that moves; as MuJoCo linearises it at rest the gains would "
-        f"{_bears(known.stuck, would=True)}."
+        f"{_left_out(known.friction, known.friction_unit)}; as MuJoCo linearises it at rest the "
+        f"gains would {_bears(known.stuck, would=True)}."
     ]
+
+
+def friction_alone(robot: Robot) -> list[str]:
+    """What is said of dry friction where the model brings no gains."""
+    from jaxact.robot_margins.on_stand import friction_unit
+    from jaxact.robots import friction
+
+    if not friction.rubs(robot.model):
+        return []
+    most = friction.largest(robot.model)
+    return [
+        f"{_left_out(most, friction_unit(robot.model))}; `jaxact margins --friction stuck` has it."
+    ]
+
+
+def _left_out(most: float, unit: str) -> str:
+    return f"Dry friction of up to {most:.3g} {unit} is left out, as it damps no joint that moves"
 
 
 def _of_base(known: OnStand) -> list[str]:

@@ -193,7 +193,8 @@ def _as_json(robot: Robot, keyframe: str | None, known: OnStand | str) -> str:
 
 
 def _as_text(robot: Robot, keyframe: str | None, known: OnStand | str) -> str:
-    said = [_wrapped(paragraph) for paragraph in _check_loop.as_text(known)]
+    of_gains = _check_loop.as_text(known) or _check_loop.friction_alone(robot)
+    said = [_wrapped(paragraph) for paragraph in of_gains]
     parts = [_head(robot, keyframe), *(["\n".join(said)] if said else [])]
     if robot.joints:
         parts.append(_joint_table(robot))

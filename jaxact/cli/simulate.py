@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from jaxact.simulation.single import Single
 
 Parameters = _loops.options(PARAMETERS, several=False)
+# What only a step that comes to rest has.
+_OF_A_STEP = ("overshoot", "rise_time", "settling_time")
 _SIGNALS = {
     "setpoint": "{0}", "position": "{0}", "velocity": "{0}/s", "command": "{1}",
     "delayed_command": "{1}", "force": "{1}",
@@ -300,6 +302,8 @@ def _table(run: Single) -> str:
     for name, about in VARIABLES.items():
         value = run.results.get(name, np.nan)
         if name == "verdict" or np.isnan(value):
+            continue
+        if name in _OF_A_STEP and verdict is Verdict.UNSTABLE:
             continue
         units = joint_units(about.units, run.rotary)
         shown = f"{100 * value:.3g} %" if name == "overshoot" else quantity(value, units)

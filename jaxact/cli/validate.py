@@ -46,7 +46,7 @@ def main(
     if checked.wrong:
         more = "; ..." if len(checked.wrong) > 3 else ""
         raise UserError(
-            f"{target.name}: {len(checked.wrong)} parts are not whole:"
+            f"{target.name}: {_count(len(checked.wrong))} not whole:"
             f" {'; '.join(checked.wrong[:3])}{more}; {integrity.mended_by(target)}"
         )
     _warnings.older(result)
@@ -66,3 +66,7 @@ def main(
             f"{target.name}: {again.wrong} of {again.loops} loops differ from what is computed now:"
             f" {again.example}"
         )
+
+
+def _count(parts: int) -> str:
+    return "1 part is" if parts == 1 else f"{parts} parts are"

@@ -143,7 +143,7 @@ def on_stand(plant: Plant, robot: Robot, control_rate: float = CONTROL_RATE) -> 
         hidden=hidden,
         stuck=loop(replace(stand, friction="stuck"), control_rate) if rubs else None,
         friction=friction.largest(robot.model),
-        friction_unit=_friction_unit(robot.model),
+        friction_unit=friction_unit(robot.model),
         outside=outside,
         free=free,
         falls=falls,
@@ -159,7 +159,7 @@ def _outside(stand: Plant) -> tuple[str, ...]:
     return outside
 
 
-def _friction_unit(model: mujoco.MjModel) -> str:
+def friction_unit(model: mujoco.MjModel) -> str:
     """Of the dry friction of a model's joints and tendons: N m, N, or both."""
     kinds = model.jnt_type[model.dof_jntid[model.dof_frictionloss > 0.0]]
     slides = kinds == int(mujoco.mjtJoint.mjJNT_SLIDE)

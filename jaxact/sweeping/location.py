@@ -129,6 +129,8 @@ class Folder:
                 pairs.append((path.with_name(f".{path.name}.{os.getpid()}{_PARTIAL}"), path))
                 _put(pairs[-1][0], content)
             for partial, path in pairs:
+                if path.is_dir():
+                    path.rmdir()  # empty, in the place of a file: damage
                 partial.replace(path)
         except BaseException:
             for partial, _ in pairs:

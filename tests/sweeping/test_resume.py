@@ -175,13 +175,17 @@ def _damage(folder, how):
         chunk.write_bytes(bytes(content))
     elif how == "swapped":
         shutil.copy(inside / "growth_rate" / "c.0.0.0", chunk)
-    elif how == "gone":
+    elif how in ("gone", "folder"):
         chunk.unlink()
+        if how == "folder":
+            chunk.mkdir()
     elif how == "receipt":
         shutil.copy(inside / "progress/receipt/c.0.0", inside / "progress/receipt/c.2.0")
 
 
-@pytest.mark.parametrize("how", ["truncated", "empty", "flipped", "swapped", "gone", "receipt"])
+@pytest.mark.parametrize(
+    "how", ["truncated", "empty", "flipped", "swapped", "gone", "folder", "receipt"]
+)
 @pytest.mark.parametrize("finished", [True, False])
 def test_a_damaged_chunk_is_told_and_mended_and_nothing_else_lost(how, finished, tmp_path, whole):
     if finished:
