@@ -231,6 +231,13 @@ _ALIASES = {parameter.long_name.replace(" ", "_"): parameter.name for parameter 
 }
 
 
+LINEAR = (
+    "kp", "kd", "mass", "wn", "zeta", "delay", "measurement_delay", "output_delay",
+    "velocity_filter",
+)  # fmt: skip
+"""What the stability of a linear loop depends on, beside its control rate."""
+
+
 def canonical(key: str) -> str:
     """The key with the short name of a parameter given by either name; any other key as it is."""
     name, at, pattern = key.partition("@")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact.cli._loops import combinations
+import jaxact as jx
 from jaxact.cli.main import main
 from jaxact.loops import reading
 from jaxact.verbs.naming import loop_name
@@ -191,8 +191,8 @@ def test_pictures_of_several_loops(capsys, verb):
 
 def test_curves_of_one_picture_end_together():
     """An ideal actuator without delay has no high frequency of its own to end at."""
-    loops = combinations({"actuator": ("ideal", "starleth"), "delay": (0.0, 0.004)})
-    drawn = responses(loops, sampled=False, velocity="sampled")
+    loops = jx.joint(actuator=["ideal", "starleth"], delay=[[0.0], [0.004]])
+    drawn = responses(loops, sampled=False)
     ends = {(curve.frequency[0], curve.frequency[-1]) for curve in drawn}
     assert len(drawn) == 4 and len(ends) == 1 and ends.pop()[1] >= 3.0 / 0.004
 

@@ -135,7 +135,7 @@ def test_an_opengl_that_fails_leaves_the_other_commands_alone(folder):
     [
         (["--bare", "nothing.npz"], "nothing.npz: no such file"),
         (["--bare", "text.npz"], "is not an NPZ file"),
-        (["--bare", "none.npz"], "has no `time`"),
+        (["--bare", "none.npz"], "has no 'time'"),
         (["--drive", "bad.npz"], "do not increase"),
         (["--drive", "short.npz"], "two steps or more"),
         (["--speed", "0"], "--speed 0: must be a positive number"),

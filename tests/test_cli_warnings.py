@@ -29,13 +29,13 @@ def _creeping(monkeypatch, residual):
 
 
 def test_a_robot_at_rest_is_not_warned_of(asked, capsys):
-    _warnings.posture(asked())
+    _warnings.posture(asked().plant)
     assert capsys.readouterr() == ("", "")
 
 
 def test_a_robot_that_creeps_after_settling_is(asked, monkeypatch, capsys):
     _creeping(monkeypatch, 0.054)
-    _warnings.posture(asked())
+    _warnings.posture(asked().plant)
     out, said = capsys.readouterr()
     assert out == "" and said.count("\n") == 1
     assert said.startswith("jaxact: warning: the robot still creeps") and "0.054" in said
@@ -43,10 +43,10 @@ def test_a_robot_that_creeps_after_settling_is(asked, monkeypatch, capsys):
 
 def test_one_that_starts_from_its_keyframe_as_it_is_was_asked_for(asked, monkeypatch, capsys):
     _creeping(monkeypatch, 9.8)
-    _warnings.posture(asked('posture = "keyframe"\n'))
+    _warnings.posture(asked('posture = "keyframe"\n').plant)
     assert capsys.readouterr() == ("", "")
 
 
 def test_no_robot_no_word(tmp_path, capsys):
-    _warnings.posture(reading.parse("[axes]\nkp = [100]\nkd = [5]\n", tmp_path))
+    _warnings.posture(reading.parse("[axes]\nkp = [100]\nkd = [5]\n", tmp_path).plant)
     assert capsys.readouterr() == ("", "")

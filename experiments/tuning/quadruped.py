@@ -23,7 +23,6 @@ sys.path.insert(0, str(HERE.parent / "quadruped"))
 import cases  # noqa: E402
 import numpy as np  # noqa: E402
 
-from jaxact.cli import _tuning  # noqa: E402
 from jaxact.tuning import report  # noqa: E402
 from jaxact.tuning.box import read_box  # noqa: E402
 from jaxact.tuning.goal import Goal  # noqa: E402
@@ -33,6 +32,7 @@ from jaxact.tuning.robot.exact import exact  # noqa: E402
 from jaxact.tuning.robot.loops import VARIED, situation  # noqa: E402
 from jaxact.tuning.rollouts.exposure import exposed  # noqa: E402
 from jaxact.tuning.rollouts.validation import Rollouts, Validation, validate  # noqa: E402
+from jaxact.verbs import tuning_tables  # noqa: E402
 
 RESULTS = HERE.parent.parent / "results" / "tuning" / "quadruped"
 GROUPS = ("HAA", "HFE", "KFE")
@@ -68,7 +68,7 @@ def main() -> None:
     rollouts = {name: simulated(tuned, *gains, duration) for name, gains in candidates.items()}
     asked.out.mkdir(parents=True, exist_ok=True)
     held = Rollouts(duration, rollouts["tuned"], rollouts["nominal"])
-    shown = _tuning.Robot(tuned, held)
+    shown = tuning_tables.Robot(tuned, held)
     document = shown.report()
     shown.write(asked.out, document, "make tuning")
     print(shown.text(document))

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
+import importlib
 import inspect
 import io
 import re
+import typing
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -23,6 +26,43 @@ def choose(what: str, given: str, known: Iterable[str]) -> str:
     if given not in names:
         raise UserError(f"unknown {what} {shown(given)}; {nearest(given, names)}")
     return given
+
+
+def main_of(verb: str) -> Callable[..., None]:
+    """The function of a verb."""
+    found: Callable[..., None] = importlib.import_module(f"jaxact.cli.{verb}").main
+    return found
+
+
+def typed(text: str, verb: str) -> str:
+    """Parameters in backquotes, as the library names them, as options of a verb.
+
+    A `name` becomes --name, a `name="value"` --name value; of what is not an option, the second
+    becomes --set name=value.
+    """
+    names = _names(verb)
+
+    def option(found: re.Match[str]) -> str:
+        name, value = found.groups()
+        if name in names:
+            return "--" + name.replace("_", "-") + (f" {value}" if value else "")
+        return f"--set {name}={value}" if value else found[0]
+
+    return re.sub(r"`([a-z_]+)(?:=\"?([\w.-]+)\"?)?`", option, text)
+
+
+@functools.cache
+def _names(verb: str) -> set[str]:
+    """Names of a verb's options; nothing of a verb that there is not."""
+    try:
+        hints = typing.get_type_hints(main_of(verb))
+    except (ModuleNotFoundError, ValueError):
+        return set()
+    names = set()
+    for name, kind in hints.items():
+        grouped = dataclasses.is_dataclass(kind)
+        names |= {field.name for field in dataclasses.fields(kind)} if grouped else {name}
+    return names
 
 
 def call(function: Callable[..., None], program: str, arguments: Sequence[str]) -> None:
@@ -44,7 +84,7 @@ def call(function: Callable[..., None], program: str, arguments: Sequence[str]) 
                 prog=program,
                 description=inspect.getdoc(function),
                 args=list(arguments),
-                config=(tyro.conf.FlagCreatePairsOff,),
+                config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
             )
     except SystemExit as leaving:
         if leaving.code in (None, 0):

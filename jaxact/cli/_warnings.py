@@ -5,24 +5,26 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
+from jaxact.cli import _options
+
 if TYPE_CHECKING:
-    from jaxact.loops.specification import Specification
+    from jaxact.loops.specification import Plant
 
 
 def warn(text: str) -> None:
-    """Print one line on standard error."""
-    print(f"jaxact: warning: {text}", file=sys.stderr)
+    """Print one line on standard error; parameters of robots in backquotes as options."""
+    print(f"jaxact: warning: {_options.typed(text, 'margins')}", file=sys.stderr)
 
 
-def posture(specification: Specification) -> None:
+def posture(plant: Plant | None) -> None:
     """Warn of a robot whose joints are too weak for its posture, or that creeps; else nothing."""
-    if specification.plant is None:
+    if plant is None:
         return
-    overload(specification)
+    overload(plant)
     from jaxact.loops import robots
     from jaxact.verbs.robot_tables import RESIDUAL
 
-    found = robots.scene(specification.plant).posture
+    found = robots.scene(plant).posture
     if found.settled and found.residual > RESIDUAL:
         warn(
             f"the robot still creeps after settling (accelerations up to {found.residual:.3g}); "
@@ -45,16 +47,16 @@ def older(result: str) -> None:
         )
 
 
-def overload(specification: Specification) -> None:
+def overload(plant: Plant | None) -> None:
     """Warn of a robot's posture that its joints are too weak to hold, or that limits hold.
 
     Nothing without a robot.
     """
-    if specification.plant is None:
+    if plant is None:
         return
     from jaxact.loops import robots
 
-    scene = robots.scene(specification.plant)
+    scene = robots.scene(plant)
     if stopped := robots.at_stops(scene.robot, scene.posture.qpos):
         advice = robots.keyframe_advice(robots.keyframes_within(scene.robot))
         warn(f"{robots.held_by_limits(stopped)}; {advice}")

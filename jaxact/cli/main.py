@@ -15,7 +15,7 @@ from jaxact.cli._signals import Terminated
 
 TYPE_CHECKING = False  # `typing` takes longer to import than all of this
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
     from typing import NoReturn
 
     from jaxact.errors import UserError
@@ -110,7 +110,7 @@ def _run(given: list[str]) -> int:
     _gl.prepare()
     _xla.prepare(all_cores=verb in ("sweep", "validate"))
     with reads.once():
-        _options.call(_verb(verb), f"jaxact {verb}", given[1:])
+        _options.call(_options.main_of(verb), f"jaxact {verb}", given[1:])
     if sys.stdout is not None:
         sys.stdout.flush()
     return 0
@@ -122,13 +122,6 @@ def _say(words: str) -> None:
 
     with contextlib.suppress(OSError):
         print(f"jaxact: {words}", file=sys.stderr, flush=True)
-
-
-def _verb(name: str) -> Callable[..., None]:
-    import importlib
-
-    verb: Callable[..., None] = importlib.import_module(f"jaxact.cli.{name}").main
-    return verb
 
 
 def _overview() -> str:
@@ -154,30 +147,10 @@ examples:
 
 def _one_line(error: UserError, verb: str) -> str:
     """The message in one line; an option's name in backquotes, as libraries say it, with dashes."""
-    import re
+    from jaxact.cli import _options
 
-    line = " ".join(str(error).split())
-    names = _option_names(verb)
-
-    def typed(name: re.Match[str]) -> str:
-        return "--" + name[1].replace("_", "-") if name[1] in names else name[0]
-
-    line = re.sub(r"`([a-z_]+)`", typed, line)
+    line = _options.typed(" ".join(str(error).split()), verb)
     return "".join(letter if letter.isprintable() else "?" for letter in line)
-
-
-def _option_names(verb: str) -> set[str]:
-    """Names of a verb's options; nothing of a verb that there is not."""
-    import dataclasses
-    import inspect
-
-    if verb not in VERBS:
-        return set()
-    names = set()
-    for name, parameter in inspect.signature(_verb(verb)).parameters.items():
-        grouped = dataclasses.is_dataclass(parameter.default)
-        names |= {f.name for f in dataclasses.fields(parameter.default)} if grouped else {name}
-    return names
 
 
 def entry() -> NoReturn:

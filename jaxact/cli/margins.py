@@ -2,41 +2,50 @@
 
 from __future__ import annotations
 
-import csv as _csv
-import io
-import json as _json
-import math
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-from tyro.conf import OmitArgPrefixes, arg
+from tyro.conf import arg
 
-from jaxact.cli import _files, _loops, _robot_margins
-from jaxact.cli._pictures import Linear, LoopsFile, Velocity, chosen_loops
+from jaxact.cli import _arguments, _files, _loops, _options, _progress, _warnings
+from jaxact.cli._arguments import LoopsFile, Velocity, option
 from jaxact.errors import UserError
-from jaxact.verbs.margin_tables import ALWAYS, MARGINS, UNITS, Figures, masked, plain, tables
 
-# Parameters of the linear loop that identify it in files.
-_PARAMETERS = (*_loops.LINEAR, "control_rate")
+ENGINES = ("mujoco", "mjx")
+
+
+@dataclass(frozen=True)
+class Robot(_arguments.Robot):
+    """Which robot is linearised, how it is mounted, how it is damped and how it rubs."""
+
+    engine: Annotated[
+        str | None,
+        option(
+            "mujoco|mjx",
+            "Linearise C MuJoCo by differences, or differentiate MJX, which compiles first.",
+            "mujoco",
+        ),
+    ] = None
+    out: Annotated[
+        Path | None,
+        option(
+            "FILE",
+            "Of a robot: picture to write, .png, .svg or .pdf; one that is there is replaced.",
+            "none",
+        ),
+    ] = None
 
 
 def main(
-    parameters: Annotated[Linear, OmitArgPrefixes] = Linear(),  # type: ignore[valid-type] # noqa: B008
-    robot: Annotated[_robot_margins.Options, OmitArgPrefixes] = _robot_margins.Options(),  # noqa: B008
+    parameters: _loops.Linear,  # type: ignore[valid-type]
+    robot: Robot,
     *,
     loops: LoopsFile = None,
     velocity: Velocity = "sampled",
     json: Annotated[bool, arg(help="Print one JSON object a loop, one a line.")] = False,
-    csv: Annotated[
-        Path | None,
-        arg(metavar="FILE", help="Write a CSV file.", help_behavior_hint="(default: no)"),
-    ] = None,
-    store: Annotated[
-        Path | None,
-        arg(metavar="DIR", help="Write a Zarr v3 store.", help_behavior_hint="(default: no)"),
-    ] = None,
+    csv: _arguments.Csv = None,
+    store: Annotated[Path | None, option("DIR", "Write a Zarr v3 store.", "no")] = None,
     overwrite: Annotated[bool, arg(help="Replace a CSV file or a store that is there.")] = False,
 ) -> None:
     """Compute all stability margins of one loop or thousands, with the exact delay, or of a robot.
@@ -78,107 +87,69 @@ def main(
       jaxact margins --model robot.xml --keyframe home --actuator hyq --delay 0.001
       jaxact margins --model robot.xml --kp 300 --kd 15 --set 'kp@.*_knee=500' --out margins.png
     """
-    if _robot_margins.asked(robot):
+    named = robot.model is not None or robot.spec is not None
+    if _arguments.demand_robot(robot, given=named):
         for name, unfit in (("loops", loops), ("csv", csv), ("store", store)):
             if unfit is not None:
                 raise UserError(f"--{name}: is for single joints; a robot's figures come as --json")
-        _robot_margins.show(robot, _loops.given(parameters), velocity, json=json)
+        _of_robot(robot, _arguments.given(parameters), velocity, json=json)
         return
-
-    from jaxact.sweeping import atomic_store
-
     _files.check_output(csv, ".csv", overwrite=overwrite)
-    asked = chosen_loops(parameters, loops, velocity)
-    chosen = asked.loops
+    loop = _loops.linear(parameters, loops, velocity)
 
-    from jaxact.verbs import responses as _responses
+    from jaxact.loops import listed, reading
+    from jaxact.sweeping import atomic_store
+    from jaxact.verbs import margin_tables
+    from jaxact.verbs.margins import margins
 
-    found = {"": _responses.margins(chosen)}
-    if asked.sampled:
-        found["sampled_"] = _responses.sampled_margins(chosen, asked.velocity)
-    if csv is not None:
-        _files.write(csv, lambda file: file.write(_csv_text(chosen, found).encode()))
     if store is not None:
+        atomic_store.refuse_existing(store, overwrite=overwrite)
+    found = margins(loop, sampled="both" if "control_rate" in loop.values else False)
+    if csv is not None:
+        text = margin_tables.csv_text(loop, found.found)
+        _files.write(csv, lambda file: file.write(text.encode()))
+    if store is not None:
+        grid = loops is not None and listed.rows(loops) is None
+        specification = reading.load(loops) if grid else None
         with atomic_store.destination(store, overwrite=overwrite) as partial:
-            grid = loops is not None and chosen.source is not None
-            atomic_store.write((_grid if grid else _dataset)(chosen, found), partial)
-    print(
-        _json_lines(chosen, found)
-        if json
-        else tables(chosen.labels, chosen.values["control_rate"], found)
-    )
+            atomic_store.write(margin_tables.store(loop, found.found, specification), partial)
+    print(found.to_json() if json else found)
     if not json and (csv or store):
         print("wrote " + ", ".join(str(path) for path in (csv, store) if path is not None))
 
 
-def _json_lines(chosen: _loops.Loops, found: Mapping[str, Figures]) -> str:
-    lines = []
-    for index, label in enumerate(chosen.labels):
-        names = (*ALWAYS[:2], *MARGINS, *ALWAYS[2:])
-        row: dict[str, Any] = {name: plain(name, found[""], index) for name in names}
-        if "sampled_" in found:
-            row["sampled"] = {name: plain(name, found["sampled_"], index) for name in names}
-            row["sampled"]["spectral_radius"] = plain("spectral_radius", found["sampled_"], index)
-        row["loop"] = {"name": label} | {
-            name: _number(float(chosen.values[name][index])) for name in _PARAMETERS
-        }
-        lines.append(_json.dumps(row, allow_nan=False))
-    return "\n".join(lines)
+def _of_robot(robot: Robot, given: dict[str, Any], velocity: str, *, json: bool) -> None:
+    """Print the margins of a robot with all combinations of the values given, and draw them."""
+    if robot.out is not None:
+        from jaxact.plotting.theme import check_output
 
+        check_output(robot.out)
+    if robot.engine is not None:
+        _arguments.one_of("engine", robot.engine, ENGINES)
+    specification = _loops.of_robot(robot, given, velocity, engine=robot.engine)
 
-def _number(value: float) -> float | str:
-    return value if math.isfinite(value) else "inf"
+    from jaxact.loops.building import loop_of
+    from jaxact.verbs.margins import margins
 
+    loop = loop_of(specification)
+    if robot.out is not None and loop.shape:
+        raise UserError("--out: draws one loop; give one value for each option")
+    engine = specification.engine if specification.engine in ENGINES else ENGINES[0]
+    with _progress.phases(quiet=json) as phase:
+        phase("settling, linearising and computing margins")
+        found = margins(loop, engine=engine)
+        phase("looking for what dry friction holds")
+        _ = found.stiction  # printed too
+    _warnings.overload(loop.kind.plant)
+    print(found.to_json() if json else _options.typed(repr(found), "margins"))
+    if robot.out is not None:
+        from jaxact.plotting.robot import whole_robot
+        from jaxact.plotting.theme import write
+        from jaxact.verbs.robot_tables import title
 
-def _csv_text(chosen: _loops.Loops, found: Mapping[str, Figures]) -> str:
-    """A header, then one line a loop; empty where a figure means nothing."""
-    text = io.StringIO()
-    writer = _csv.writer(text, lineterminator="\n")
-    names = (*ALWAYS, *MARGINS)
-    writer.writerow(
-        ["name", *_PARAMETERS, *(f"{prefix}{name}" for prefix in found for name in names)]
-    )
-    for index, label in enumerate(chosen.labels):
-        cells = [plain(name, figures, index) for figures in found.values() for name in names]
-        own = [_number(float(chosen.values[name][index])) for name in _PARAMETERS]
-        writer.writerow([label, *own, *("" if cell is None else cell for cell in cells)])
-    return text.getvalue()
-
-
-def _dataset(chosen: _loops.Loops, found: Mapping[str, Figures]) -> Any:
-    import xarray as xr
-
-    from jaxact import __version__
-    from jaxact.parameters import PARAMETERS
-
-    arrays = {
-        f"{prefix}{name}": ("loop", masked(name, figures), {"units": UNITS[name]})
-        for prefix, figures in found.items()
-        for name in (*ALWAYS, *MARGINS)
-    }
-    coords: dict[str, Any] = {
-        name: ("loop", chosen.values[name], dict(PARAMETERS[name].attributes))
-        for name in _PARAMETERS
-    }
-    coords["name"] = ("loop", np.array(chosen.labels, dtype=object))
-    title = "stability margins of a joint's closed loops"
-    return xr.Dataset(arrays, coords, {"title": title, "jaxact_version": __version__})
-
-
-def _grid(chosen: _loops.Loops, found: Mapping[str, Figures]) -> Any:
-    """The same over the axes of a specification, for `jaxact plot`."""
-    from jaxact.sweeping import margins_store
-
-    assert chosen.source is not None
-    sampled = "sampled_" in found
-    last = found["sampled_" if sampled else ""]
-    figures = {
-        f"{prefix}{name}": (masked(name, figures), UNITS[name])
-        for prefix, figures in found.items()
-        for name in (*ALWAYS, *MARGINS)
-    }
-    return margins_store.dataset(
-        *chosen.source, figures,
-        kind=margins_store.SAMPLED if sampled else margins_store.CONTINUOUS,
-        growth_rate=last["spectral_abscissa"], stable=last["stable"],
-    )  # fmt: skip
+        one = found.details[0]
+        words = f"{title(specification)}: all joints at once"
+        figure = whole_robot(one.curves, one.margins, title=words)
+        write(figure, robot.out, title="jaxact: margins of a robot")
+        if not json:
+            print(f"wrote {robot.out}")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
+from tyro.conf import Positional, UseAppendAction, arg
 
 from jaxact.cli import _warnings
+from jaxact.cli._arguments import option
 from jaxact.errors import UserError
 
 if TYPE_CHECKING:
@@ -17,91 +19,79 @@ if TYPE_CHECKING:
     from jaxact.plotting.panels import Arrangement
 
 
-def main(
-    result: Annotated[
-        tyro.conf.Positional[str],
-        tyro.conf.arg(
-            metavar="RESULT",
-            help="Results folder of a sweep, or the store in it; path or URL.",
-        ),
-    ],
-    *,
+@dataclass(frozen=True)
+class Layout:
+    """What is drawn, and over which parameters."""
+
     x: Annotated[
-        str | None,
-        tyro.conf.arg(
-            metavar="NAME",
-            help="Parameter along x.",
-            help_behavior_hint="(default: kp where it was swept, else the first)",
-        ),
-    ] = None,
+        str | None, option("NAME", "Parameter along x.", "kp where it was swept, else the first")
+    ] = None
     y: Annotated[
         str | None,
-        tyro.conf.arg(
-            metavar="NAME",
-            help="Parameter along y (of --kind lines: a curve for each value).",
-            help_behavior_hint="(default: kd where it was swept, else the second)",
+        option(
+            "NAME",
+            "Parameter along y (of --kind lines: a curve for each value).",
+            "kd where it was swept, else the second",
         ),
-    ] = None,
+    ] = None
     facet: Annotated[
         tuple[str, ...],
-        tyro.conf.arg(
-            metavar="NAME",
-            help="One panel for each value: one parameter, or two for rows and columns.",
-            help_behavior_hint="(default: what is left over)",
+        option(
+            "NAME",
+            "One panel for each value: one parameter, or two for rows and columns.",
+            "what is left over",
         ),
-    ] = (),
+    ] = ()
     select: Annotated[
-        tyro.conf.UseAppendAction[tuple[str, ...]],
-        tyro.conf.arg(
-            metavar="NAME=VALUE",
-            help="Keep only the nearest value of a parameter, in its SI unit (delay in s). "
-            "Can be repeated.",
+        UseAppendAction[tuple[str, ...]],
+        option(
+            "NAME=VALUE",
+            "Keep only the nearest value of a parameter, in its SI unit (delay in s). Can be"
+            " repeated.",
         ),
-    ] = (),
+    ] = ()
     variable: Annotated[
         str | None,
-        tyro.conf.arg(
-            metavar="NAME",
-            help="Result to colour, e.g. overshoot, settling_time, peak_force.",
-            help_behavior_hint="(default: growth_rate; shaking_rate where robots topple)",
+        option(
+            "NAME",
+            "Result to colour, e.g. overshoot, settling_time, peak_force.",
+            "growth_rate; shaking_rate where robots topple",
         ),
-    ] = None,
+    ] = None
     kind: Annotated[
         str | None,
-        tyro.conf.arg(
-            metavar="map|scatter|lines",
-            help="What to draw.",
-            help_behavior_hint="(default: map for a grid, scatter for a random sample, lines for "
-            "a single axis)",
+        option(
+            "map|scatter|lines",
+            "What to draw.",
+            "map for a grid, scatter for a random sample, lines for a single axis",
         ),
-    ] = None,
+    ] = None
     nominal: Annotated[
         tuple[float, ...],
-        tyro.conf.arg(
-            metavar="X Y",
-            help="Point to mark.",
-            help_behavior_hint="(default: the specification's own parameters)",
-        ),
-    ] = (),
+        option("X Y", "Point to mark.", "the specification's own parameters"),
+    ] = ()
+
+
+def main(
+    result: Annotated[
+        Positional[str],
+        arg(metavar="RESULT", help="Results folder of a sweep, or the store in it; path or URL."),
+    ],
+    layout: Layout,
+    *,
     title: Annotated[
-        str | None,
-        tyro.conf.arg(
-            metavar="TEXT",
-            help="Above the picture.",
-            help_behavior_hint="(default: the sweep's description)",
-        ),
+        str | None, option("TEXT", "Above the picture.", "the sweep's description")
     ] = None,
     out: Annotated[
         Path | None,
-        tyro.conf.arg(
-            metavar="FILE",
-            help="Picture to write: .png, .svg or .pdf; one that is there is replaced.",
-            help_behavior_hint="(default: stability_map.png in the results folder)",
+        option(
+            "FILE",
+            "Picture to write: .png, .svg or .pdf; one that is there is replaced.",
+            "stability_map.png in the results folder",
         ),
     ] = None,
     quick: Annotated[
-        bool,
-        tyro.conf.arg(help="Leave out the comparison of every verdict with exact theory."),
+        bool, arg(help="Leave out the comparison of every verdict with exact theory.")
     ] = False,
 ) -> None:
     """Draw the stability map of a sweep, with the exact boundary over it.
@@ -128,23 +118,16 @@ def main(
     computed = results if even_grid.refined(results) else None
     if computed is not None:
         results = even_grid.resampled(computed)
-    shown = field.usual(results) if variable is None else variable
+    shown = field.usual(results) if layout.variable is None else layout.variable
     arrangement = panels.arrange(
-        results,
-        kind=kind,  # type: ignore[arg-type] # checked there
-        x=x,
-        y=y,
-        facet=facet,
-        select=_pairs(select),
-    )
+        results, kind=layout.kind,  # type: ignore[arg-type] # checked there
+        x=layout.x, y=layout.y, facet=layout.facet, select=_pairs(layout.select),
+    )  # fmt: skip
     figure, said = _draw(
-        results, arrangement, shown, nominal, title, computed=computed, quick=quick
+        results, arrangement, shown, layout.nominal, title, computed=computed, quick=quick
     )
-    path = (
-        out
-        if out is not None
-        else _default_output(result, arrangement.kind, shown, usual=shown == field.usual(results))
-    )
+    usual = shown == field.usual(results)
+    path = _default_output(result, arrangement.kind, shown, usual=usual) if out is None else out
     theme.write(figure, path, title=f"jaxact: {shown}")
     print(said)
     print(f"wrote {path}")

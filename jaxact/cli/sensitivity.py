@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-from tyro.conf import OmitArgPrefixes
-
-from jaxact.cli import _pictures
-from jaxact.cli._pictures import Linear, LoopsFile, Out, Title, Velocity
+from jaxact.cli import _loops, _pictures
+from jaxact.cli._arguments import LoopsFile, Picture, Title, Velocity
 
 
 def main(
-    parameters: Annotated[Linear, OmitArgPrefixes] = Linear(),  # type: ignore[valid-type] # noqa: B008
+    parameters: _loops.Linear,  # type: ignore[valid-type]
     *,
     loops: LoopsFile = None,
     velocity: Velocity = "sampled",
     title: Title = "",
-    out: Out = Path("sensitivity.png"),
+    out: Picture = Path("sensitivity.png"),
 ) -> None:
     """Draw the sensitivity |S| and the complementary sensitivity |T| of one or several loops.
 

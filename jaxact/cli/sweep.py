@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from jaxact.cli import _cache, _progress, _signals, _warnings, _xla
+from jaxact.cli._arguments import NoCache, option
 from jaxact.cli._signals import Terminated
 from jaxact.errors import UserError
 
@@ -30,64 +31,73 @@ if TYPE_CHECKING:
 _MOSTLY_LOOPS = 20.0
 
 
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """How far the sweep goes, and with what."""
+
+    resume: Annotated[
+        bool, arg(help="Continue a sweep that was interrupted, if one is there; see below.")
+    ] = False
+    overwrite: Annotated[
+        bool, arg(help="Replace the results of an earlier sweep in the same folder.")
+    ] = False
+    adaptive: Annotated[
+        bool, arg(help="Refine around the stability boundary only, from the grid that is given.")
+    ] = False
+    width: Annotated[
+        float | None,
+        option("W", "Relative width to which --adaptive finds the boundary.", "0.001"),
+    ] = None
+    memory: Annotated[
+        str | None,
+        option("SIZE", "Most memory to take, e.g. 800M or 4G.", "a quarter of what is free"),
+    ] = None
+    workers: Annotated[
+        Literal["local", "ray"],
+        arg(help="Who computes: all devices of this machine, or a Ray cluster (jaxact[ray])."),
+    ] = "local"
+    address: Annotated[
+        str | None,
+        option(
+            "ADDRESS",
+            "Ray cluster; auto: the one this machine belongs to.",
+            "a new one on this machine",
+        ),
+    ] = None
+
+    def check(self) -> None:
+        """Raise UserError for what cannot be had together."""
+        width, address = self.width, self.address
+        if self.resume and self.overwrite:
+            raise UserError("--resume continues what is there, --overwrite replaces it: give one")
+        if width is not None and not self.adaptive:
+            raise UserError(f"--width {width:g}: is for --adaptive")
+        if width is not None and not 1e-9 <= width < 1.0:
+            raise UserError(f"--width {width:g}: allowed: from 1e-9 to below 1")
+        if address is not None and self.workers != "ray":
+            raise UserError(f"--address {address}: is for --workers ray")
+
+
 def main(
     specification: Annotated[
         Positional[Path], arg(metavar="SPECIFICATION", help="TOML file that says what is varied.")
     ],
+    run: Run,
     *,
     out: Annotated[
         str | None,
-        arg(
-            metavar="DIR",
-            help="Folder of the results, made if it is not there; or a URL, e.g. s3://bucket/name.",
-            help_behavior_hint="(default: results/<name of the specification>)",
+        option(
+            "DIR",
+            "Folder of the results, made if it is not there; or a URL, e.g. s3://bucket/name.",
+            "results/<name of the specification>",
         ),
     ] = None,
     set: Annotated[  # noqa: A002 - the option's name
         UseAppendAction[tuple[str, ...]],
-        arg(metavar="KEY=VALUE", help="Change the specification for this run; see below."),
+        option("KEY=VALUE", "Change the specification for this run; see below."),
     ] = (),
-    resume: Annotated[
-        bool, arg(help="Continue a sweep that was interrupted, if one is there; see below.")
-    ] = False,
-    overwrite: Annotated[
-        bool, arg(help="Replace the results of an earlier sweep in the same folder.")
-    ] = False,
-    adaptive: Annotated[
-        bool, arg(help="Refine around the stability boundary only, from the grid that is given.")
-    ] = False,
-    width: Annotated[
-        float | None,
-        arg(
-            metavar="W",
-            help="Relative width to which --adaptive finds the boundary.",
-            help_behavior_hint="(default: 0.001)",
-        ),
-    ] = None,
-    memory: Annotated[
-        str | None,
-        arg(
-            metavar="SIZE",
-            help="Most memory to take, e.g. 800M or 4G.",
-            help_behavior_hint="(default: a quarter of what is free)",
-        ),
-    ] = None,
-    workers: Annotated[
-        Literal["local", "ray"],
-        arg(help="Who computes: all devices of this machine, or a Ray cluster (jaxact[ray])."),
-    ] = "local",
-    address: Annotated[
-        str | None,
-        arg(
-            metavar="ADDRESS",
-            help="Ray cluster; auto: the one this machine belongs to.",
-            help_behavior_hint="(default: a new one on this machine)",
-        ),
-    ] = None,
     dry_run: Annotated[bool, arg(help="Only say what the sweep would take.")] = False,
-    no_cache: Annotated[
-        bool, arg(help="Compile anew, and keep no compiled programs from run to run.")
-    ] = False,
+    no_cache: NoCache = False,
     quiet: Annotated[bool, arg(help="Show no progress and no summary.")] = False,
 ) -> None:
     """Simulate thousands of closed loops over a grid or a sample of parameters.
@@ -116,32 +126,26 @@ def main(
     from jaxact.sweeping import memory as _memory
 
     asked = reading.load(specification, set)
-    if resume and overwrite:
-        raise UserError("--resume continues what is there, --overwrite replaces it: give one")
-    if width is not None and not adaptive:
-        raise UserError(f"--width {width:g}: is for --adaptive")
-    if width is not None and not 1e-9 <= width < 1.0:
-        raise UserError(f"--width {width:g}: allowed: from 1e-9 to below 1")
-    if address is not None and workers != "ray":
-        raise UserError(f"--address {address}: is for --workers ray")
-    budget = None if memory is None else _memory.read_size(memory)
+    run.check()
+    budget = None if run.memory is None else _memory.read_size(run.memory)
     folder = _location.at(out if out is not None else Path("results") / specification.stem)
     _cache.prepare(wanted=not no_cache)
     _xla.call_at_once(asked)
     from jaxact.sweeping.execution import SweepOptions
 
-    how = SweepOptions(resume=resume, overwrite=overwrite)
-    if adaptive:
-        how = dataclasses.replace(how, width=0.001 if width is None else width)
-    if workers == "local" and not no_cache:
+    how = SweepOptions(resume=run.resume, overwrite=run.overwrite)
+    if run.adaptive:
+        how = dataclasses.replace(how, width=0.001 if run.width is None else run.width)
+    local = run.workers == "local"
+    if local and not no_cache:
         from jaxact.sweeping import fill, throughput
 
         how = dataclasses.replace(how, workers=functools.partial(fill.here, keep=throughput.keep))
-    _warnings.posture(asked)
+    _warnings.posture(asked.plant)
     measure = not (dry_run or no_cache)
     if asked.engine == "auto":
-        asked = _settled(asked, folder, how, measure=measure and workers == "local", quiet=quiet)
-    with _computed_by(how, workers, address, budget, measure=measure, quiet=quiet) as how:
+        asked = _settled(asked, folder, how, measure=measure and local, quiet=quiet)
+    with _computed_by(how, run.workers, run.address, budget, measure=measure, quiet=quiet) as how:
         if dry_run:
             print(_forecast(asked, how))
             return

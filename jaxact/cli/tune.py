@@ -1,127 +1,200 @@
-"""`jaxact tune`: the best gains for a joint, certified."""
+"""`jaxact tune`: the best gains of a joint, an ensemble of actuators or a robot, certified."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import shlex
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import OmitArgPrefixes, arg
+from tyro.conf import arg
 
-from jaxact.cli import _cache, _folders, _loops, _progress, _robot_tuning
-from jaxact.cli._pictures import VELOCITIES, Velocity, check_continuous
-from jaxact.errors import UserError, nearest, shown
+from jaxact.cli import _arguments, _cache, _folders, _loops, _progress, _warnings
+from jaxact.cli._arguments import UNSET, UNSET_NUMBER, option
+from jaxact.errors import UserError
+from jaxact.parameters import LINEAR
 
 if TYPE_CHECKING:
-    from jaxact.tuning.goal import Goal
+    from jaxact.loops.control_loop import ControlLoop
     from jaxact.tuning.result import Tuned
 
 # Exit code of a result that does not meet what was asked.
 NOT_MET = 1
 
-Parameters = _loops.options((*_loops.LINEAR, "control_rate"), several=False)
+Parameters = _arguments.parameters((*LINEAR, "control_rate"), several=False)
 
 
-# Bounds of a goal: what is written for the value, what it is against, and the default.
-_BOUNDS = {
-    "max_peak": (
-        "RATIO", "Largest Ms and Mt, against any modelling error; inf: none.", _loops.UNSET
-    ),
-    "min_gain_margin": ("FACTOR", "Smallest gain margin, against a lighter load; 1: none.", 1.0),
-    "min_delay_margin": (
-        "SECONDS", "Smallest delay margin [s], against a later bus; 0: none.", 0.0
-    ),
-    "min_disk_margin": (
-        "VALUE",
-        "Smallest disk margin, against gain and phase off, in each joint separately; 0: none.", 0.0,
-    ),
-    "min_kp": (
-        "VALUE", "Softest kp [N/m; N m/rad of a hinge], against a joint too soft; 0: none.", 0.0
-    ),
-    "max_kp": (
-        "VALUE", "Stiffest kp [N/m; N m/rad of a hinge], against hard contact; inf: none.", math.inf
-    ),
-    "max_noise_gain": (
-        "VALUE",
-        "Largest rms force per encoder count [N/m], against noise and heat: rounding read at the "
-        "control rate, 1 kHz without one; inf: none.", math.inf,
-    ),
-}  # fmt: skip
+@dataclass(frozen=True)
+class Goal:
+    """What is asked for."""
 
-
-def _bound(name: str) -> tuple[str, Any, Any]:
-    metavar, words, default = _BOUNDS[name]
-    hint = "(default: 1.6, none for disk-margin)" if default is _loops.UNSET else None
-    conf = arg(metavar=metavar, help=words, help_behavior_hint=hint)
-    return name, Annotated[float, conf], dataclasses.field(default=default)
-
-
-Bounds = dataclasses.make_dataclass("Bounds", [_bound(name) for name in _BOUNDS], frozen=True)
-
-
-def main(
-    parameters: Annotated[Parameters, OmitArgPrefixes] = Parameters(),  # type: ignore[valid-type] # noqa: B008
-    bounds: Annotated[Bounds, OmitArgPrefixes] = Bounds(),  # type: ignore[valid-type] # noqa: B008
-    robot: Annotated[_robot_tuning.Options, OmitArgPrefixes] = _robot_tuning.Options(),  # noqa: B008
-    *,
     objective: Annotated[
         str,
-        arg(
-            metavar="NAME",
-            help="stiffness: largest kp. bandwidth: largest. disk-margin: largest, with --min-kp. "
+        option(
+            "NAME",
+            "stiffness: largest kp. bandwidth: largest. disk-margin: largest, with --min-kp. "
             "settling: shortest time to 2 %. tracking:FILE: smallest rms error along a CSV file of "
             "time [s], setpoint [m].",
         ),
-    ] = "stiffness",
-    uncertainty: Annotated[
-        str,
-        arg(
-            metavar="RANGES",
-            help="What is not known, e.g. wn=0.8..1.2,zeta=0.7..1.1,delay=0..5e-3,mass=0.5..1.0: "
-            "wn and zeta as factors on the actuator's, mass [kg] and delay [s] as they are; an x "
-            "makes them factors too: mass=0.8x..1.2x. Of a robot, for mass: payload [kg], the "
-            "factors inertia_scale and contact_friction, and joint_damping [N m s/rad] and "
-            "joint_armature [kg m^2] added to the model's.",
-            help_behavior_hint="(default: none)",
+    ] = "stiffness"
+    max_peak: Annotated[
+        float,
+        option(
+            "RATIO",
+            "Largest Ms and Mt, against any modelling error; inf: none.",
+            "1.6, none for disk-margin",
         ),
-    ] = "",
-    ensemble: Annotated[
-        int,
-        arg(
-            metavar="NUMBER",
-            help="Samples of the uncertainty, beside its corners.",
-            help_behavior_hint="(default: 32, of a robot 8)",
+    ] = UNSET
+    min_gain_margin: Annotated[
+        float, option("FACTOR", "Smallest gain margin, against a lighter load; 1: none.")
+    ] = 1.0
+    min_delay_margin: Annotated[
+        float, option("SECONDS", "Smallest delay margin [s], against a later bus; 0: none.")
+    ] = 0.0
+    min_disk_margin: Annotated[
+        float,
+        option(
+            "VALUE",
+            "Smallest disk margin, against gain and phase off, in each joint separately; 0: none.",
         ),
-    ] = _loops.UNSET_NUMBER,
+    ] = 0.0
+    min_kp: Annotated[
+        float,
+        option("VALUE", "Softest kp [N/m; N m/rad of a hinge], against a joint too soft; 0: none."),
+    ] = 0.0
+    max_kp: Annotated[
+        float,
+        option("VALUE", "Stiffest kp [N/m; N m/rad of a hinge], against hard contact; inf: none."),
+    ] = math.inf
+    max_noise_gain: Annotated[
+        float,
+        option(
+            "VALUE",
+            "Largest rms force per encoder count [N/m], against noise and heat: rounding read at "
+            "the control rate, 1 kHz without one; inf: none.",
+        ),
+    ] = math.inf
     risk: Annotated[
         str,
-        arg(metavar="worst|mean|cvar:A", help="Which members count; all are stable in any case."),
-    ] = "worst",
-    velocity: Velocity = "sampled",
-    starts: Annotated[int, arg(metavar="NUMBER", help="Default starts of the descent.")] = 8,
-    steps: Annotated[int, arg(metavar="NUMBER", help="Steps of the descent.")] = 150,
-    seed: Annotated[int, arg(metavar="NUMBER", help="Of the sampled uncertainty.")] = 0,
+        option("worst|mean|cvar:A", "Which members count; all are stable in any case."),
+    ] = "worst"
+
+
+@dataclass(frozen=True)
+class Search:
+    """What is not known, and how gains are looked for."""
+
+    uncertainty: Annotated[
+        str,
+        option(
+            "RANGES",
+            "What is not known, e.g. wn=0.8..1.2,zeta=0.7..1.1,delay=0..5e-3,mass=0.5..1.0: wn and "
+            "zeta as factors on the actuator's, mass [kg] and delay [s] as they are; an x makes "
+            "them factors too: mass=0.8x..1.2x. Of a robot, for mass: payload [kg], the factors "
+            "inertia_scale and contact_friction, and joint_damping [N m s/rad] and joint_armature "
+            "[kg m^2] added to the model's.",
+            "none",
+        ),
+    ] = ""
+    ensemble: Annotated[
+        int,
+        option("NUMBER", "Samples of the uncertainty, beside its corners.", "32, of a robot 8"),
+    ] = UNSET_NUMBER
+    starts: Annotated[int, option("NUMBER", "Default starts of the descent.")] = 8
+    steps: Annotated[int, option("NUMBER", "Steps of the descent.")] = 150
+    seed: Annotated[int, option("NUMBER", "Of the sampled uncertainty.")] = 0
     pareto: Annotated[
-        int, arg(metavar="NUMBER", help="Points of the front over the peak allowed; 0: none.")
-    ] = 0,
-    verify: Annotated[bool, arg(help="Compare with a brute-force grid over all gains.")] = False,
+        int, option("NUMBER", "Points of the front over the peak allowed; 0: none.")
+    ] = 0
+    verify: Annotated[bool, arg(help="Compare with a brute-force grid over all gains.")] = False
+
+    def check(self) -> None:
+        """Raise UserError for numbers that make no sense."""
+        for name in ("starts", "steps", "ensemble"):
+            number = getattr(self, name)
+            if number != UNSET_NUMBER and not 1 <= number <= 10_000:
+                raise UserError(f"--{name} {number}: give between 1 and 10000")
+        if not 0 <= self.seed < 2**63:
+            raise UserError(f"--seed {self.seed}: give between 0 and 2^63 - 1")
+
+
+@dataclass(frozen=True)
+class Robot(_arguments.Mounting):
+    """Which robot is meant, at which postures, and what is done with its gains."""
+
+    model: _arguments.Model = None
+    keyframe: Annotated[
+        tuple[str, ...],
+        option(
+            "NAME ...",
+            "Keyframes of the model; the gains hold at all of them.",
+            "the model's default posture",
+        ),
+    ] = ()
+    groups: Annotated[
+        str,
+        option(
+            "PATTERN,...",
+            "Regular expressions found anywhere in the names of joints or actuators; the joints of "
+            "a pattern share their gains.",
+            "every joint its own",
+        ),
+    ] = ""
+    spec: Annotated[
+        tuple[Path, ...],
+        option(
+            "FILE ...",
+            "Specifications with a [plant], one for each posture, instead of --model.",
+            "none",
+        ),
+    ] = ()
+    validate: Annotated[
+        float,
+        option(
+            "SECONDS",
+            "Length of the nonlinear rollouts that a robot's gains are held against; 0: none.",
+        ),
+    ] = 2.0
+    tracking_weight: Annotated[
+        float,
+        option(
+            "W",
+            "Of a robot: 1 % less rms error in simulated rollouts after a push counts like W % "
+            "more of the objective; the bounds stay as they are. Takes minutes; 0: none.",
+        ),
+    ] = 0.0
+    derivative: Annotated[
+        str,
+        option(
+            "auto|forward|reverse",
+            "Of the rollouts of --tracking-weight: forward costs 1 + 2 GROUPS rollouts, reverse "
+            "about 10; auto takes the cheaper.",
+        ),
+    ] = "auto"
+
+    def one(self, **which: Any) -> _arguments.Robot:
+        """At one posture: a model and its keyframe, or a specification."""
+        shared = {name: getattr(self, name) for name in vars(_arguments.Mounting())}
+        return _arguments.Robot(**shared, **which)
+
+
+def main(
+    parameters: Parameters,  # type: ignore[valid-type]
+    goal: Goal,
+    search: Search,
+    robot: Robot,
+    *,
+    velocity: _arguments.Velocity = "sampled",
     out: Annotated[
         Path | None,
-        arg(
-            metavar="FOLDER",
-            help="Write gains.toml, gains.xml (MJCF) and pictures there.",
-            help_behavior_hint="(default: no)",
-        ),
+        option("FOLDER", "Write gains.toml, gains.xml (MJCF) and pictures there.", "no"),
     ] = None,
-    joint: Annotated[str, arg(metavar="NAME", help="Joint in the MJCF file.")] = "joint",
+    joint: Annotated[str, option("NAME", "Joint in the MJCF file.")] = "joint",
     overwrite: Annotated[bool, arg(help="Replace the folder if it is there.")] = False,
     json: Annotated[bool, arg(help="Print the result as one line of JSON.")] = False,
-    no_cache: Annotated[
-        bool, arg(help="Compile anew, and keep no compiled programs from run to run.")
-    ] = False,
+    no_cache: _arguments.NoCache = False,
 ) -> None:
     """Find the best gains of a joint behind its actuator, and certify them.
 
@@ -149,127 +222,106 @@ def main(
       jaxact tune --model robot.xml --uncertainty payload=0..3,delay=0..2e-3 --pareto 10 --out tuned
     """
     _folders.check_folder(out, overwrite=overwrite)
-    whole = _robot_tuning.asked(robot)
-    samples = None if ensemble == _loops.UNSET_NUMBER else ensemble
-    if velocity not in VELOCITIES:
-        raise UserError(f"--velocity {shown(velocity)}; {nearest(velocity, VELOCITIES)}")
-    for name, number in (("starts", starts), ("steps", steps), ("ensemble", samples)):
-        if number is not None and not 1 <= number <= 10_000:
-            raise UserError(f"--{name} {number}: give between 1 and 10000")
-    if not 0 <= seed < 2**63:
-        raise UserError(f"--seed {seed}: give between 0 and 2^63 - 1")
-    given = _loops.given(parameters)
-    goal = _goal(objective, risk, **vars(bounds))
-    if pareto:
-        _check_front(pareto, robot)
+    whole = _arguments.demand_robot(robot, given=robot.model is not None or bool(robot.spec))
+    search.check()
+    given = _arguments.given(parameters)
     if whole and joint != "joint":
         raise UserError("--joint: is for a single joint; a robot's are named by its model")
-    asked = {"samples": samples, "seed": seed, "starts": starts, "steps": steps, "front": pareto,
-             "verify": verify, "uncertainty": uncertainty}  # fmt: skip
-    chosen = None if whole else _linear(given, velocity)
+    if whole and not (robot.validate >= 0.0 and math.isfinite(robot.validate)):
+        raise UserError(f"--validate {robot.validate:g}: give seconds, 0 for none")
     _cache.prepare(wanted=not no_cache)
+    loops = _postures(robot, given, velocity) if whole else [_joint(given, velocity)]
 
-    from jaxact.cli import _front, _tuning
+    from jaxact.tuning.rollouts import validation
+    from jaxact.verbs import tuning_front, tuning_tables
 
-    result: _tuning.Joint | _tuning.Robot
     with _progress.phases(quiet=json) as phase:
-        if chosen is None:
-            tuned, rollouts = _robot_tuning.tuned(robot, given, goal, velocity, phase, asked)
-            result = _tuning.Robot(tuned, rollouts)
-        else:
-            tuned = _tuned(given, goal, velocity, phase, asked)
-            result = _tuning.Joint(tuned, chosen, joint, sampled="control_rate" in given)
+        best = _tuned(loops, goal, search, robot, phase)
+        rollouts = None
+        if whole and robot.validate:
+            phase("simulating")
+            rollouts = validation.rollouts(best, robot.validate)
         phase("reporting")
-    document = result.report()
-    front = _front.front(tuned.front) if tuned.front else None
-    if pareto:
-        document["pareto"] = [] if front is None else _front.report(front)
+        result: tuning_tables.Joint | tuning_tables.Robot = (
+            tuning_tables.Robot(best, rollouts)
+            if whole
+            else tuning_tables.Joint(best, loops[0], joint)
+        )
+        document = result.report()
+    for one in loops:
+        _warnings.posture(one.kind.plant)
+    front = tuning_front.front(best.front) if best.front else None
+    if search.pareto:
+        document["pareto"] = [] if front is None else tuning_front.report(front)
     if out is not None:
         with _folders.whole_folder(out) as folder:
             result.write(folder, document, shlex.join(["jaxact", *sys.argv[1:]]))
             if front is not None:
-                _front.write(folder, front, goal.max_peak)
+                tuning_front.write(folder, front, best.goal.max_peak)
     if json:
-        print(_tuning.as_json(document))
+        print(tuning_tables.as_json(document))
     else:
-        print(result.text(document) + ("" if front is None else "\n\n" + _front.table(front)))
+        said = result.text(document)
+        print(said if front is None else f"{said}\n\n{tuning_front.table(front)}")
         if out is not None:
             print(f"wrote {out}")
-    result.warn()
-    if not tuned.certified:
+    stable, of = (0, 0) if rollouts is None else rollouts.stable
+    if stable < of:
+        _warnings.warn(
+            f"{of - stable} of {of} rollouts with these gains are not stable, whatever "
+            "is certified at rest: add the postures that the robot comes to, or lower --max-peak"
+        )
+    if not best.certified:
         raise SystemExit(NOT_MET)
 
 
-def _check_front(points: int, robot: _robot_tuning.Options) -> None:
-    from jaxact.tuning.goal import MOST_PEAKS
-
-    if not 2 <= points <= MOST_PEAKS:
-        raise UserError(f"--pareto {points}: give between 2 and {MOST_PEAKS} points")
-    if robot.tracking_weight:
-        raise UserError("--pareto: cannot be combined with --tracking-weight")
-
-
-def _linear(given: dict[str, Any], velocity: str) -> _loops.Loops:
-    """The loop that is meant, checked."""
-    own = [name for name in ("kp", "kd") if name in given]
-    if len(own) == 1:
-        raise UserError(f"--{own[0]}: give both --kp and --kd to start from, or none")
-    for name in own:
-        if not 0 < given[name] < math.inf:
-            raise UserError(f"--{name} {given[name]:g}: a start must be positive and finite")
-    chosen = _loops.linear_combinations({n: (v,) for n, v in given.items()}, velocity=velocity)
-    if "control_rate" not in given:
-        check_continuous(chosen, velocity)
-    return chosen
-
-
-def _tuned(
-    given: dict[str, Any], goal: Goal, velocity: str, phase: Any, asked: dict[str, Any]
-) -> Tuned:
-    from jaxact.loops.building import joint
+def _tuned(loops: list[ControlLoop], goal: Goal, search: Search, robot: Robot, phase: Any) -> Tuned:
     from jaxact.verbs.tune import tune
 
-    return tune(joint(**given, velocity=velocity), goal, phase=phase, **asked)
+    bounds = {name: value for name, value in vars(goal).items() if value is not UNSET}
+    name = bounds.pop("objective")
+    samples = None if search.ensemble == UNSET_NUMBER else search.ensemble
+    own = {} if loops[0].kind.plant is None else {
+        "groups": robot.groups.split(",") if robot.groups else (),
+        "tracking_weight": robot.tracking_weight, "derivative": robot.derivative,
+    }  # fmt: skip
+    return tune(
+        loops, name, uncertainty=search.uncertainty, samples=samples, starts=search.starts,
+        steps=search.steps, seed=search.seed, front=search.pareto, verify=search.verify,
+        phase=phase, **own, **bounds,
+    )  # fmt: skip
 
 
-def _goal(objective: str, risk: str, *, max_peak: float, **bounds: float) -> Goal:
-    from jaxact.tuning.goal import Goal, check
+def _joint(given: dict[str, Any], velocity: str) -> ControlLoop:
+    from jaxact.loops.building import joint
 
-    name, colon, file = objective.partition(":")
-    extra: dict[str, Any] = {}
-    if name == "tracking" and colon:
-        extra["reference"], extra["reference_period"] = _reference(Path(file))
-    elif colon:
-        raise UserError(f"--objective {shown(objective)}: only tracking takes a file")
-    if max_peak is _loops.UNSET:
-        max_peak = math.inf if name == "disk-margin" else 1.6
-    if any(math.isnan(value) for value in (max_peak, *bounds.values())):
-        raise UserError("nan is not a bound")
-    return check(Goal(objective=name, risk=risk, max_peak=max_peak, **bounds, **extra))
+    loop = joint(velocity=velocity, **given)  # type: ignore[arg-type]
+    if "control_rate" not in given:
+        _loops.check_continuous(loop)
+    return loop
 
 
-def _reference(path: Path) -> tuple[tuple[float, ...], float]:
-    """Setpoints and the time between them, from a CSV file of time and setpoint."""
-    import numpy as np
+def _postures(robot: Robot, given: dict[str, Any], velocity: str) -> list[ControlLoop]:
+    """The loop of the robot in every posture, each with its name."""
+    if len(set(robot.keyframe)) < len(robot.keyframe):
+        raise UserError("--keyframe: the same one is given twice")
+    named: list[tuple[str, _arguments.Robot]] = []
+    if robot.spec:
+        for name in ("model", "keyframe"):
+            if getattr(robot, name):
+                raise UserError(f"--{name}: is in the specifications of --spec")
+        named = [(path.stem, robot.one(spec=path)) for path in robot.spec]
+        for name, _ in named:
+            if [other for other, _ in named].count(name) > 1:
+                raise UserError(f"--spec: two files are called {name}; name them differently")
+    else:
+        assert robot.model is not None
+        named = [
+            (key or robot.model.stem, robot.one(model=robot.model, keyframe=key))
+            for key in robot.keyframe or (None,)
+        ]
+    asked = [(name, _loops.of_robot(one, given, velocity)) for name, one in named]
 
-    try:
-        rows = np.loadtxt(path, delimiter=",", comments="#", ndmin=2, encoding="utf-8")
-    except OSError as error:
-        reason = error.strerror or "is missing"
-        raise UserError(f"{path}: cannot be read ({reason}); give a CSV file") from None
-    except (ValueError, UnicodeDecodeError):
-        raise UserError(
-            f"{path}: write lines of time [s], setpoint [m]; # begins a comment"
-        ) from None
-    if rows.shape[1] != 2 or len(rows) < 2 or not np.all(np.isfinite(rows)):
-        raise UserError(f"{path}: write at least two lines of time [s], setpoint [m]")
-    time, setpoint = rows.T
-    if not np.all(np.diff(time) > 0):
-        raise UserError(f"{path}: times must rise")
-    if np.ptp(setpoint) == 0:
-        raise UserError(f"{path}: the setpoint never moves, any gains track it")
-    period = float(np.min(np.diff(time)))
-    even = np.arange(time[0], time[-1] + 0.5 * period, period)
-    if len(even) > 100_000:
-        raise UserError(f"{path}: its shortest interval divides it into {len(even):,} steps")
-    return tuple(map(float, np.interp(even, time, setpoint))), period
+    from jaxact.loops.building import loop_of
+
+    return [loop_of(one).named(name) for name, one in asked]

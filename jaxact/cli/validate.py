@@ -7,6 +7,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from jaxact.cli import _cache, _warnings
+from jaxact.cli._arguments import NoCache
 from jaxact.errors import UserError
 
 
@@ -20,7 +21,7 @@ def main(
         int, arg(metavar="N", help="Loops to compute again, drawn at random; 0: none.")
     ] = 64,
     seed: Annotated[int, arg(metavar="N", help="Of that draw.")] = 0,
-    no_cache: Annotated[bool, arg(help="Compile anew, and keep no compiled programs.")] = False,
+    no_cache: NoCache = False,
 ) -> None:
     """Check every checksum of a result, and compute some of its loops again.
 

@@ -78,6 +78,10 @@ class Axis:
         return {"min": self.low, "max": self.high, **number, "spacing": spacing}
 
 
+NO_AXIS = Axis("feedforward", listed=(0.0,))
+"""An axis that varies nothing: a specification must have one."""
+
+
 def read_axis(name: str, given: Any, *, sampled: bool) -> Axis:
     """The axis of a parameter as a specification gives it.
 

@@ -1,18 +1,22 @@
-"""Building loops from the parameters that everybody knows."""
+"""Building loops from the parameters that everybody knows, or from a specification."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import ValidationError
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.loops.control_loop import ControlLoop, Kind, made, read
-from jaxact.loops.reading import explained
-from jaxact.loops.specification import Motion, Plant, Push
+from jaxact.loops import listed
+from jaxact.loops.axes import MOST_SAMPLES, NO_AXIS
+from jaxact.loops.control_loop import ACTUATOR, ControlLoop, Kind, made, read
+from jaxact.loops.reading import explained, load
+from jaxact.loops.samples import expand
+from jaxact.loops.specification import Motion, Plant, Push, Specification
 
 Velocity = Literal["sampled", "differenced"]
 _VELOCITIES = ("sampled", "differenced")
@@ -20,7 +24,7 @@ _VELOCITIES = ("sampled", "differenced")
 
 def joint(
     *, actuator: str | Sequence[str] | None = None, velocity: Velocity = "sampled",
-    physics_step: float | None = None, **parameters: Any,
+    physics_step: float | None = None, names: Sequence[str] = (), **parameters: Any,
 ) -> ControlLoop:  # fmt: skip
     """The loop of one joint: a mass under PD control through an actuator with delays.
 
@@ -30,6 +34,7 @@ def joint(
         actuator: preset that sets wn and zeta, "ideal", "hyq" or "starleth"; or several.
         velocity: that the controller sees, "sampled" or the "differenced" position.
         physics_step: of the plant [s]; None for the control period.
+        names: what tables and pictures call the loops of a batch; () for what tells them apart.
         parameters: any parameter of `jaxact parameters` by its short or long name, scalars or
             arrays that broadcast: kp [N/m], kd [N s/m], mass [kg], wn [rad/s], zeta, delay,
             measurement_delay, output_delay [s], control_rate [Hz], velocity_filter [rad/s],
@@ -42,7 +47,9 @@ def joint(
     Raises:
         UserError: an unknown name, a value out of bounds, shapes that do not broadcast.
     """
-    kind = Kind(velocity=_velocity(velocity), physics_step=physics_step)
+    kind = Kind(
+        velocity=_velocity(velocity), physics_step=physics_step, names=tuple(map(str, names))
+    )
     return made(read({"actuator": actuator, **parameters}, robot=False), kind)
 
 
@@ -95,7 +102,7 @@ def robot(
     """
     path = Path(model)
     if not path.is_file():
-        raise UserError(f"model = {shown(str(path))}: no such file; give an MJCF or URDF file")
+        raise UserError(f"`model` = {shown(str(path))}: no such file; give an MJCF or URDF file")
     patterns = (joints,) if isinstance(joints, str) else tuple(joints)
     try:
         plant = Plant(
@@ -108,7 +115,55 @@ def robot(
     return made(read({"actuator": actuator, **parameters}, robot=True), kind)
 
 
+def loop_of(
+    specification: Specification | str | os.PathLike[str], *, velocity: Velocity = "sampled",
+    **parameters: Any,
+) -> ControlLoop:  # fmt: skip
+    """The loops that a specification describes, or that a file lists.
+
+        loop = jaxact.loop_of("experiments/paper_gain_map.toml")
+
+    Args:
+        specification: read, or a TOML file: of a sweep, what it varies is a batch over its axes; or
+            of `[[loop]]` tables, each with its parameters and perhaps a `name`.
+        velocity: as for `jaxact.joint`; "sampled" leaves a specification its own.
+        parameters: of listed loops, what they do not say themselves, as for `jaxact.joint`.
+
+    Returns:
+        The loop, or a batch of loops.
+
+    Raises:
+        UserError: the file cannot be read, or what it says does not fit.
+    """
+    if not isinstance(specification, Specification):
+        path = Path(specification)
+        rows = listed.rows(path)
+        if rows is not None:
+            names, own = listed.values(path, rows, parameters)
+            return made(own, Kind(velocity=_velocity(velocity), names=tuple(names)))
+        if parameters:
+            name = next(iter(parameters))
+            raise UserError(f"`{name}`: {path} has axes of its own; change them there")
+        specification = load(path)
+    samples = expand(specification)
+    if len(samples) > MOST_SAMPLES:
+        raise UserError(f"axes: make {len(samples):,} loops; allowed here: up to {MOST_SAMPLES:,}")
+    varied = {axis.name for axis in specification.axes if axis != NO_AXIS}
+    given = {*specification.parameters, *varied}
+    if ACTUATOR in given:
+        given |= {"wn", "zeta"}
+    values: dict[str, Any] = {
+        name: array if array.size > 1 else float(array.item())
+        for name, array in samples.along.items()
+        if name in given
+    }
+    kind = {f.name: getattr(specification, f.name) for f in fields(Kind) if f.name != "names"}
+    if _velocity(velocity) != "sampled":
+        kind["velocity"] = velocity
+    return made(values, Kind(**kind))
+
+
 def _velocity(name: str) -> str:
     if name not in _VELOCITIES:
-        raise UserError(f"velocity = {shown(name)}; {nearest(name, _VELOCITIES)}")
+        raise UserError(f"`velocity` = {shown(name)}; {nearest(name, _VELOCITIES)}")
     return name

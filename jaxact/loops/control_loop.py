@@ -53,6 +53,7 @@ class Kind:
         integrator_correction: take back MuJoCo's half step of lead, see `Specification`.
         motion: of a robot's setpoint, None for a step.
         push: on a robot, None for none.
+        names: of the loops of a batch, in C order; () where they are named by what varies.
     """
 
     plant: Plant | None = None
@@ -61,6 +62,12 @@ class Kind:
     integrator_correction: bool = False
     motion: Motion | None = None
     push: Push | None = None
+    names: tuple[str, ...] = ()
+
+    @property
+    def specified(self) -> dict[str, Any]:
+        """Those of its parts that a specification has, by name."""
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)[:-1]}
 
 
 @dataclass(frozen=True, repr=False)
@@ -106,6 +113,10 @@ class ControlLoop:
             kind = dataclasses.replace(kind, plant=dataclasses.replace(kind.plant, **mounted))
         return made({**self.values, **read(changes, robot=kind.plant is not None)}, kind)
 
+    def named(self, *names: str) -> ControlLoop:
+        """The same loops under these names, one for each, in C order of the batch."""
+        return made(self.values, dataclasses.replace(self.kind, names=names))
+
     def broadcast(self) -> ControlLoop:
         """The same batch with every value an array of the batch's shape, as `jax.vmap` wants it."""
         import jax.numpy as jnp
@@ -129,7 +140,11 @@ class ControlLoop:
 
         picked = {name: part(value) if np.ndim(value) else value for name, value in
                   self.values.items()}  # fmt: skip
-        return dataclasses.replace(self, values=picked)
+        kind = self.kind
+        if kind.names:
+            names = np.array(kind.names, dtype=object).reshape(shape)[index]
+            kind = dataclasses.replace(kind, names=tuple(np.ravel(names).tolist()))
+        return dataclasses.replace(self, values=picked, kind=kind)
 
     def __len__(self) -> int:
         """Length of the batch along its first axis."""
@@ -177,14 +192,16 @@ def made(values: dict[str, Any], kind: Kind) -> ControlLoop:
     """
     loop = ControlLoop(values, kind)
     try:
-        _ = loop.shape
+        number = math.prod(loop.shape)
     except ValueError:
         shapes = ", ".join(f"{name} {np.shape(v)}" for name, v in values.items() if np.ndim(v))
         raise UserError(f"the shapes of the values do not broadcast: {shapes}") from None
+    if kind.names and len(kind.names) != number:
+        raise UserError(f"`names`: {len(kind.names)} names for {number:,} loops; give one for each")
     for name, value in values.items():
         if base(name) in OF_VELOCITY and not isinstance(value, jax.core.Tracer):
             own = np.ravel(value).tolist()
-            check_velocity(name, own, name, differenced=kind.velocity == "differenced")
+            check_velocity(name, own, f"`{name}`", differenced=kind.velocity == "differenced")
     return loop
 
 
@@ -205,7 +222,9 @@ def read(given: Mapping[str, Any], *, robot: bool) -> dict[str, Any]:
         if short == ACTUATOR:
             both = [other for other in given if canonical(other) in _PRESET_SETS]
             if both and value is not None:
-                raise UserError(f"{both[0]}: the actuator preset sets it already; give one of them")
+                raise UserError(
+                    f"`{both[0]}`: the actuator preset sets it already; give one of them"
+                )
             values |= {} if value is None else _preset(value)
         elif isinstance(value, Mapping):
             for pattern, own in value.items():
@@ -218,7 +237,9 @@ def read(given: Mapping[str, Any], *, robot: bool) -> dict[str, Any]:
 def _preset(value: Any) -> dict[str, Any]:
     """Wn and zeta of a preset, or of an array of them."""
     names = np.asarray(value, dtype=object)
-    pairs = np.array([PRESETS[check_actuator(name)] for name in names.ravel().tolist()], float)
+    pairs = np.array(
+        [PRESETS[check_actuator(name, "`actuator`")] for name in names.ravel().tolist()], float
+    )
     if not names.ndim:
         return {"wn": float(pairs[0, 0]), "zeta": float(pairs[0, 1])}
     return {"wn": pairs[:, 0].reshape(names.shape), "zeta": pairs[:, 1].reshape(names.shape)}
@@ -229,26 +250,26 @@ def _checked(name: str, value: Any, *, robot: bool) -> Any:
     if not known(name):
         if "@" in name and base(name) in PARAMETERS:
             raise UserError(
-                f"{name}: what follows the @ is not a pattern of joints, e.g. kp@.*_knee"
+                f"`{name}`: what follows the @ is not a pattern of joints, e.g. kp@.*_knee"
             )
-        raise UserError(f"{name}: unknown parameter; {nearest(name, (*PARAMETERS, ACTUATOR))}")
+        raise UserError(f"`{name}`: unknown parameter; {nearest(name, (*PARAMETERS, ACTUATOR))}")
     if not robot and ("@" in name or name in ROBOT_ONLY):
-        raise UserError(f"{name}: only a robot has it; make one with jaxact.robot(model, ...)")
+        raise UserError(f"`{name}`: only a robot has it; make one with jaxact.robot(model, ...)")
     if isinstance(value, jax.core.Tracer):
         return value
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
-        raise UserError(f"{name} = {shown(value)} is not a number or array of numbers") from None
+        raise UserError(f"`{name}` = {shown(value)} is not a number or array of numbers") from None
     if not array.size:
-        raise UserError(f"{name} = {shown(value)} is empty; give at least one value")
+        raise UserError(f"`{name}` = {shown(value)} is empty; give at least one value")
     if np.asarray(value).dtype.kind == "b":
-        check(name, True)
+        check(name, True, f"`{name}`")
     worst = (
         array[np.isnan(array)] if np.isnan(array).any() else np.array([array.min(), array.max()])
     )
     for number in worst[:2]:
-        check(name, float(number))
+        check(name, float(number), f"`{name}`")
     if not array.ndim:
         return float(array)
     return value if isinstance(value, jax.Array) else array

@@ -22,15 +22,13 @@ from jaxact.drive.options import Drive
 from jaxact.drive.sensor import Sensor
 from jaxact.errors import UserError
 from jaxact.loops import checks
-from jaxact.loops.axes import Axis
+from jaxact.loops.axes import NO_AXIS, Axis
 from jaxact.loops.control_loop import ACTUATOR, ControlLoop, is_traced
 from jaxact.loops.reading import explained
 from jaxact.loops.samples import Coordinate, Samples
 from jaxact.loops.specification import Specification
 from jaxact.parameters import PRESETS, of
 
-# An axis that varies nothing: a specification must have one.
-_NO_AXIS = Axis("feedforward", listed=(0.0,))
 # Rates must each fit the physics step; of what else varies the ends say enough.
 _EACH_COUNTS = ("control_rate", "policy_rate")
 _LOOP = {"long_name": "loop", "units": "1", "description": "Number of the loop."}
@@ -138,9 +136,8 @@ def specification(loop: ControlLoop, **options: Any) -> Specification:
         raise TypeError("a simulation of this kind cannot be traced; call it outside jit and grad")
     fixed = {name: float(v) for name, v in loop.values.items() if not np.ndim(v)}
     axes = tuple(_axis(name, np.asarray(v)) for name, v in loop.values.items() if np.ndim(v))
-    kind = {f.name: getattr(loop.kind, f.name) for f in dataclasses.fields(loop.kind)}
     options.setdefault("engine", "mass" if loop.kind.plant is None else "auto")
-    return described(**kind, **options, parameters=fixed, axes=axes or (_NO_AXIS,))
+    return described(**loop.kind.specified, **options, parameters=fixed, axes=axes or (NO_AXIS,))
 
 
 def linear_specification(loop: ControlLoop, **options: Any) -> Specification:

@@ -192,7 +192,7 @@ def keyframe_advice(names: Sequence[str]) -> str:
     """What to do about it; names of keyframes that have every joint within its range."""
     if not names:
         return "the model needs a keyframe that has every joint within its range"
-    return f"give a posture: --keyframe {' or '.join(map(shlex.quote, names))}"
+    return f"give a posture: `keyframe` {' or '.join(map(shlex.quote, names))}"
 
 
 def matched(scene: Scene, key: str) -> np.ndarray:

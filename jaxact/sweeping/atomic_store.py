@@ -31,7 +31,7 @@ def destination(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
 
     Raises UserError if `path` exists and may not be replaced, or cannot be written.
     """
-    _refuse_existing(path, overwrite)
+    refuse_existing(path, overwrite=overwrite)
     made = _make_folders(path.parent)
     partial: Path | None = None
     try:
@@ -62,7 +62,8 @@ def write(results: xr.Dataset, folder: Path) -> None:
     location.write({_store.ROOT: _store.described_by_root(files)[_store.ROOT]})
 
 
-def _refuse_existing(path: Path, overwrite: bool) -> None:
+def refuse_existing(path: Path, *, overwrite: bool) -> None:
+    """Raise UserError if a path exists and may not be replaced; arguments as for `destination`."""
     if not os.path.lexists(path):
         return
     if not _store.is_ours(Folder(path)) or path.is_symlink():

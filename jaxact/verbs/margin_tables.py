@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.parameters import LINEAR, of
 from jaxact.plotting.wording import quantity
 from jaxact.verbs import naming
 
@@ -15,6 +19,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from jaxact.loops.control_loop import ControlLoop
+    from jaxact.loops.specification import Specification
 
 # Names of the output, in order. Margins mean nothing for an unstable loop, the others always do.
 ALWAYS = ("stable", "unstable_roots", "log_gain_to_boundary", "spectral_abscissa")
@@ -33,6 +38,7 @@ UNITS = {
 NAMES = (*ALWAYS, *MARGINS)
 """All figures."""
 _MOST_COLUMNS = 4
+_OF_LOOP = (*LINEAR, "control_rate")
 
 Figures = Mapping[str, np.ndarray]
 """Figures of loops by name, shape (n,) each; phase margins in degrees."""
@@ -70,6 +76,79 @@ def dataset(loop: ControlLoop, figures: Figures) -> xr.Dataset:
         name: (place.dims, place.values, place.attributes) for name, place in samples.coords.items()
     }
     return xr.Dataset(variables, coords if loop.shape else {})
+
+
+def json_lines(loop: ControlLoop, found: Mapping[str, Figures]) -> str:
+    """An object for each loop, one a line; arguments as for `text`."""
+    loops = naming.named(loop)
+    names = (*ALWAYS[:2], *MARGINS, *ALWAYS[2:])
+    lines = []
+    for index, label in enumerate(loops.labels):
+        first, *others = found.items()
+        row: dict[str, Any] = {name: plain(name, first[1], index) for name in names}
+        for _, figures in others:
+            row["sampled"] = {n: plain(n, figures, index) for n in (*names, "spectral_radius")}
+        row["loop"] = {"name": label} | _own(loops, index)
+        lines.append(json.dumps(row, allow_nan=False))
+    return "\n".join(lines)
+
+
+def csv_text(loop: ControlLoop, found: Mapping[str, Figures]) -> str:
+    """A header, then one line a loop; empty where a figure means nothing. As for `text`."""
+    loops = naming.named(loop)
+    written = io.StringIO()
+    writer = csv.writer(written, lineterminator="\n")
+    figures = [(f"{prefix}{name}", name, own) for prefix, own in found.items() for name in NAMES]
+    writer.writerow(["name", *_OF_LOOP, *(head for head, _, _ in figures)])
+    for index, label in enumerate(loops.labels):
+        cells = [plain(name, own, index) for _, name, own in figures]
+        writer.writerow(
+            [label, *_own(loops, index).values(), *("" if c is None else c for c in cells)]
+        )
+    return written.getvalue()
+
+
+def store(
+    loop: ControlLoop, found: Mapping[str, Figures], specification: Specification | None = None
+) -> xr.Dataset:
+    """The margins as they are kept, one loop after the other, or over a specification's axes.
+
+    Args:
+        loop, found: as for `text`.
+        specification: whose loops they are, None for none.
+    """
+    import xarray as xr
+
+    from jaxact import __version__
+    from jaxact.loops.samples import expand
+    from jaxact.sweeping import margins_store
+
+    arrays = {
+        f"{prefix}{name}": (masked(name, own), UNITS[name])
+        for prefix, own in found.items()
+        for name in NAMES
+    }
+    if specification is not None:
+        last = list(found)[-1]
+        return margins_store.dataset(
+            specification, expand(specification), arrays,
+            kind=margins_store.SAMPLED if last else margins_store.CONTINUOUS,
+            growth_rate=found[last]["spectral_abscissa"], stable=found[last]["stable"],
+        )  # fmt: skip
+    loops = naming.named(loop)
+    coords: dict[str, Any] = {
+        name: ("loop", loops.values[name], dict(of(name).attributes)) for name in _OF_LOOP
+    }
+    coords["name"] = ("loop", np.array(loops.labels, dtype=object))
+    about = {"title": "stability margins of a joint's closed loops", "jaxact_version": __version__}
+    rows = {name: ("loop", array, {"units": units}) for name, (array, units) in arrays.items()}
+    return xr.Dataset(rows, coords, about)
+
+
+def _own(loops: naming.Loops, index: int) -> dict[str, float | str]:
+    """The parameters that identify a linear loop in files."""
+    values = {name: float(loops.values[name][index]) for name in _OF_LOOP}
+    return {name: value if math.isfinite(value) else "inf" for name, value in values.items()}
 
 
 def plain(name: str, figures: Mapping[str, np.ndarray], index: int) -> Any:

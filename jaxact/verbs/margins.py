@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
@@ -71,12 +71,25 @@ class LoopMargins:
         In continuous time the real part of the rightmost root, of the sampled loop the logarithm
         of the spectral radius over the control period.
         """
-        found = computed(self.loop, sampled=self.sampled)
-        return found["spectral_abscissa"].reshape(self.loop.shape)
+        return self.rows["spectral_abscissa"].reshape(self.loop.shape)
+
+    @functools.cached_property
+    def rows(self) -> dict[str, np.ndarray]:
+        """All figures by name, shape (n,) each; see `of_values`."""
+        return of_values(_flat(self.loop), self.loop.kind.velocity if self.sampled else None)
+
+    @property
+    def found(self) -> dict[str, dict[str, np.ndarray]]:
+        """`rows` by the prefix of their names, as `jaxact.verbs.margin_tables` takes them."""
+        return {"sampled_" if self.sampled else "": self.rows}
+
+    def to_json(self) -> str:
+        """A JSON object for each loop, one a line; null where a figure means nothing."""
+        return margin_tables.json_lines(self.loop, self.found)
 
     def to_xarray(self) -> xr.Dataset:
         """All figures as variables with units, over the batch's dimensions."""
-        return margin_tables.dataset(self.loop, computed(self.loop, sampled=self.sampled))
+        return margin_tables.dataset(self.loop, self.rows)
 
     def to_pandas(self) -> pd.DataFrame:
         """All figures, one loop a row, beside what tells the loops apart."""
@@ -90,8 +103,7 @@ class LoopMargins:
         if is_traced(self.loop) or any(isinstance(leaf, jax.core.Tracer) for leaf in
                                        jax.tree.leaves(self.figures)):  # fmt: skip
             return f"<margins of {self.loop!r}>"
-        found = {"sampled_" if self.sampled else "": computed(self.loop, sampled=self.sampled)}
-        return margin_tables.text(self.loop, found)
+        return margin_tables.text(self.loop, self.found)
 
 
 jax.tree_util.register_dataclass(LoopMargins, data_fields=["loop", "figures"], meta_fields=[])
@@ -108,19 +120,32 @@ class BothMargins:
     continuous: LoopMargins
     sampled: LoopMargins
 
+    @property
+    def loop(self) -> ControlLoop:
+        """What they are of."""
+        return self.continuous.loop
+
+    @property
+    def found(self) -> dict[str, dict[str, np.ndarray]]:
+        """Figures by the prefix of their names, as `jaxact.verbs.margin_tables` takes them."""
+        return self.continuous.found | self.sampled.found
+
+    def to_json(self) -> str:
+        """A JSON object for each loop, one a line, the sampled loop's figures in it."""
+        return margin_tables.json_lines(self.loop, self.found)
+
     def __repr__(self) -> str:
         """The table of the command line."""
-        loop = self.continuous.loop
-        found = {"": computed(loop, sampled=False), "sampled_": computed(loop, sampled=True)}
-        return margin_tables.text(loop, found)
+        return margin_tables.text(self.loop, self.found)
 
 
 jax.tree_util.register_dataclass(BothMargins, data_fields=["continuous", "sampled"], meta_fields=[])
 
 
 def margins(
-    loop: ControlLoop, *, sampled: bool | str = False, max_delay_steps: int | None = None
-) -> LoopMargins | BothMargins | RobotLoopMargins:
+    loop: ControlLoop, *, sampled: bool | str = False, max_delay_steps: int | None = None,
+    engine: str = "mujoco",
+) -> LoopMargins | BothMargins | RobotLoopMargins:  # fmt: skip
     """All stability margins of a loop or a batch of loops.
 
         jaxact.margins(jaxact.joint(actuator="starleth", delay=[0, 1e-3, 5e-3])).delay_margin
@@ -135,6 +160,7 @@ def margins(
             controller samples it at `control_rate`, "both" for both side by side.
         max_delay_steps: most whole control periods of delay; needed only where the delay or the
             control rate of a sampled loop is traced.
+        engine: of a robot, "mujoco" linearises C MuJoCo by differences, "mjx" differentiates MJX.
 
     Returns:
         The margins; printed, they are the command line's table.
@@ -146,7 +172,7 @@ def margins(
     if loop.kind.plant is not None:
         from jaxact.verbs import margins_of_robot
 
-        return margins_of_robot.margins_of_robot(loop)
+        return margins_of_robot.margins_of_robot(loop, engine)
     if sampled not in (False, True, "both"):
         raise UserError(f"sampled = {sampled!r}; allowed: False, True, 'both'")
     if sampled == "both":
@@ -158,14 +184,12 @@ def _one(loop: ControlLoop, sampled: bool, steps: int | None) -> LoopMargins:
     if is_traced(loop):
         return LoopMargins(loop, _traced(loop, sampled, steps))
     conversion.linear_specification(loop)  # what does not fit is said here
-    number = max(1, math.prod(loop.shape))
-    values = _flat(loop)
-    with jax.enable_x64(True):
-        found = _sampled(values, loop.kind.velocity) if sampled else _continuous(values)[0]
-        kind = SampledMargins if sampled else Margins
-        rows = {f.name: np.asarray(getattr(found, f.name))[:number] for f in fields(kind)}
-        figures = kind(**{name: row.reshape(loop.shape)[()] for name, row in rows.items()})
-    return LoopMargins(loop, figures)
+    kind = SampledMargins if sampled else Margins
+    rows = _rows(_flat(loop), loop.kind.velocity if sampled else None)
+    figures = {f.name: rows[f.name].reshape(loop.shape)[()] for f in fields(kind)}
+    found = LoopMargins(loop, kind(**figures))
+    found.__dict__["rows"] = _in_degrees(rows)  # what it would compute again
+    return found
 
 
 def _traced(loop: ControlLoop, sampled: bool, steps: int | None) -> Margins | SampledMargins:
@@ -183,12 +207,6 @@ def _traced(loop: ControlLoop, sampled: bool, steps: int | None) -> Margins | Sa
     return _sampled_margins(conversion.sampled(values, loop.kind.velocity), max_delay_steps=steps)
 
 
-def computed(loop: ControlLoop, *, sampled: bool) -> dict[str, np.ndarray]:
-    """All figures of a batch by name, phase margins in degrees, shape (n,) each; see
-    `of_values`."""
-    return of_values(_flat(loop), loop.kind.velocity if sampled else None)
-
-
 def of_values(values: Mapping[str, np.ndarray], velocity: str | None) -> dict[str, np.ndarray]:
     """All figures of loops by name, phase margins in degrees, in float64; shape (n,) each.
 
@@ -199,18 +217,24 @@ def of_values(values: Mapping[str, np.ndarray], velocity: str | None) -> dict[st
         values: every parameter of every loop by its short name, shape (n,) each.
         velocity: of the sampled loops, "sampled" or "differenced"; None for continuous time.
     """
+    return _in_degrees(_rows(values, velocity))
+
+
+def _in_degrees(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return rows | {"phase_margin": np.degrees(rows["phase_margin"])}
+
+
+def _rows(values: Mapping[str, np.ndarray], velocity: str | None) -> dict[str, np.ndarray]:
+    """As `of_values`, phase margins in radians."""
     number = len(values["kp"])
     with jax.enable_x64(True):
         if velocity is None:
             found, root = _continuous(values)
-            arrays = _arrays(found, number)
-            arrays["spectral_abscissa"] = np.asarray(root).real[:number]
-        else:
-            arrays = _arrays(_sampled(values, velocity), number)
-            with np.errstate(divide="ignore"):
-                rate = np.log(arrays["spectral_radius"]) * values["control_rate"]
-            arrays["spectral_abscissa"] = rate
-    return arrays | {"phase_margin": np.degrees(arrays["phase_margin"])}
+            return _arrays(found, number) | {"spectral_abscissa": np.asarray(root).real[:number]}
+        arrays = _arrays(_sampled(values, velocity), number)
+    with np.errstate(divide="ignore"):
+        rate = np.log(arrays["spectral_radius"]) * values["control_rate"]
+    return arrays | {"spectral_abscissa": rate}
 
 
 def _flat(loop: ControlLoop) -> dict[str, np.ndarray]:

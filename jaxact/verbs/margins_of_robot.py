@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import jax
 import numpy as np
 
 from jaxact.analysis.robot.margins import JointMargins, WholeMargins
+from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.robot_margins import whole_robot
@@ -20,8 +22,11 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+    from jaxact.loops.specification import Specification
     from jaxact.robot_margins.stiction import Stiction
 
+ENGINES = ("mujoco", "mjx")
+"""In which a robot can be linearised."""
 # Figures that a robot has whether it is stable or not.
 _ALWAYS = {
     "stable": bool, "unstable_roots": int, "spectral_radius": float, "growth_rate": float,
@@ -109,13 +114,23 @@ class RobotLoopMargins:
         own = found[[name for name in found if "joint" in found[name].dims]]
         return own.to_dataframe().reset_index()
 
+    def to_json(self) -> str:
+        """A JSON object for each loop, one a line, `stiction` in it."""
+        return "\n".join(robot_tables.as_json(*row) for row in self._described(self.stiction))
+
     def __repr__(self) -> str:
-        """The tables of the command line; what dry friction holds is told by `stiction`."""
+        """The tables of the command line; of what dry friction holds once it was asked for."""
+        held = self.__dict__.get("stiction", (None,) * len(self.details))
+        return "\n".join(robot_tables.as_text(*row) for row in self._described(held))
+
+    def _described(
+        self, held: tuple[Stiction | None, ...]
+    ) -> Iterator[tuple[Specification, str, WholeRobot, Stiction | None]]:
+        """What tables take of each loop."""
         own = conversion.linear_specification(self.loop, engine="mujoco")
-        samples = conversion.samples(self.loop)
-        labels = naming.labels(samples) or ("",) * len(samples)
-        rows = zip(labels, self.details, strict=True)
-        return "\n".join(robot_tables.as_text(own, label, found, None) for label, found in rows)
+        labels = naming.labels(conversion.samples(self.loop)) or ("",) * len(self.details)
+        rows = zip(labels, self.details, held, strict=True)
+        return ((own, *row) for row in rows)
 
 
 class _Same:
@@ -136,17 +151,20 @@ def _unflatten(details: _Same, children: Any) -> RobotLoopMargins:
 jax.tree_util.register_pytree_node(RobotLoopMargins, _flatten, _unflatten)
 
 
-def margins_of_robot(loop: ControlLoop) -> RobotLoopMargins:
+def margins_of_robot(loop: ControlLoop, engine: str = "mujoco") -> RobotLoopMargins:
     """The margins of a robot's loops, as `jaxact.margins`.
 
     Args:
         loop: from `jaxact.robot`, not traced.
+        engine: it is linearised in, "mujoco" or "mjx".
 
     Raises:
         UserError: the robot, or what is said of it, cannot be used.
         TypeError: the loop is traced.
     """
-    own = conversion.linear_specification(loop, engine="mujoco")
+    if engine not in ENGINES:
+        raise UserError(f"`engine` = {shown(engine)}; {nearest(engine, ENGINES)}")
+    own = conversion.linear_specification(loop, engine=engine)
     found = tuple(whole_robot.evaluate(own, conversion.samples(loop)))
     shape = loop.shape
     figures = {

@@ -22,29 +22,18 @@ DELAYS = ("delay", "measurement_delay", "output_delay")
 
 @dataclass(frozen=True)
 class Loops:
-    """Loops to work on; n of them.
+    """Loops of a joint, n of them, one by one.
 
     values: every parameter of the table by its short name, shape (n,) each
     labels: what tells them apart, with units, e.g. `HyQ, delay 1 ms`
-    said: parameters that were given, rather than left at their defaults
-    velocity: of the specification that lists them, None where nothing does
-    source: that specification, and its samples
     """
 
     values: dict[str, np.ndarray]
     labels: tuple[str, ...]
-    said: frozenset[str] = frozenset()
-    velocity: str | None = None
-    source: tuple[Specification, Samples] | None = None
 
     def __len__(self) -> int:
         """Number of loops."""
         return len(self.labels)
-
-    @property
-    def samples(self) -> Samples:
-        """The loops as the samples of a sweep."""
-        return Samples(self.values, ("loop",), (len(self),), {})
 
     def one(self, index: int) -> dict[str, float]:
         """Parameters of one loop."""
@@ -54,7 +43,8 @@ class Loops:
 def labels(samples: Samples) -> tuple[str, ...]:
     """What tells the loops apart, with units: `HyQ, delay 1 ms`; () where nothing does."""
     columns = []
-    for name, place in samples.coords.items():
+    placed = sorted(samples.coords.items(), key=lambda item: samples.dims.index(item[1].dims[0]))
+    for name, place in placed:
         hidden = (
             name in ("sample", "loop", "feedforward")
             or name.startswith("loop_")
@@ -77,7 +67,7 @@ def _word(name: str, value: Any) -> str:
     return f"{name.replace('_', ' ')} {quantity(value, of(name).unit)}"
 
 
-def common_words(values: Mapping[str, float]) -> list[str]:
+def _common_words(values: Mapping[str, float]) -> list[str]:
     """The actuator and the delay, where several loops have them in common.
 
     values: that they have in common, by short name
@@ -121,7 +111,45 @@ def named(loop: ControlLoop) -> Loops:
     from jaxact.loops import conversion  # imports JAX, which naming alone does without
 
     samples = conversion.samples(loop)
-    own = conversion.linear_specification(loop)
-    words = labels(samples) or (loop_name(own),) * len(samples)
-    said = frozenset(loop.values)
-    return Loops(dict(samples.values), words, said, loop.kind.velocity)
+    words = loop.kind.names or labels(samples)
+    if not words:
+        words = (loop_name(conversion.linear_specification(loop)),) * len(samples)
+    return Loops(dict(samples.values), words)
+
+
+def of_pictures(loop: ControlLoop) -> Loops:
+    """The same as pictures call them: with their velocity filters, where these differ."""
+    loops = named(loop)
+    cutoff = loops.values["velocity_filter"]
+    if _common(cutoff):
+        return loops
+    names = [
+        label if "velocity filter" in label else f"{label}, {_filter(float(value))}"
+        for label, value in zip(loops.labels, cutoff, strict=True)
+    ]
+    return Loops(loops.values, tuple(names))
+
+
+def in_common(loop: ControlLoop) -> str:
+    """What all loops have in common: gains, mass, actuator, delay, and how velocity is had."""
+    loops = named(loop)
+    own, words = loops.values, []
+    for name in ("kp", "kd", "mass"):
+        if _common(own[name]):
+            words.append(f"{name} {own[name][0]:g} {of(name).unit}")
+    if len(loops) > 1:  # a single one is named by its actuator and its delay
+        words += _common_words({name: v[0] for name, v in own.items() if _common(v)})
+    cutoff = own["velocity_filter"]
+    how = ["differenced"] if loop.kind.velocity == "differenced" else []
+    if _common(cutoff) and np.isfinite(cutoff[0]):
+        how.append(f"filtered at {cutoff[0]:g} rad/s")
+    return ", ".join([*words, f"velocity {' and '.join(how)}"] if how else words)
+
+
+def _filter(cutoff: float) -> str:
+    return f"velocity filter {cutoff:g} rad/s" if np.isfinite(cutoff) else "no velocity filter"
+
+
+def _common(values: np.ndarray) -> bool:
+    """Whether all loops have the same value."""
+    return bool((values == values[0]).all())

@@ -6,8 +6,9 @@ them it makes a figure with `matplotlib.pyplot`, which a notebook shows.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -29,10 +30,15 @@ from jaxact.plotting import trajectory as _trajectory
 from jaxact.plotting.response import LoopResponse
 from jaxact.plotting.wording import quantity
 from jaxact.plotting.zero_line import zero_line
+from jaxact.status import Verdict
 from jaxact.sweeping import agreement
-from jaxact.verbs import map_lines, naming, responses
+from jaxact.verbs import map_lines, responses
 from jaxact.verbs.boundary import Window
 from jaxact.verbs.boundary import boundary as _boundary
+from jaxact.verbs.run_tables import SIGNALS
+
+if TYPE_CHECKING:
+    from jaxact.simulation.single import Single
 
 _SMALL = "small"
 
@@ -100,7 +106,7 @@ def _curves(
 def _responses(loop: ControlLoop, sampled: bool) -> list[LoopResponse]:
     if loop.kind.plant is not None:
         raise UserError("this picture is of a joint's loop; of a robot, see jaxact.margins(...)")
-    return responses.responses(naming.named(loop), sampled=sampled, velocity=loop.kind.velocity)
+    return responses.responses(loop, sampled=sampled)
 
 
 def trajectory(
@@ -151,6 +157,31 @@ def step(
     return axes
 
 
+def signals(run: Single, joint: int = 0) -> _trajectory.Joint:
+    """The signals of one joint of a simulated loop."""
+    rows = {name: getattr(run.trajectory, name)[:, joint] for name in SIGNALS}
+    return _trajectory.Joint(time=run.trajectory.time, **rows)
+
+
+def step_response(run: Single, label: str) -> _step.StepResponse:
+    """A simulated loop as a step response, its legend with overshoot, rise and settling time.
+
+    Args:
+        run: of one loop.
+        label: what it is called.
+    """
+    verdict, results = Verdict(int(run.results["verdict"])), run.results
+    words = [] if verdict is Verdict.STABLE else [verdict.label]
+    if verdict is not Verdict.UNSTABLE and math.isfinite(results["overshoot"]):
+        words.append(f"overshoot {100.0 * results['overshoot']:.3g} %")
+    for name in ("rise_time", "settling_time"):
+        if math.isfinite(results[name]):
+            words.append(f"{name.replace('_', ' ')} {quantity(results[name], 's')}")
+    label = f"{label}: {', '.join(words)}" if words else label
+    stable = verdict in (Verdict.STABLE, Verdict.LIMIT_CYCLE)
+    return _step.StepResponse(label, signals(run), stable)
+
+
 def _picked(run: xr.Dataset, joint: str | None) -> xr.Dataset:
     names = [str(name) for name in run.joint.values]
     if joint is not None and joint not in names:
@@ -166,8 +197,7 @@ def _one_joint(run: xr.Dataset, joint: str | None) -> xr.Dataset:
 
 
 def _run(one: xr.Dataset) -> _trajectory.Joint:
-    names = ("time", "setpoint", "position", "velocity", "command", "delayed_command", "force")
-    return _trajectory.Joint(*(np.asarray(one[name].values) for name in names))
+    return _trajectory.Joint(*(np.asarray(one[name].values) for name in ("time", *SIGNALS)))
 
 
 def _units(one: xr.Dataset) -> tuple[str, str]:

@@ -12,29 +12,18 @@ import numpy as np
 from jaxact.compilation.programs import Program
 from jaxact.errors import UserError
 from jaxact.loops import conversion
+from jaxact.verbs import naming
 from jaxact.verbs.margins import of_values
 from jaxact.verbs.naming import Loops
 
 if TYPE_CHECKING:
+    from jaxact.loops.control_loop import ControlLoop
     from jaxact.plotting.response import LoopResponse
 
 MOST_CURVES = 12
 _POINTS = 4000
 # Frequencies reach at most this far above the lowest one of a picture.
 _DECADES = 1e6
-
-
-def margins(loops: Loops) -> dict[str, np.ndarray]:
-    """All margins of every loop in continuous time, see `jaxact.verbs.margins.of_values`."""
-    return of_values(loops.values, None)
-
-
-def sampled_margins(loops: Loops, velocity: str) -> dict[str, np.ndarray]:
-    """The same of every loop as sampled at its control rate.
-
-    velocity: "sampled" or "differenced"
-    """
-    return of_values(loops.values, velocity)
 
 
 @Program
@@ -51,15 +40,17 @@ def _sampled_response(loop: Any, w: Any) -> Any:
     return sampled_response(loop, w)
 
 
-def responses(loops: Loops, *, sampled: bool, velocity: str) -> list[LoopResponse]:
+def responses(loop: ControlLoop, *, sampled: bool) -> list[LoopResponse]:
     """Every loop in continuous time and, if asked, as sampled at its control rate.
 
-    loops: at most MOST_CURVES, both kinds together
-    sampled: add the sampled loops
-    velocity: "sampled" or "differenced", of the sampled loops
+    Args:
+        loop: a joint's, or a batch; at most MOST_CURVES, both kinds together.
+        sampled: add the sampled loops.
 
-    Raises UserError where there are more loops than a picture can show.
+    Raises:
+        UserError: there are more loops than a picture can show.
     """
+    loops, velocity = naming.of_pictures(loop), loop.kind.velocity
     groups = _groups(loops)
     count = len(groups) + len(loops) * sampled
     if count > MOST_CURVES:
@@ -67,8 +58,8 @@ def responses(loops: Loops, *, sampled: bool, velocity: str) -> list[LoopRespons
             f"{count} curves are too many for one picture (at most {MOST_CURVES}); "
             "give fewer values"
         )
-    found = margins(loops)
-    at_rate = sampled_margins(loops, velocity) if sampled else {}
+    found = of_values(loops.values, None)
+    at_rate = of_values(loops.values, velocity) if sampled else {}
     drawn = []
     for number, group in enumerate(groups):
         curves = [_continuous(loops, found, group[0], named=sampled)]

@@ -158,7 +158,7 @@ def _head(specification: Specification, label: str, found: WholeRobot) -> str:
         lines.append(
             f"MuJoCo's integrator has positions {1e3 * ahead:.3g} ms ahead of velocities, as no "
             "robot has them, which changes the delay margin by up to as much; "
-            "--set integrator_correction=true takes it back"
+            "`integrator_correction=true` takes it back"
         )
     if found.residual > RESIDUAL:
         lines.append(
@@ -351,7 +351,7 @@ def _stand(specification: Specification, found: WholeRobot) -> str:
     topples = "topples" in found.margins.verdict
     if plant is None or plant.base != "free" or not topples or not found.floating:
         return ""
-    return " The robot topples on its free base; --base fixed is it on a stand."
+    return ' The robot topples on its free base; `base="fixed"` is it on a stand.'
 
 
 def _rendered(table: Any) -> str:

@@ -14,21 +14,13 @@ from jaxact.loops.samples import Samples
 from jaxact.simulation import engines, single
 from jaxact.status import Verdict
 from jaxact.sweeping.store import VARIABLES, joint_units
+from jaxact.verbs import run_tables
+from jaxact.verbs.run_tables import SIGNALS
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from jaxact.simulation.single import Joint, Single
-
-# Signals of a trajectory, with the unit of a slide and of a hinge, and their names in words.
-_SIGNALS = {
-    "setpoint": ("m", "rad", "setpoint"),
-    "position": ("m", "rad", "position"),
-    "velocity": ("m/s", "rad/s", "velocity"),
-    "command": ("N", "N m", "command of the controller"),
-    "delayed_command": ("N", "N m", "command as it reaches the actuator"),
-    "force": ("N", "N m", "force on the plant"),
-}
 
 
 def simulate(
@@ -58,7 +50,8 @@ def simulate(
     Returns:
         A dataset over the batch's dimensions: `position`, `velocity`, `setpoint`, `command`,
         `delayed_command` and `force` over `time` [s], of a robot also over `joint`; and the metrics
-        of a sweep, `verdict` among them (see its `flag_meanings`). Units are attributes.
+        of a sweep, `verdict` among them (see its `flag_meanings`). Units are attributes; of a
+        single loop `report` is the command line's table, with what came of each start.
 
     Raises:
         UserError: parameters that do not fit each other, or a robot that cannot be simulated.
@@ -66,12 +59,29 @@ def simulate(
     """
     if setpoint is not None:
         loop = loop.replace(setpoint=setpoint)
+    found = runs(loop, duration=duration, engine=engine, precision=precision, seed=seed)
+    return _dataset(loop, found)
+
+
+def runs(
+    loop: ControlLoop,
+    *,
+    duration: float = 1.0,
+    engine: str | None = None,
+    precision: str | None = None,
+    seed: int = 0,
+) -> list[Single]:
+    """As `simulate`, one result for each loop of the batch, with what came of each start.
+
+    Args:
+        loop, duration, engine, precision, seed: as for `simulate`.
+    """
     options: dict[str, Any] = {"duration": float(duration), "seed": seed}
     if engine is not None:
         options["engine"] = engine
     options["precision"] = precision or ("float32" if engine == "warp" else "float64")
     asked = engines.resolved(conversion.specification(loop, **options))
-    return _dataset(loop, single.simulate_all(asked, conversion.samples(loop)))
+    return single.simulate_all(asked, conversion.samples(loop))
 
 
 def _dataset(loop: ControlLoop, runs: list[Single]) -> xr.Dataset:
@@ -90,7 +100,7 @@ def _dataset(loop: ControlLoop, runs: list[Single]) -> xr.Dataset:
     many = loop.kind.plant is not None
     own = (*dims, "time", "joint") if many else (*dims, "time")
     variables: dict[str, Any] = {}
-    for name, (slide, hinge, words) in _SIGNALS.items():
+    for name, (slide, hinge, words) in SIGNALS.items():
         rows = np.stack([np.asarray(getattr(run.trajectory, name)) for run in runs])
         rows = rows if many else rows[..., 0]
         about = {"units": _unit(slide, hinge, joints), "long_name": words}
@@ -104,14 +114,14 @@ def _dataset(loop: ControlLoop, runs: list[Single]) -> xr.Dataset:
             name: (place.dims, place.values, place.attributes)
             for name, place in samples.coords.items()
         }
-    return xr.Dataset(variables, coords)
+    return xr.Dataset(variables, coords, {} if shape else {"report": run_tables.text(runs[0])})
 
 
 def _renamed(samples: Samples) -> Samples:
     """The same without a dimension that has the name of a signal."""
 
     def name(dim: str) -> str:
-        return f"{dim}_height" if dim in _SIGNALS else dim
+        return f"{dim}_height" if dim in SIGNALS else dim
 
     coords = {
         name(key): dataclasses.replace(place, dims=tuple(name(dim) for dim in place.dims))

@@ -176,10 +176,9 @@ def _of_loop(
     varied = _own_axes({n: np.asarray(v, float) for n, v in values.items() if np.ndim(v)}, named)
     if not varied and not named:
         raise UserError("nothing varies; give an axis, e.g. kp = jaxact.log(10, 1e5, 64)")
-    kind = {f.name: getattr(loop.kind, f.name) for f in dataclasses.fields(loop.kind)}
     options.setdefault("engine", "mass" if loop.kind.plant is None else "auto")
     return described(
-        **kind, **options, parameters=fixed, axes=tuple((varied | named).values()),
+        **loop.kind.specified, **options, parameters=fixed, axes=tuple((varied | named).values()),
         sampling=sampling,
     )  # fmt: skip
 

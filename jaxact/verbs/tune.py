@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact.errors import UserError, nearest, shown
+from jaxact.errors import UserError, shown
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.parameters import base, canonical
 from jaxact.tuning.box import read_box
-from jaxact.tuning.goal import Goal, check
+from jaxact.tuning.goal import MOST_PEAKS, Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.joint import search as _joint_search
 from jaxact.tuning.joint.ensemble import FIELDS, Ensemble, Sampling, ensemble
@@ -23,6 +23,7 @@ from jaxact.tuning.optimise import Descent
 from jaxact.tuning.phases import Phase, silent
 from jaxact.tuning.result import Tuned
 from jaxact.verbs import naming
+from jaxact.verbs.goals import goal_of
 
 if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
@@ -59,8 +60,8 @@ def tune(
         loop: of a joint, a single one; or of a robot, or one loop for each of its postures. Gains
             that it was given (or that the robot's model brings) are what the result is never worse
             than.
-        goal: "stiffness" (largest kp), "bandwidth", "disk-margin", "settling", or a
-            `jaxact.tuning.goal.Goal`.
+        goal: "stiffness" (largest kp), "bandwidth", "disk-margin", "settling", "tracking:FILE" (a
+            CSV file of time [s], setpoint [m]), or a `jaxact.tuning.goal.Goal`.
         uncertainty: parameter -> (low, high) of what is not known: wn and zeta as factors, mass
             [kg] and delays [s] as they are; of a robot also payload [kg], inertia_scale, ...; or
             as the command line writes it.
@@ -88,16 +89,20 @@ def tune(
         UserError: a loop, a goal or ranges that make no sense.
         TypeError: the loop is traced.
     """
-    asked = _goal(goal, bounds)
+    asked = goal_of(goal, bounds)
     loops = [loop] if isinstance(loop, ControlLoop) else list(loop)
     if not loops or not all(isinstance(one, ControlLoop) for one in loops):
         raise UserError("loop: give one loop, or a list of loops of a robot in its postures")
+    if front and not 2 <= front <= MOST_PEAKS:
+        raise UserError(f"`pareto` {front}: give between 2 and {MOST_PEAKS} points")
+    if front and tracking_weight:
+        raise UserError("`pareto`: cannot be combined with `tracking_weight`")
     text = uncertainty if isinstance(uncertainty, str) else _ranges(uncertainty)
     common: dict[str, Any] = {"uncertainty": text, "samples": samples, "starts": starts,
                               "steps": steps, "seed": seed, "front": front, "verify": verify,
                               "phase": phase}  # fmt: skip
     if any(one.kind.plant is not None for one in loops):
-        tuned = of_robot(_named(loops), asked, groups=groups, tracking_weight=tracking_weight,
+        tuned = _of_robot(_named(loops), asked, groups=groups, tracking_weight=tracking_weight,
                          derivative=derivative, **common)  # fmt: skip
         return dataclasses.replace(tuned, loop=_with_gains(loops[0], tuned))
     if len(loops) > 1:
@@ -106,18 +111,6 @@ def tune(
         if value:
             raise UserError(f"`{name}`: is for a robot; make one with jaxact.robot(model, ...)")
     return _of_joint(loops[0], asked, sampled, **common)
-
-
-def _goal(goal: str | Goal, bounds: dict[str, Any]) -> Goal:
-    known = {f.name for f in dataclasses.fields(Goal)}
-    for name in bounds:
-        if name not in known:
-            raise UserError(f"{name}: unknown bound of a goal; {nearest(name, known)}")
-    if isinstance(goal, Goal):
-        return check(dataclasses.replace(goal, **bounds))
-    if goal == "disk-margin":
-        bounds.setdefault("max_peak", math.inf)
-    return check(Goal(objective=goal, **bounds))
 
 
 def _ranges(uncertainty: Mapping[str, Range]) -> str:
@@ -147,10 +140,7 @@ def _of_joint(
 ) -> Tuned:
     conversion.linear_specification(loop)  # what does not fit is said here
     nominal = _nominal(loop, "control_rate" in loop.values if sampled is None else sampled)
-    start = None
-    if {"kp", "kd"} <= set(loop.values):
-        own = conversion.one(loop)
-        start = own["gain_scale"] * own["kp"], own["gain_scale"] * own["kd"]
+    start = _start_of_joint(loop)
     how = Descent(steps=steps or _joint_search.STEPS)
     tuned = _joint_search.tune(
         nominal, goal, read_box(uncertainty, FIELDS), number=samples or _joint_search.SAMPLES,
@@ -164,6 +154,20 @@ def _of_joint(
     gains = {"kp": tuned.kp, "kd": tuned.kd}
     scale = {"gain_scale": 1.0} if "gain_scale" in loop.values else {}
     return dataclasses.replace(tuned, loop=loop.replace(**gains, **scale), front=tuple(points))
+
+
+def _start_of_joint(loop: ControlLoop) -> tuple[float, float] | None:
+    """The gains to be no worse than: both, or none."""
+    given = [name for name in ("kp", "kd") if name in loop.values]
+    if len(given) == 1:
+        raise UserError(f"`{given[0]}`: give both `kp` and `kd` to start from, or none")
+    if not given:
+        return None
+    own = conversion.one(loop)
+    for name in given:
+        if not 0.0 < own[name] < math.inf:
+            raise UserError(f"`{name}` {own[name]:g}: a start must be positive and finite")
+    return own["gain_scale"] * own["kp"], own["gain_scale"] * own["kd"]
 
 
 def _nominal(loop: ControlLoop, sampled: bool) -> Ensemble:
@@ -183,13 +187,14 @@ def _named(loops: Sequence[ControlLoop]) -> list[tuple[str, Specification]]:
         if one.kind.plant is None or one.shape:
             raise UserError("loop: give single loops of a robot, one for each posture")
         name = one.kind.plant.keyframe or one.kind.plant.model.stem
+        name = one.kind.names[0] if one.kind.names else name
         known = sum(other.partition(" (")[0] == name for other, _ in named)
         own = conversion.linear_specification(one, engine="mujoco")
         named.append((f"{name} ({known + 1})" if known else name, own))
     return named
 
 
-def of_robot(
+def _of_robot(
     named: Sequence[tuple[str, Specification]],
     goal: Goal,
     *,

@@ -8,13 +8,13 @@ import pytest
 from matplotlib.colors import to_hex
 
 from jaxact.analysis.boundary.curves import BoundaryCurve
-from jaxact.cli import _tuning_pictures
 from jaxact.plotting import theme, tuning
 from jaxact.plotting.convergence import UnmetBound, convergence
 from jaxact.plotting.robot_gains import gains, limits
 from jaxact.plotting.step_band import Responses, step_band
 from jaxact.plotting.tuning_map import Boundary, Plane, tuning_map
 from jaxact.tuning.certificate import Check
+from jaxact.verbs import tuning_pictures
 
 KP, KD = np.geomspace(10.0, 1000.0, 12), np.geomspace(1.0, 50.0, 9)
 PEAK = np.where(KP[None] < 400.0, 1.0 + KP[None] / 100.0 + 0.1 * KD[:, None], np.nan)
@@ -125,15 +125,15 @@ def test_what_was_missed_is_the_worst_of_the_closest_gains():
     )
     certificate = SimpleNamespace(stable=True)
     tuned = SimpleNamespace(feasible=False, closest=checks, certificate=certificate)
-    missed = _tuning_pictures.missed(tuned)
+    missed = tuning_pictures.missed(tuned)
     assert missed.words == "not reached: sensitivity peak 4.5 at best, asked for ≤ 2"
     assert missed.ratio == pytest.approx(2.25)
     tuned.closest = checks[1:]
-    assert _tuning_pictures.missed(tuned).words.endswith("0.004 at best, asked for ≥ 0.005")
+    assert tuning_pictures.missed(tuned).words.endswith("0.004 at best, asked for ≥ 0.005")
     tuned.certificate.stable = False
-    assert _tuning_pictures.missed(tuned).ratio == math.inf
+    assert tuning_pictures.missed(tuned).ratio == math.inf
     tuned.feasible = True
-    assert _tuning_pictures.missed(tuned) is None
+    assert tuning_pictures.missed(tuned) is None
 
 
 TIME = np.linspace(0.0, 0.3, 50)

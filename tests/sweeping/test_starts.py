@@ -8,7 +8,7 @@ import pytest
 from quickly import compiled_quickly as compiled_quickly
 from scipy.linalg import expm
 
-from jaxact.cli import simulate
+from jaxact.cli.main import main
 from jaxact.loops import reading
 from jaxact.loops.samples import expand
 from jaxact.simulation import execute, plans
@@ -107,11 +107,11 @@ def test_linear_loops_have_no_other_start():
 
 @pytest.mark.exhaustive
 def test_simulate_says_what_came_of_each_start(tmp_path, capsys):
-    loop = simulate.Parameters(position_resolution=1e-3, control_rate=200.0, wn=110.0)
-    where = {"out": tmp_path / "loop.png", "duration": 2.0}
-    simulate.main(loop, velocity="differenced", **where)
+    loop = ("--position-resolution", "1e-3", "--control-rate", "200", "--wn", "110")
+    how = ("--velocity", "differenced", "--duration", "2", "--out", str(tmp_path / "loop.png"))
+    assert main(["simulate", *loop, *how]) == 0
     assert "From 4 starts: " in capsys.readouterr().out
-    simulate.main(loop, velocity="differenced", json=True, **where)
+    assert main(["simulate", *loop, *how, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     names = [start["start"] for start in document["starts"]]
     assert names == ["own", "on", "between", "near"]

@@ -1,19 +1,25 @@
-"""What `jaxact tune` shows of a result, of a joint or a robot: report, tables and a folder."""
+"""A tuned joint or robot as a report, as tables, and as a folder of files and pictures."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact.cli import _loops, _warnings
-from jaxact.verbs.margin_tables import ALWAYS, MARGINS, plain
+from jaxact.plotting import theme
+from jaxact.plotting.sensitivity import sensitivity
+from jaxact.plotting.wording import quantity
+from jaxact.tuning.report import mjcf_text, report, toml_text
+from jaxact.verbs import naming, responses, tuning_pictures
+from jaxact.verbs.margin_tables import ALWAYS, MARGINS, UNITS, plain
+from jaxact.verbs.margins import margins
 
 if TYPE_CHECKING:
+    from jaxact.loops.control_loop import ControlLoop
     from jaxact.tuning.result import Tuned
     from jaxact.tuning.rollouts.validation import Rollouts
 
@@ -32,27 +38,23 @@ class Joint:
 
     Attributes:
         tuned: the result.
-        nominal: the loop that was named, one.
+        nominal: the loop that was given.
         name: of the joint in the MJCF snippet.
-        sampled: margins of the sampled loop.
     """
 
     tuned: Tuned
-    nominal: _loops.Loops
+    nominal: ControlLoop
     name: str
-    sampled: bool
+
+    @property
+    def sampled(self) -> bool:
+        """Whether the margins are those of the sampled loop."""
+        return "control_rate" in self.nominal.values
 
     def report(self) -> dict[str, Any]:
         """The result as plain values, with the nominal loop's margins before and after."""
-        from jaxact.tuning.report import report
-        from jaxact.verbs import responses
-
         loops = self._loops()
-        found = (
-            responses.sampled_margins(loops, loops.velocity or "sampled")
-            if self.sampled
-            else responses.margins(loops)
-        )
+        found = margins(loops, sampled=self.sampled).rows
         names = (*ALWAYS[:2], *MARGINS, *ALWAYS[2:])
         rows = [{name: plain(name, found, i) for name in names} for i in range(len(loops))]
         before = rows[0] if self.tuned.before is not None else None
@@ -60,9 +62,6 @@ class Joint:
 
     def text(self, document: Mapping[str, Any]) -> str:
         """The report for people: gains, margins before and after, and what is guaranteed."""
-        from jaxact.plotting.wording import quantity
-        from jaxact.verbs.margin_tables import UNITS
-
         columns = _columns(document)
 
         def cell(value: Any, units: str) -> str:
@@ -85,35 +84,25 @@ class Joint:
 
     def write(self, folder: Path, document: Mapping[str, Any], command: str) -> None:
         """Gains as TOML and MJCF, and the pictures, into a folder that is there."""
-        from jaxact.cli import _tuning_pictures
-        from jaxact.plotting.sensitivity import sensitivity
-        from jaxact.tuning.report import mjcf_text, toml_text
-        from jaxact.verbs import responses
-
-        loops, velocity = self._loops(), self.nominal.velocity or "sampled"
+        loops = self._loops()
         nominal = document["margins"]["after"]
         _write(folder, "gains.toml", toml_text(self.tuned, command, nominal=nominal))
         _write(folder, "gains.xml", mjcf_text(self.tuned, self.name))
-        pictures = _tuning_pictures.of_joint(self.tuned, loops)
-        drawn = responses.responses(loops, sampled=self.sampled, velocity=velocity)
+        pictures = tuning_pictures.of_joint(self.tuned, self.nominal)
+        drawn = responses.responses(loops, sampled=self.sampled)
         # As in the other pictures, blue is after.
         drawn.sort(key=lambda response: -(response.loop or 0))
         pictures["sensitivity"] = sensitivity(drawn, footer=self.tuned.verdict)
         _draw(folder, pictures)
 
-    def warn(self) -> None:
-        """Nothing: no rollout can contradict the certificate."""
-
-    def _loops(self) -> _loops.Loops:
+    def _loops(self) -> ControlLoop:
         """The nominal loop with the gains before (where there is a start) and after."""
-        tuned, loops = self.tuned, self.nominal
+        tuned = self.tuned
         pairs = [pair for pair in (tuned.before, (tuned.kp, tuned.kd)) if pair is not None]
         labels = ("before", "after")[-len(pairs) :]
-        values = {name: np.repeat(array, len(pairs)) for name, array in loops.values.items()}
-        values["kp"] = np.array([kp for kp, _ in pairs])
-        values["kd"] = np.array([kd for _, kd in pairs])
-        named = tuple(f"{label}: {loops.labels[0]}" for label in labels)
-        return replace(loops, values=values, labels=named)
+        kp, kd = np.array(pairs).T
+        name = naming.named(self.nominal).labels[0]
+        return self.nominal.replace(kp=kp, kd=kd).named(*(f"{label}: {name}" for label in labels))
 
 
 @dataclass(frozen=True)
@@ -130,8 +119,6 @@ class Robot:
 
     def report(self) -> dict[str, Any]:
         """The result as plain values."""
-        from jaxact.tuning.report import report
-
         return report(self.tuned, rollouts=self.rollouts)
 
     def text(self, document: Mapping[str, Any]) -> str:
@@ -142,25 +129,10 @@ class Robot:
 
     def write(self, folder: Path, document: Mapping[str, Any], command: str) -> None:
         """Gains as TOML and MJCF, and the pictures, into a folder that is there."""
-        from jaxact.cli import _tuning_pictures
-        from jaxact.tuning.report import mjcf_text, toml_text
-
         assert self.tuned.robot is not None
         _write(folder, "gains.toml", toml_text(self.tuned, command, rollouts=self.rollouts))
         _write(folder, "gains.xml", mjcf_text(self.tuned))
-        _draw(folder, _tuning_pictures.of_robot(self.tuned, self.tuned.robot))
-
-    def warn(self) -> None:
-        """Say so where rollouts contradict the certificate."""
-        if self.rollouts is None:
-            return
-        stable, rollouts = self.rollouts.stable
-        if stable < rollouts:
-            _warnings.warn(
-                f"{rollouts - stable} of {rollouts} rollouts with these gains are not stable, "
-                "whatever is certified at rest: add the postures that the robot comes to, or lower "
-                "--max-peak"
-            )
+        _draw(folder, tuning_pictures.of_robot(self.tuned, self.tuned.robot))
 
     def _gains(self, document: Mapping[str, Any]) -> str:
         tuned = self.tuned
@@ -187,8 +159,6 @@ def _write(folder: Path, name: str, text: str) -> None:
 
 
 def _draw(folder: Path, pictures: Mapping[str, Any]) -> None:
-    from jaxact.plotting import theme
-
     for name, figure in pictures.items():
         theme.write(figure, folder / f"{name}.png", title=f"jaxact tune: {name.replace('_', ' ')}")
 

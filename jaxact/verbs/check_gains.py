@@ -1,4 +1,4 @@
-"""What `jaxact check` says of the loop that the model's own gains make: first, and in sentences."""
+"""What `jaxact.check` says of the loop that the model's own gains make: first, and in sentences."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def _of_damping(known: OnStand) -> list[str]:
     count, of = len(known.hidden), len(known.as_it_is.names)
     return [
         f"{count} of {of} driven joints have kp, no kd, and damping of their own: most likely a "
-        "drive's D gain, which --damping drive has sampled and delayed. As the model has it, in "
+        'drive\'s D gain, which `damping="drive"` has sampled and delayed. As the model has it, in '
         f"the joint and at once, the gains would {_bears(known.as_it_is, would=True)}."
     ]
 
@@ -155,7 +155,7 @@ def _left_out(most: float, unit: str) -> str:
 
 def _of_base(known: OnStand) -> list[str]:
     if known.falls:
-        why = known.falls.replace('base = "fixed"', "--base fixed")
+        why = known.falls.replace('base = "fixed"', '`base="fixed"`')
         return [f"With its base free there is no posture to look at: {why}"]
     if known.free is None:
         return []
@@ -166,6 +166,6 @@ def _of_base(known: OnStand) -> list[str]:
         return [f"With its base free the gains {_bears(known.free)}."]
     return [
         f"With its base free the robot topples, by {borne.growth_rate:.3g} 1/s, for want of a "
-        "balance controller, whatever the drives do in time: --base fixed leaves only its joints "
-        "and drives."
+        'balance controller, whatever the drives do in time: `base="fixed"` leaves only its '
+        "joints and drives."
     ]

@@ -1,4 +1,4 @@
-"""The pictures of `jaxact tune`: gain plane, convergence and step responses of its result."""
+"""The pictures of a tuning: gain plane, convergence and step responses of its result."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact.cli import _loops
 from jaxact.plotting.wording import quantity
-from jaxact.verbs import naming
 
 if TYPE_CHECKING:
+    from jaxact.loops.control_loop import ControlLoop
     from jaxact.plotting.convergence import UnmetBound
     from jaxact.plotting.tuning_map import Boundary
     from jaxact.tuning.joint.ensemble import Ensemble
@@ -24,10 +23,10 @@ _FIELDS = ("mass", "natural_frequency", "damping_ratio", "delay")
 _CONSTANTS, _SLOWER = 6.0, 5.0
 
 
-def of_joint(tuned: Tuned, loops: _loops.Loops) -> dict[str, Any]:
+def of_joint(tuned: Tuned, loop: ControlLoop) -> dict[str, Any]:
     """Pictures of one joint's tuning by name.
 
-    loops: the nominal loop, with the gains before (where there is a start) and after
+    loop: the nominal one
     """
     from jaxact.plotting.tuning_map import tuning_map
 
@@ -42,7 +41,7 @@ def of_joint(tuned: Tuned, loops: _loops.Loops) -> dict[str, Any]:
             footer=tuned.verdict,
         ),  # fmt: skip
         "convergence": _convergence(tuned, given=tuned.before is not None),
-        "step": _steps(tuned, loops),
+        "step": _steps(tuned, loop),
     }
 
 
@@ -171,14 +170,14 @@ def _convergence(tuned: Tuned, *, given: bool) -> Any:
     )  # fmt: skip
 
 
-def _steps(tuned: Tuned, loops: _loops.Loops) -> Any:
+def _steps(tuned: Tuned, loop: ControlLoop) -> Any:
     from jaxact.plotting.step_band import Responses, step_band
     from jaxact.tuning.joint.ensemble import joined
     from jaxact.tuning.joint.response import step_responses
 
     members = tuned.members
     several = len(members) > 1
-    simulated = joined(members, _nominal(loops, tuned)) if several else members
+    simulated = joined(members, _nominal(loop, tuned)) if several else members
     heaviest = float(members.mass.max())
     slow = [
         max(kd / kp, math.sqrt(heaviest / kp))
@@ -196,10 +195,11 @@ def _steps(tuned: Tuned, loops: _loops.Loops) -> Any:
     return step_band(time, before, after)
 
 
-def _nominal(loops: _loops.Loops, tuned: Tuned) -> Ensemble:
+def _nominal(loop: ControlLoop, tuned: Tuned) -> Ensemble:
     """The plant that was named, as an ensemble of one."""
+    from jaxact.loops import conversion
     from jaxact.tuning.joint.ensemble import ensemble
 
-    own = loops.one(0)
-    delay = sum(own[name] for name in naming.DELAYS)
+    own = conversion.one(loop)
+    delay = conversion.total_delay(own)
     return ensemble(own["mass"], own["wn"], own["zeta"], delay, sampling=tuned.members.sampling)

@@ -2,9 +2,9 @@
 
 import pytest
 
-from jaxact.cli import _starts
 from jaxact.simulation.single import Joint, Single, Start
 from jaxact.status import Verdict
+from jaxact.verbs import starts
 
 
 def _run(verdict, growth_rate, *starts):
@@ -25,11 +25,11 @@ def _run(verdict, growth_rate, *starts):
 def test_advice_is_that_of_what_happened(verdict, growth_rate, slide, moving, said):
     own = Verdict.STABLE if growth_rate < 0.0 else Verdict.UNSTABLE
     run = _run(verdict, growth_rate, ("", own, False), ("slide", slide, moving))
-    assert said in _starts.advice(run)
+    assert said in starts.advice(run)
 
 
 def test_what_is_still_under_way_at_the_end_is_said():
     for frequency, said in ((float("nan"), True), (3.0, False)):
         own = (Start("", Verdict.STABLE, False, False, 0.1, frequency),)
         run = Single(None, {"verdict": 0.0}, {}, (Joint("joint", False),), own)
-        assert ("a longer one tells" in " ".join(_starts.lines(run))) == said
+        assert ("a longer one tells" in " ".join(starts.lines(run))) == said

@@ -1,0 +1,229 @@
+"""Options that several verbs have: each is declared here once."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any
+
+from tyro.conf import UseAppendAction, arg
+
+from jaxact.errors import UserError, nearest, shown
+from jaxact.parameters import PARAMETERS, PRESETS
+
+# Default of a number that was not given; told from any number by being this very object. A type
+# with None in it would make tyro's complaint about a mistyped number unreadable.
+UNSET = float("nan")
+UNSET_NUMBER = -(10**30)
+_UNSET_NAME = "\0"
+VELOCITIES = ("sampled", "differenced")
+
+
+def option(metavar: str, words: str, default: str = "") -> Any:
+    """How an option with a value is shown.
+
+    metavar: what stands for the value, in capitals
+    words: what the option is, with its unit
+    default: in words, where it is not the default of the argument
+    """
+    hint: Any = {"help_behavior_hint": f"(default: {default})"} if default else {}
+    return arg(metavar=metavar, help=words, **hint)
+
+
+LoopsFile = Annotated[
+    Path | None,
+    option(
+        "FILE",
+        "TOML file of loops: [[loop]] tables, or the axes of a sweep's specification.",
+        "none",
+    ),
+]
+Velocity = Annotated[
+    str,
+    option(
+        "sampled|differenced",
+        "Velocity that the controller sees: sensed, or positions differenced, which"
+        " --velocity-filter filters.",
+    ),
+]
+Title = Annotated[str, option("TEXT", "Above the picture.", "none")]
+Picture = Annotated[
+    Path,
+    option("FILE", "Picture to write: .png, .svg or .pdf; one that is there is replaced."),
+]
+Csv = Annotated[Path | None, option("FILE", "Write a CSV file, units in the first line.", "no")]
+NoCache = Annotated[bool, arg(help="Compile anew, and keep no compiled programs from run to run.")]
+Model = Annotated[Path | None, option("FILE", "MJCF or URDF file of a robot.", "a single joint")]
+Keyframe = Annotated[
+    str | None, option("NAME", "Keyframe of the model: its posture.", "the model's default posture")
+]
+Joints = Annotated[
+    tuple[str, ...],
+    option(
+        "PATTERN",
+        "Regular expressions; the joints or actuators that match in full are driven.",
+        "all",
+    ),
+]
+Base = Annotated[
+    str | None,
+    option(
+        "free|fixed|held",
+        "Of a robot: its base as the model has it; fixed on a stand, where nothing touches the"
+        " robot; or held where the robot stands, in contact.",
+        "free",
+    ),
+]
+Damping = Annotated[
+    str | None,
+    option(
+        "joint|drive",
+        "Of a robot: the joints' viscous damping as the model has it, in the joint; or as part of"
+        " the kd that the model brings, sampled and delayed.",
+        "joint",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """How a robot is mounted, how it is damped and how it rubs, and what is changed of it."""
+
+    joints: Joints = ()
+    posture: Annotated[
+        str | None,
+        option(
+            "settled|keyframe", "Bring the posture to rest first, or take it as it is.", "settled"
+        ),
+    ] = None
+    base: Base = None
+    damping: Damping = None
+    friction: Annotated[
+        str | None,
+        option(
+            "moving|stuck",
+            "Of a robot: margins and growth rates of joints that move, which dry friction does not"
+            " damp; or as MuJoCo linearises it at rest, as very strong damping.",
+            "moving",
+        ),
+    ] = None
+    set: Annotated[
+        UseAppendAction[tuple[str, ...]],
+        option("KEY=VALUE", "Change anything, of a specification or of a robot: see `sweep`."),
+    ] = ()
+
+    @property
+    def plant(self) -> dict[str, Any]:
+        """The keys of a specification's [plant] that were given.
+
+        Raises UserError for a value that is not known.
+        """
+        chosen = {name: getattr(self, name) for name in ("posture", *_CHOICES)}
+        return mounted(**chosen) | ({"joints": list(self.joints)} if self.joints else {})
+
+
+@dataclass(frozen=True)
+class Robot(Mounting):
+    """Which robot is meant, how it is mounted, how it is damped and how it rubs."""
+
+    model: Model = None
+    keyframe: Keyframe = None
+    spec: Annotated[
+        Path | None,
+        option(
+            "FILE", "Specification of a sweep to start from: its fixed values are taken.", "none"
+        ),
+    ] = None
+
+    @property
+    def plant(self) -> dict[str, Any]:
+        """As for `Mounting`, and which robot."""
+        which = {"model": self.model, "keyframe": self.keyframe}
+        return super().plant | {name: str(one) for name, one in which.items() if one is not None}
+
+
+_CHOICES = {
+    "base": ("free", "fixed", "held"),
+    "damping": ("joint", "drive"),
+    "friction": ("moving", "stuck"),
+    "posture": ("settled", "keyframe"),
+}
+
+
+def mounted(**chosen: str | None) -> dict[str, str]:
+    """The keys of a [plant] among these options that were given.
+
+    Raises UserError for a value that is not known.
+    """
+    given = {name: value for name, value in chosen.items() if value is not None}
+    for name, value in given.items():
+        one_of(name, value, _CHOICES[name])
+    return given
+
+
+def one_of(name: str, value: str, known: Iterable[str]) -> None:
+    """Raise UserError for a value that an option does not take."""
+    if value not in known:
+        raise UserError(f"{typed(name)} {shown(value)}; {nearest(value, known)}")
+
+
+def demand_robot(options: Any, *, given: bool) -> bool:
+    """Whether a robot is meant.
+
+    options: a dataclass of options that are of a robot
+    given: a robot was named
+
+    Raises UserError for options of a robot without one.
+    """
+    for field in () if given else fields(options):
+        if getattr(options, field.name) != field.default:
+            raise UserError(f"{typed(field.name)}: is for a robot; give one with --model")
+    return given
+
+
+def parameters(names: Iterable[str], *, several: bool) -> type:
+    """A dataclass with one option for each parameter named, and `actuator`.
+
+    names: of parameters of the table
+    several: each takes several values, none where it is not given; else one, or UNSET
+    """
+    more = " ..." if several else ""
+    preset = option(f"NAME{more}", f"Preset that sets wn and zeta: {', '.join(PRESETS)}.", "none")
+    kind: Any = Annotated[tuple[str, ...] if several else str, preset]
+    unset = dataclasses.field(default=(_UNSET_NAME,) if several else _UNSET_NAME)
+    own: list[tuple[str, Any, Any]] = [("actuator", kind, unset)]
+    for name in names:
+        parameter = PARAMETERS[name]
+        unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
+        default = f"{parameter.default:g}"
+        if several and name == "control_rate":
+            default = "continuous time only"
+        shown_as = option(f"VALUE{more}", f"{parameter.description[:-1]}{unit}.", default)
+        kind = Annotated[tuple[float, ...] if several else float, shown_as]
+        own.append((name, kind, dataclasses.field(default=(UNSET,) if several else UNSET)))
+    return dataclasses.make_dataclass("Options", own, frozen=True)
+
+
+def given(chosen: Any) -> dict[str, Any]:
+    """The options of such a dataclass that were given, by name.
+
+    Raises UserError for one without any value.
+    """
+    values = {field.name: getattr(chosen, field.name) for field in fields(chosen)}
+    for name, value in values.items():
+        if value == ():
+            raise UserError(f"{typed(name)}: give at least one value")
+    return {name: value for name, value in values.items() if is_given(value)}
+
+
+def is_given(value: Any) -> bool:
+    """Whether an option was given."""
+    first = value[0] if isinstance(value, tuple) and value else value
+    return first is not None and first is not UNSET and first not in (UNSET_NUMBER, _UNSET_NAME)
+
+
+def typed(name: str) -> str:
+    """The option of a parameter, as it is typed."""
+    return "--" + name.replace("_", "-")

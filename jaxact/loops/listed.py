@@ -1,0 +1,83 @@
+"""Loops listed in a TOML file, one below the other: `[[loop]]` tables of parameters."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxact.errors import UserError, shown
+from jaxact.loops.checks import check_history
+from jaxact.loops.control_loop import read
+from jaxact.parameters import PARAMETERS
+
+_RATE = "control_rate"
+
+
+def rows(path: Path) -> list[dict[str, Any]] | None:
+    """The tables of a file of loops; None where it is a specification.
+
+    Raises:
+        UserError: the file cannot be read, or what it lists are not tables.
+    """
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "is not UTF-8 text"
+        raise UserError(f"{path}: cannot be read ({reason}); give a TOML file of loops") from None
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"{path}: is not valid TOML: {str(error)[:200]}") from None
+    found = document.get("loop")
+    if found is None:
+        return None
+    if not isinstance(found, list) or not found or not all(isinstance(r, dict) for r in found):
+        raise UserError(
+            f"{path}: loop is not a list of tables; write [[loop]] above each loop's keys"
+        )
+    return found
+
+
+def values(
+    path: Path, tables: Sequence[Mapping[str, Any]], given: Mapping[str, Any]
+) -> tuple[list[str], dict[str, np.ndarray]]:
+    """Names of the loops, and every parameter that is given of one of them, shape (n,) each.
+
+    Args:
+        path: of the file, for messages.
+        tables: from `rows`.
+        given: parameter (or `actuator`) -> value, of what a table does not say itself.
+
+    Raises:
+        UserError: an unknown parameter, a value out of bounds, or a delay too long to keep.
+    """
+    common = read(given, robot=False)
+    names, filled = [], []
+    for index, table in enumerate(tables):
+        key = f"{path}: loop[{index}]"
+        name = table.get("name", f"loop {index}")
+        if not isinstance(name, str):
+            raise UserError(f"{key}.name = {shown(name)} is not text")
+        own = common | _read(key, {k: v for k, v in table.items() if k != "name"})
+        if _RATE in own:
+            every = {name: parameter.default for name, parameter in PARAMETERS.items()} | own
+            check_history(every, every[_RATE], f"{key}: ")
+        names.append(name)
+        filled.append(own)
+    kept = dict.fromkeys(name for own in filled for name in own)
+    return names, {
+        name: np.array([own.get(name, PARAMETERS[name].default) for own in filled]) for name in kept
+    }
+
+
+def _read(key: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    """The parameters of one loop, numbers all of them."""
+    several = [name for name, value in table.items() if isinstance(value, list | dict)]
+    if several:
+        raise UserError(f"{key}.{several[0]} = {shown(table[several[0]])}; give one value")
+    try:
+        return read(table, robot=False)
+    except UserError as error:
+        raise UserError(f"{key}.{str(error).replace('`', '')}") from None

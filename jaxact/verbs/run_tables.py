@@ -1,0 +1,101 @@
+"""One simulated loop as a table, as JSON, and as the columns of a file."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxact.plotting.wording import quantity
+from jaxact.status import Verdict
+from jaxact.sweeping.store import VARIABLES, joint_units
+from jaxact.verbs import starts
+
+if TYPE_CHECKING:
+    from jaxact.robot_margins.stiction import Stiction
+    from jaxact.simulation.single import Single
+
+SIGNALS = {
+    "setpoint": ("m", "rad", "setpoint"),
+    "position": ("m", "rad", "position"),
+    "velocity": ("m/s", "rad/s", "velocity"),
+    "command": ("N", "N m", "command of the controller"),
+    "delayed_command": ("N", "N m", "command as it reaches the actuator"),
+    "force": ("N", "N m", "force on the plant"),
+}
+"""Signals of a trajectory: the units of a slide and of a hinge, and their names in words."""
+
+
+def text(run: Single) -> str:
+    """Verdict, advice, metrics, and what came of each start."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_row("verdict", f"[bold]{Verdict(int(run.results['verdict'])).label}[/bold]")
+    for name, about in VARIABLES.items():
+        value = run.results.get(name, np.nan)
+        if name == "verdict" or np.isnan(value):
+            continue
+        units = joint_units(about.units, run.rotary)
+        shown = f"{100 * value:.3g} %" if name == "overshoot" else quantity(value, units)
+        table.add_row(about.long_name, shown)
+    console = Console(width=100, highlight=False)
+    with console.capture() as captured:
+        console.print(table)
+        console.print(starts.advice(run))
+    return "\n".join([captured.get().rstrip(), *starts.lines(run)])
+
+
+def as_json(run: Single, stiction: Stiction | None = None) -> str:
+    """Everything but the trajectory as one object.
+
+    Args:
+        run: of one loop.
+        stiction: of a robot, what dry friction holds of it.
+    """
+    from jaxact.verbs import robot_tables
+
+    found: dict[str, Any] = dict(_plain(run.results))
+    found["verdict"] = Verdict(int(run.results["verdict"])).label
+    found["units"] = {
+        name: joint_units(about.units, run.rotary)
+        for name, about in VARIABLES.items()
+        if name in run.results and name != "verdict"
+    }
+    if run.trajectory.configuration is not None:  # of a robot
+        found["stiction"] = None if stiction is None else robot_tables.as_object(stiction)
+    found |= {"starts": starts.document(run), "parameters": _plain(run.values)}
+    return json.dumps(found)
+
+
+def columns(run: Single) -> dict[str, np.ndarray]:
+    """The trajectory with units in the names, joints named where there are several."""
+    found = {"time [s]": np.asarray(run.trajectory.time)}
+    for joint, one in enumerate(run.joints):
+        name = f" {one.name}" if len(run.joints) > 1 else ""
+        for signal, (slide, hinge, _) in SIGNALS.items():
+            label = f"{signal.replace('_', ' ')}{name} [{hinge if one.rotary else slide}]"
+            found[label] = getattr(run.trajectory, signal)[:, joint]
+    return found
+
+
+def arrays(run: Single) -> dict[str, np.ndarray]:
+    """The trajectory, and the parameters as JSON; of a robot `qpos` and the names of `joints`."""
+    found = {name: value for name, value in vars(run.trajectory).items() if value is not None}
+    if "configuration" in found:
+        found["qpos"] = found.pop("configuration")
+        found["joints"] = np.array([one.name for one in run.joints])
+    return found | {"parameters": np.array(json.dumps(_plain(run.values)))}
+
+
+def _plain(values: dict[str, float]) -> dict[str, float | str | None]:
+    """Numbers as JSON has them: infinity as "inf", what is not a number as null."""
+
+    def plain(value: float) -> float | str | None:
+        if np.isnan(value):
+            return None
+        return str(value) if np.isinf(value) else value
+
+    return {name: plain(value) for name, value in values.items()}
