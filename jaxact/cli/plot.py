@@ -4,19 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from jaxact.cli import _warnings
 from jaxact.cli._arguments import option
 from jaxact.errors import UserError
-
-if TYPE_CHECKING:
-    import xarray as xr
-    from matplotlib.figure import Figure
-
-    from jaxact.plotting.panels import Arrangement
 
 
 @dataclass(frozen=True)
@@ -108,70 +102,22 @@ def main(
       jaxact margins --loops sweep.toml --store m.zarr && jaxact plot m.zarr --variable gain_margin
       jaxact plot results/paper_gain_map --kind lines --x kd --y delay --select kp=400
     """
-    from jaxact.plotting import even_grid, field, panels, theme
+    from jaxact.plotting import field, theme
     from jaxact.sweeping import opening
+    from jaxact.verbs import map_pictures
 
     if out is not None:
         theme.check_output(out)
     _warnings.older(result)
     results = opening.load_result(result)
-    computed = results if even_grid.refined(results) else None
-    if computed is not None:
-        results = even_grid.resampled(computed)
-    shown = field.usual(results) if layout.variable is None else layout.variable
-    arrangement = panels.arrange(
-        results, kind=layout.kind,  # type: ignore[arg-type] # checked there
-        x=layout.x, y=layout.y, facet=layout.facet, select=_pairs(layout.select),
-    )  # fmt: skip
-    figure, said = _draw(
-        results, arrangement, shown, layout.nominal, title, computed=computed, quick=quick
-    )
-    usual = shown == field.usual(results)
-    path = _default_output(result, arrangement.kind, shown, usual=usual) if out is None else out
+    how = vars(layout) | {"select": _pairs(layout.select)}
+    figure, said, kind = map_pictures.page(results, **how, title=title, compare=not quick)
+    usual = field.usual(results)
+    shown = layout.variable or usual
+    path = _default_output(result, kind, shown, usual=shown == usual) if out is None else out
     theme.write(figure, path, title=f"jaxact: {shown}")
     print(said)
     print(f"wrote {path}")
-
-
-def _draw(
-    results: xr.Dataset,
-    arrangement: Arrangement,
-    variable: str,
-    nominal: tuple[float, ...],
-    title: str | None,
-    *,
-    computed: xr.Dataset | None,
-    quick: bool,
-) -> tuple[Figure, str]:
-    """The figure, and its small print, about the loops computed where others are shown."""
-    from jaxact.plotting import caption, field, lines, scatter, stability_map
-    from jaxact.sweeping import agreement, margins_store
-    from jaxact.verbs import map_lines
-
-    field.field(results, variable)  # a misspelt name is told before anything is computed
-    boundaries = map_lines.boundaries(arrangement)
-    drawn = any(boundary is not None for boundary in boundaries)
-    computed = arrangement.data if computed is None else computed
-    exact = margins_store.KIND in results.attrs
-    found = None if quick or exact else agreement.sweep_agreement(computed)
-    parts = [
-        f"Shown: {', '.join(arrangement.selected)}." if arrangement.selected else "",
-        caption.exact(computed) if exact else caption.simulated(computed),
-        caption.compared(found) if found is not None else "",
-        caption.linear_only(arrangement.data) if drawn or found is not None else "",
-    ]
-    footer = " ".join(part for part in parts if part)
-    heading = results.attrs.get("title", "") if title is None else title
-    shared: dict[str, Any] = {"variable": variable, "title": heading, "footer": footer}
-    marked = map_lines.nominal(results, arrangement, nominal)
-    if arrangement.kind == "lines":
-        shared["nominal"] = None if marked is None else marked[0]
-        return lines.lines(results, arrangement, **shared), footer
-    shared |= {"boundaries": boundaries, "nominal": marked}
-    if arrangement.kind == "scatter":
-        return scatter.scatter(results, arrangement, **shared), footer
-    shared["linearised"] = not agreement.is_plain_mass(results)
-    return stability_map.stability_map(results, arrangement, **shared), footer
 
 
 def _pairs(given: tuple[str, ...]) -> dict[str, str]:

@@ -233,7 +233,7 @@ def main(
     loops = _postures(robot, given, velocity) if whole else [_joint(given, velocity)]
 
     from jaxact.tuning.rollouts import validation
-    from jaxact.verbs import tuning_front, tuning_tables
+    from jaxact.verbs import tuning_tables
 
     with _progress.phases(quiet=json) as phase:
         best = _tuned(loops, goal, search, robot, phase)
@@ -250,21 +250,14 @@ def main(
         document = result.report()
     for one in loops:
         _warnings.posture(one.kind.plant)
-    front = tuning_front.front(best.front) if best.front else None
     if search.pareto:
-        document["pareto"] = [] if front is None else tuning_front.report(front)
+        document.setdefault("pareto", [])
     if out is not None:
         with _folders.whole_folder(out) as folder:
             result.write(folder, document, shlex.join(["jaxact", *sys.argv[1:]]))
-            if front is not None:
-                tuning_front.write(folder, front, best.goal.max_peak)
-    if json:
-        print(tuning_tables.as_json(document))
-    else:
-        said = result.text(document)
-        print(said if front is None else f"{said}\n\n{tuning_front.table(front)}")
-        if out is not None:
-            print(f"wrote {out}")
+    print(tuning_tables.as_json(document) if json else result.text(document))
+    if out is not None and not json:
+        print(f"wrote {out}")
     stable, of = (0, 0) if rollouts is None else rollouts.stable
     if stable < of:
         _warnings.warn(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ from jaxact.plotting import theme, ticks
 from jaxact.plotting.page import page
 from jaxact.plotting.tuning import AFTER, BEFORE
 
+# Of the panels of the objective and of the bounds, relative to each other.
+HEIGHTS = (1.5, 1.0)
 _REACHED, _BEYOND = "#DDEFE4", "#F7E3D8"
 _HIGHEST = 30.0
 # Objectives that differ by less are one, and are drawn flat.
@@ -61,24 +64,38 @@ def convergence(
     with theme.applied():
         handles = _handles(stable, given=given, missed=missed)
         paper = page(6.8, 4.8, title=title, footer=footer, entries=len(handles), entry_width=3.3)
-        upper, lower = paper.figure.subplots(
-            2, 1, sharex=True, gridspec_kw={"height_ratios": (1.5, 1)}
-        )
-        steps = np.arange(values.shape[1])
-        for index in range(len(values)):
-            line = _line(own=given and index == len(values) - 1, stable=bool(stable[index]))
-            upper.plot(steps, values[index], **line)
-            if stable[index]:
-                lower.plot(steps, violations[index], **line)
-        _objective_axis(upper, values, label)
-        _bound_axis(lower, violations[stable], missed)
-        if missed is not None:
-            upper.set_title(missed.words, color=theme.VERMILION, fontweight="bold")
-        for axes in (upper, lower):
-            axes.grid(visible=True)
+        axes = paper.figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": HEIGHTS})
+        draw(axes, values, violations, label=label, given=given, stable=stable, missed=missed)
         paper.figure.align_ylabels()
         paper.legend(handles)
     return paper.figure
+
+
+def draw(
+    axes: Sequence[Axes],
+    values: np.ndarray,
+    violations: np.ndarray,
+    *,
+    label: str,
+    given: bool,
+    stable: np.ndarray,
+    missed: UnmetBound | None,
+) -> list[Artist]:
+    """As `convergence`, on given axes: of the objective, and of the bounds. Returns a legend."""
+    upper, lower = axes
+    steps = np.arange(values.shape[1])
+    for index in range(len(values)):
+        line = _line(own=given and index == len(values) - 1, stable=bool(stable[index]))
+        upper.plot(steps, values[index], **line)
+        if stable[index]:
+            lower.plot(steps, violations[index], **line)
+    _objective_axis(upper, values, label)
+    _bound_axis(lower, violations[stable], missed)
+    if missed is not None:
+        upper.set_title(missed.words, color=theme.VERMILION, fontweight="bold")
+    for one in axes:
+        one.grid(visible=True)
+    return _handles(stable, given=given, missed=missed)
 
 
 def _line(*, own: bool, stable: bool) -> dict[str, object]:

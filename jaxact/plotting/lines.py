@@ -46,22 +46,34 @@ def lines(
     title, footer: above and below
     """
     field(dataset, variable)  # refuses unknown names and empty variables
-    growth = variable in RATES
-    values = dataset[variable].values if growth else settled(dataset, variable)
     with theme.applied():
-        handles = _legend(arrangement, growth, nominal)
+        handles = legend(arrangement, variable, nominal)
         drawn = frame(arrangement, title, footer=footer, entries=len(handles))
         for panel in arrangement.panels:
             axes = drawn.grid[panel.row, panel.column]
-            _value_axis(axes, values[np.isfinite(values)].astype(float), growth)
+            draw(axes, dataset, arrangement, panel, variable, nominal)
             if panel.column == 0:
                 axes.set_ylabel(variable_label(dataset[variable]))
-            axes.grid(visible=True, which="major")
-            _curves(axes, arrangement, panel, variable)
-            if nominal is not None:
-                axes.axvline(nominal, color=theme.FAINT, linewidth=0.9, linestyle=":", zorder=1.5)
         finish(drawn, None, handles)
     return drawn.page.figure
+
+
+def draw(
+    axes: Axes,
+    dataset: xr.Dataset,
+    arrangement: Arrangement,
+    panel: Panel,
+    variable: str,
+    nominal: float | None = None,
+) -> None:
+    """One panel on given axes; arguments as for `lines`."""
+    growth = variable in RATES
+    values = dataset[variable].values if growth else settled(dataset, variable)
+    _value_axis(axes, values[np.isfinite(values)].astype(float), growth)
+    axes.grid(visible=True, which="major")
+    _curves(axes, arrangement, panel, variable)
+    if nominal is not None:
+        axes.axvline(nominal, color=theme.FAINT, linewidth=0.9, linestyle=":", zorder=1.5)
 
 
 def _value_axis(axes: Axes, finite: np.ndarray, growth: bool) -> None:
@@ -103,7 +115,9 @@ def _curves(axes: Axes, arrangement: Arrangement, panel: Panel, variable: str) -
             )  # fmt: skip
 
 
-def _legend(arrangement: Arrangement, growth: bool, nominal: float | None) -> list[Artist]:
+def legend(arrangement: Arrangement, variable: str, nominal: float | None) -> list[Artist]:
+    """Entries of curves, verdicts and marks; arguments as for `lines`."""
+    growth = variable in RATES
     handles: list[Artist] = []
     family = arrangement.y
     if family is not None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -32,25 +34,37 @@ def whole_robot(
     mode, of what shakes first with more delay, and of the response at the peak of the largest
     singular value of S.
     """
-    shares = margins.critical.participation
-    named = (margins.ranking or np.argsort(-shares, kind="stable").tolist())[:MOST_NAMED]
     with theme.applied():
-        paper = page(9.4, 5.6, title=title, footer=footer, entries=1 + len(named), entry_width=1.9)
+        entries = 1 + len(_named(margins))
+        paper = page(9.4, 5.6, title=title, footer=footer, entries=entries, entry_width=1.9)
         grid = paper.figure.add_gridspec(2, 2, width_ratios=(2.1, 1.0))
         upper = paper.figure.add_subplot(grid[0, 0])
         lower = paper.figure.add_subplot(grid[1, 0], sharex=upper)
-        _sensitivities(upper, curves, named, "S")
-        _sensitivities(lower, curves, named, "T")
-        _frequency_axis(upper, lower, curves)
-        if margins.whole is not None:
-            whole = margins.whole
-            _peak(upper, whole.sensitivity_peak, whole.sensitivity_peak_frequency, "Ms")
-            _peak(lower, whole.complementary_peak, whole.complementary_peak_frequency, "Mt")
-        else:
-            upper.set_title("unstable: its peaks say nothing", color=theme.VERMILION)
-        _shares(paper.figure.add_subplot(grid[:, 1]), curves.names, margins)
+        draw((upper, lower, paper.figure.add_subplot(grid[:, 1])), curves, margins)
         paper.legend(upper.get_legend_handles_labels()[0])
     return paper.figure
+
+
+def draw(axes: Sequence[Axes], curves: Curves, margins: RobotMargins) -> None:
+    """As `whole_robot`, on given axes: of S, of T, and of the joints' shares."""
+    upper, lower, bars = axes
+    named = _named(margins)
+    _sensitivities(upper, curves, named, "S")
+    _sensitivities(lower, curves, named, "T")
+    _frequency_axis(upper, lower, curves)
+    if margins.whole is not None:
+        whole = margins.whole
+        _peak(upper, whole.sensitivity_peak, whole.sensitivity_peak_frequency, "Ms")
+        _peak(lower, whole.complementary_peak, whole.complementary_peak_frequency, "Mt")
+    else:
+        upper.set_title("unstable: its peaks say nothing", color=theme.VERMILION)
+    _shares(bars, curves.names, margins)
+
+
+def _named(margins: RobotMargins) -> list[int]:
+    """The joints whose curves are named: those that shake first, or move most."""
+    shares = margins.critical.participation
+    return (margins.ranking or np.argsort(-shares, kind="stable").tolist())[:MOST_NAMED]
 
 
 def _sensitivities(axes: Axes, curves: Curves, named: list[int], symbol: str) -> None:

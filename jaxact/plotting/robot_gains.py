@@ -44,29 +44,43 @@ def gains(
         width = min(max(5.2, 1.4 + 0.9 * len(names)), 12.0)
         handles = _handles(before is not None)
         paper = page(width, 4.6, title=title, footer=footer, entries=len(handles), entry_width=1.9)
-        grid = paper.figure.subplots(2, 1, sharex=True)
-        places = np.arange(len(names))
-        for row, (axes, symbol) in enumerate(zip(grid, ("kp", "kd"), strict=True)):
-            given = [] if before is None else [before[row]]
-            low, high = limits(np.concatenate([after[row], *given, ends[:, row].ravel()]))
-            axes.set_yscale("log")
-            axes.set_ylim(low, high)
-            ticks.label(axes.yaxis)
-            for end in ends[:, row]:
-                _marks(axes, places, end, marker="_", color=theme.INK, markersize=9, alpha=0.5)
-            if before is not None:
-                _marks(axes, places, before[row], value=True, marker="X", color=BEFORE,
-                       markersize=8, markeredgecolor="white")  # fmt: skip
-            _marks(axes, places, after[row], value=True, marker="o", color=AFTER, markersize=8,
-                   markeredgecolor="white")  # fmt: skip
-            axes.set_ylabel(f"{symbol} [{units[row]}]")
-            axes.grid(visible=True, axis="y", which="major")
-        turned = {"rotation": 45, "ha": "right"} if len(names) > 6 else {}
-        grid[1].set_xticks(places, names, **turned)
-        grid[1].set_xlim(-0.6, len(names) - 0.4)
+        axes = paper.figure.subplots(2, 1, sharex=True)
+        draw(axes, names, before, after, ends, units=units)
         paper.figure.align_ylabels()
         paper.legend(handles)
     return paper.figure
+
+
+def draw(
+    axes: Sequence[Axes],
+    names: Sequence[str],
+    before: tuple[np.ndarray, np.ndarray] | None,
+    after: tuple[np.ndarray, np.ndarray],
+    ends: np.ndarray,
+    *,
+    units: tuple[str, str],
+) -> list[Artist]:
+    """As `gains`, on given axes: of kp, and of kd. Returns a legend."""
+    places = np.arange(len(names))
+    for row, (panel, symbol) in enumerate(zip(axes, ("kp", "kd"), strict=True)):
+        given = [] if before is None else [before[row]]
+        low, high = limits(np.concatenate([after[row], *given, ends[:, row].ravel()]))
+        panel.set_yscale("log")
+        panel.set_ylim(low, high)
+        ticks.label(panel.yaxis)
+        for end in ends[:, row]:
+            _marks(panel, places, end, marker="_", color=theme.INK, markersize=9, alpha=0.5)
+        if before is not None:
+            _marks(panel, places, before[row], value=True, marker="X", color=BEFORE,
+                   markersize=8, markeredgecolor="white")  # fmt: skip
+        _marks(panel, places, after[row], value=True, marker="o", color=AFTER, markersize=8,
+               markeredgecolor="white")  # fmt: skip
+        panel.set_ylabel(f"{symbol} [{units[row]}]")
+        panel.grid(visible=True, axis="y", which="major")
+    turned = {"rotation": 45, "ha": "right"} if len(names) > 6 else {}
+    axes[1].set_xticks(places, names, **turned)
+    axes[1].set_xlim(-0.6, len(names) - 0.4)
+    return _handles(before is not None)
 
 
 def limits(values: np.ndarray) -> tuple[float, float]:

@@ -45,30 +45,41 @@ def sensitivities(
     """
     number = len(after)
     with theme.applied():
-        handles: list[Artist] = [Patch(color=AFTER, alpha=0.7, label="after")]
-        if before:
-            handles.append(Patch(color=BEFORE, alpha=0.7, label="before"))
-        if np.isfinite(max_peak):
-            handles.append(
-                Line2D([], [], color=theme.INK, ls="--", lw=1.0, label="largest allowed")
-            )
+        handles = _handles(before, max_peak)
         width = max(5.2, 3.1 * number + 0.6)
         paper = page(width, 4.9, title=title, footer=footer, entries=len(handles), entry_width=1.5)
         grid = paper.figure.subplots(2, number, sharex="col", sharey=True, squeeze=False)
-        for column in range(number):
-            for bands, color in ((before, BEFORE), (after, AFTER)):
-                if bands:
-                    _band(grid[:, column], bands[column], color)
-            grid[0, column].set_title(after[column].name)
-            grid[1, column].set_xlabel("frequency [rad/s]")
-        for row, symbol in zip(grid, "ST", strict=True):
-            row[0].set_ylabel(f"σmax({symbol})")
-            for axes in row:
-                if np.isfinite(max_peak):
-                    axes.axhline(max_peak, color=theme.INK, linestyle="--", linewidth=1.0)
-                axes.grid(visible=True, which="major")
+        draw(grid, before, after, max_peak=max_peak)
         paper.legend(handles)
     return paper.figure
+
+
+def draw(
+    grid: np.ndarray, before: Sequence[Band], after: Sequence[Band], *, max_peak: float
+) -> list[Artist]:
+    """As `sensitivities`, on given axes: S above T, a column a situation. Returns a legend."""
+    for column in range(len(after)):
+        for bands, color in ((before, BEFORE), (after, AFTER)):
+            if bands:
+                _band(grid[:, column], bands[column], color)
+        grid[0, column].set_title(after[column].name)
+        grid[1, column].set_xlabel("frequency [rad/s]")
+    for row, symbol in zip(grid, "ST", strict=True):
+        row[0].set_ylabel(f"σmax({symbol})")
+        for axes in row:
+            if np.isfinite(max_peak):
+                axes.axhline(max_peak, color=theme.INK, linestyle="--", linewidth=1.0)
+            axes.grid(visible=True, which="major")
+    return _handles(before, max_peak)
+
+
+def _handles(before: Sequence[Band], max_peak: float) -> list[Artist]:
+    handles: list[Artist] = [Patch(color=AFTER, alpha=0.7, label="after")]
+    if before:
+        handles.append(Patch(color=BEFORE, alpha=0.7, label="before"))
+    if np.isfinite(max_peak):
+        handles.append(Line2D([], [], color=theme.INK, ls="--", lw=1.0, label="largest allowed"))
+    return handles
 
 
 def _band(axes, band: Band, color: str) -> None:

@@ -60,18 +60,32 @@ def scatter(
     """
     shown = field(dataset, variable)
     with theme.applied():
-        handles = _legend(arrangement, boundaries, nominal, variable)
+        handles = legend(arrangement, boundaries, nominal, variable)
         drawn = frame(arrangement, title, footer=footer, entries=len(handles))
         for number, panel in enumerate(arrangement.panels):
             axes = drawn.grid[panel.row, panel.column]
-            axes.grid(visible=True, which="major")
-            _points(axes, arrangement, panel, shown)
-            if boundaries is not None and boundaries[number] is not None:
-                draw_boundary(axes, boundaries[number])
-            if nominal is not None:
-                mark_nominal(axes, arrangement, nominal)
+            exact = None if boundaries is None else boundaries[number]
+            draw(axes, arrangement, panel, shown, exact=exact, nominal=nominal)
         finish(drawn, shown, handles)
     return drawn.page.figure
+
+
+def draw(
+    axes: Axes,
+    arrangement: Arrangement,
+    panel: Panel,
+    shown: Field,
+    *,
+    exact: ExactLines | None = None,
+    nominal: tuple[float, float] | None = None,
+) -> None:
+    """One panel on given axes; arguments as for `scatter`."""
+    axes.grid(visible=True, which="major")
+    _points(axes, arrangement, panel, shown)
+    if exact is not None:
+        draw_boundary(axes, exact)
+    if nominal is not None:
+        mark_nominal(axes, arrangement, nominal)
 
 
 def _points(axes: Axes, arrangement: Arrangement, panel: Panel, shown: Field) -> None:
@@ -106,12 +120,13 @@ def _places(axis: Axis, values: np.ndarray) -> np.ndarray:
     return np.array([places[str(v)] for v in values])
 
 
-def _legend(
+def legend(
     arrangement: Arrangement,
     boundaries: Sequence[ExactLines | None] | None,
     nominal: tuple[float, float] | None,
     variable: str,
 ) -> list[Artist]:
+    """Entries of verdicts, boundaries and marks; arguments as for `scatter`."""
     present = {int(v) for panel in arrangement.panels for v in np.unique(panel.data["verdict"])}
     fills = {
         Verdict.STABLE: "#6FA8D6", Verdict.LIMIT_CYCLE: "#FBDCC0", Verdict.UNSTABLE: "#B8501B",

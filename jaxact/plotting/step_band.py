@@ -57,21 +57,27 @@ def step_band(
             7.0, 4.0, title=title, footer=footer, entries=len(handles),
             entry_width=3.4 if len(after.rows) > 1 else 1.5,
         )  # fmt: skip
-        axes = paper.figure.subplots()
-        scale, unit = (1e3, "ms") if time[-1] < 0.5 else (1.0, "s")
-        for responses, color, _ in sides:
-            if responses is not None:
-                _draw(axes, time * scale, responses, color)
-        axes.axhline(1.0, color=theme.INK, linewidth=0.9, linestyle=":", zorder=1)
-        axes.axhspan(0.98, 1.02, color="#E4E4E4", zorder=0)
-        peaks = [np.nanmax(side.rows) for side, *_ in sides if side is not None]
-        axes.set_ylim(-0.1, max(1.3, min(1.1 * float(max(peaks)), _HIGHEST)))
-        axes.set_xlim(0.0, time[-1] * scale)
-        axes.set_xlabel(f"time [{unit}]")
-        axes.set_ylabel("position / step")
-        axes.grid(visible=True)
+        draw(paper.figure.subplots(), time, before, after)
         paper.legend(handles)
     return paper.figure
+
+
+def draw(axes: Axes, time: np.ndarray, before: Responses | None, after: Responses) -> list[Artist]:
+    """As `step_band`, on given axes. Returns a legend."""
+    sides = [(before, BEFORE, "before"), (after, AFTER, "after")]
+    scale, unit = (1e3, "ms") if time[-1] < 0.5 else (1.0, "s")
+    for responses, color, _ in sides:
+        if responses is not None:
+            _draw(axes, time * scale, responses, color)
+    axes.axhline(1.0, color=theme.INK, linewidth=0.9, linestyle=":", zorder=1)
+    axes.axhspan(0.98, 1.02, color="#E4E4E4", zorder=0)
+    peaks = [np.nanmax(side.rows) for side, *_ in sides if side is not None]
+    axes.set_ylim(-0.1, max(1.3, min(1.1 * float(max(peaks)), _HIGHEST)))
+    axes.set_xlim(0.0, time[-1] * scale)
+    axes.set_xlabel(f"time [{unit}]")
+    axes.set_ylabel("position / step")
+    axes.grid(visible=True)
+    return [handle for side, color, name in sides if side for handle in _handles(side, color, name)]
 
 
 def worst(rows: np.ndarray) -> int:

@@ -72,38 +72,59 @@ def tuning_map(
     reached: whether the gains meet every bound
     title, footer: above and below
     """
-    finite = plane.peak[np.isfinite(plane.peak)]
-    bound = bool(finite.size and finite.min() < max_peak < finite.max())
     with theme.applied():
-        handles = _handles(plane, before, after, max_peak if bound else np.inf, reached=reached)
+        handles = _handles(plane, before, after, _shown(plane, max_peak), reached=reached)
         paper = page(6.4, 4.9, title=title, footer=footer, entries=len(handles), entry_width=3.2)
         axes = paper.figure.subplots()
-        mesh = _peaks(axes, plane)
-        if bound:
-            axes.contour(
-                plane.kp, plane.kd, plane.peak, levels=[max_peak], colors=_BOUND["color"],
-                linewidths=_BOUND["linewidth"],
-            )  # fmt: skip
-        elif np.isfinite(max_peak) and not (finite < max_peak).any():
-            above = f"max(Ms, Mt) above {max_peak:g}" if finite.size else "unstable"
-            axes.set_title(f"{above} everywhere here", color=theme.VERMILION)
-        for index, boundary in enumerate(plane.boundaries):
-            for curve in boundary.curves:
-                if curve.separates:
-                    axes.plot(curve.kp, curve.kd, **_line(index), scalex=False, scaley=False)
-        if before is not None:
-            axes.plot(*before, marker="X", color=BEFORE, markersize=9, markeredgecolor="white")
-            axes.annotate("", after, before, arrowprops={"arrowstyle": "->", "color": theme.INK})
-        axes.plot(*after, marker="*", color=theme.YELLOW, markersize=14, markeredgecolor="black")
-        _dress(axes, plane)
-        bar = paper.figure.colorbar(mesh, ax=axes, extend="max")
+        draw(axes, plane, before, after, max_peak=max_peak, reached=reached)
+        paper.legend(handles)
+    return paper.figure
+
+
+def draw(
+    axes: Axes,
+    plane: Plane,
+    before: tuple[float, float] | None,
+    after: tuple[float, float],
+    *,
+    max_peak: float,
+    reached: bool = True,
+    colorbar: bool = True,
+) -> list[Artist]:
+    """As `tuning_map`, on given axes. Returns a legend."""
+    finite, bound = plane.peak[np.isfinite(plane.peak)], _shown(plane, max_peak)
+    mesh = _peaks(axes, plane)
+    if np.isfinite(bound):
+        axes.contour(
+            plane.kp, plane.kd, plane.peak, levels=[bound], colors=_BOUND["color"],
+            linewidths=_BOUND["linewidth"],
+        )  # fmt: skip
+    elif np.isfinite(max_peak) and not (finite < max_peak).any():
+        above = f"max(Ms, Mt) above {max_peak:g}" if finite.size else "unstable"
+        axes.set_title(f"{above} everywhere here", color=theme.VERMILION)
+    for index, boundary in enumerate(plane.boundaries):
+        for curve in boundary.curves:
+            if curve.separates:
+                axes.plot(curve.kp, curve.kd, **_line(index), scalex=False, scaley=False)
+    if before is not None:
+        axes.plot(*before, marker="X", color=BEFORE, markersize=9, markeredgecolor="white")
+        axes.annotate("", after, before, arrowprops={"arrowstyle": "->", "color": theme.INK})
+    axes.plot(*after, marker="*", color=theme.YELLOW, markersize=14, markeredgecolor="black")
+    _dress(axes, plane)
+    if colorbar:
         several = ", worst of the members named" if len(plane.boundaries) > 1 else ""
+        bar = axes.figure.colorbar(mesh, ax=axes, extend="max")
         bar.set_label(f"max(Ms, Mt){several}")
         bar.ax.yaxis.set_major_locator(FixedLocator([1, 1.5, 2, 3, 5, 10]))
         bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         bar.ax.yaxis.set_minor_formatter(NullFormatter())
-        paper.legend(handles)
-    return paper.figure
+    return _handles(plane, before, after, bound, reached=reached)
+
+
+def _shown(plane: Plane, max_peak: float) -> float:
+    """The bound where a part of the plane meets it and another does not, else inf."""
+    finite = plane.peak[np.isfinite(plane.peak)]
+    return max_peak if finite.size and finite.min() < max_peak < finite.max() else np.inf
 
 
 def _peaks(axes: Axes, plane: Plane) -> QuadMesh:

@@ -7,39 +7,48 @@ them it makes a figure with `matplotlib.pyplot`, which a notebook shows.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 from matplotlib import pyplot
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 
 from jaxact.errors import UserError
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.plotting import bode as _bode
-from jaxact.plotting import even_grid
-from jaxact.plotting import field as _field
 from jaxact.plotting import nyquist as _nyquist
-from jaxact.plotting import panels as _panels
+from jaxact.plotting import robot as _robot
 from jaxact.plotting import sensitivity as _sensitivity
-from jaxact.plotting import stability_map as _map
 from jaxact.plotting import step as _step
 from jaxact.plotting import trajectory as _trajectory
 from jaxact.plotting.response import LoopResponse
 from jaxact.plotting.wording import quantity
-from jaxact.plotting.zero_line import zero_line
 from jaxact.status import Verdict
-from jaxact.sweeping import agreement
-from jaxact.verbs import map_lines, responses
+from jaxact.verbs import responses
 from jaxact.verbs.boundary import Window
 from jaxact.verbs.boundary import boundary as _boundary
+from jaxact.verbs.map_pictures import lines, scatter, stability_map
 from jaxact.verbs.run_tables import SIGNALS
+from jaxact.verbs.tuning_pictures import (
+    convergence,
+    front,
+    robot_gains,
+    step_band,
+    tuned_sensitivity,
+    tuning_map,
+)
 
 if TYPE_CHECKING:
     from jaxact.simulation.single import Single
+    from jaxact.verbs.margins_of_robot import RobotLoopMargins
 
+__all__ = [
+    "bode", "boundary", "convergence", "front", "lines", "nyquist", "robot_gains", "robot_margins",
+    "scatter", "sensitivity", "stability_map", "step", "step_band", "trajectory",
+    "tuned_sensitivity", "tuning_map",
+]  # fmt: skip
 _SMALL = "small"
 
 
@@ -105,8 +114,31 @@ def _curves(
 
 def _responses(loop: ControlLoop, sampled: bool) -> list[LoopResponse]:
     if loop.kind.plant is not None:
-        raise UserError("this picture is of a joint's loop; of a robot, see jaxact.margins(...)")
+        raise UserError(
+            "this picture is of a joint's loop; of a robot, see jaxact.plot.robot_margins(...)"
+        )
     return responses.responses(loop, sampled=sampled)
+
+
+def robot_margins(found: RobotLoopMargins, *, axes: Sequence[Axes] | None = None) -> Sequence[Axes]:
+    """Largest singular values of S and T of a robot, |S_ii| and |T_ii| of its joints, and motions.
+
+    The bars are the joints' shares in the kinetic energy of the least damped (or fastest growing)
+    mode, of what shakes first with more delay, and of the response at the peak of S.
+
+    Args:
+        found: from `jaxact.margins`, of a single loop.
+        axes: of S, of T and of the shares.
+    """
+    if len(found.details) > 1:
+        raise UserError("this picture is of one loop; index the loop first, e.g. loop[0]")
+    if axes is None:
+        figure = pyplot.figure(figsize=(9.4, 5.6))
+        drawn = figure.subplot_mosaic("SB;TB", width_ratios=(2.1, 1.0))
+        axes = drawn["S"], drawn["T"], drawn["B"]
+    _robot.draw(axes, found.details[0].curves, found.details[0].margins)
+    axes[0].legend(fontsize=_SMALL)
+    return axes
 
 
 def trajectory(
@@ -210,89 +242,6 @@ def _label(row: xr.Dataset, dims: Sequence[Any]) -> str:
         value, units = row[dim].values[()], str(row[dim].attrs.get("units", ""))
         words.append(f"{str(dim).replace('_', ' ')} {quantity(value, units)}")
     return ", ".join(words) or "response"
-
-
-def stability_map(
-    maps: xr.Dataset,
-    *,
-    variable: str | None = None,
-    x: str | None = None,
-    y: str | None = None,
-    select: Mapping[str, float | str] | None = None,
-    ax: Axes | None = None,
-    axes: Sequence[Axes] | None = None,
-    exact: bool = True,
-    nominal: bool = True,
-    colorbar: bool = True,
-    legend: bool = True,
-) -> Axes | np.ndarray:
-    """A variable of a sweep over two parameters, verdicts hatched, the exact boundary on top.
-
-    Args:
-        maps: from `jaxact.sweep` or `jaxact.load_result`.
-        variable: coloured; None for the growth rate.
-        x, y: parameters across the map; None for kp and kd where they were swept.
-        select: parameter -> value, of which the nearest is kept.
-        ax: for a single map.
-        axes: for as many maps as what is left over has values.
-        exact: draw the exact boundary; of robots, where the linearised rate is zero.
-        nominal: mark the specification's own parameters.
-        colorbar, legend: add them.
-
-    Returns:
-        The axes, as they were given; an array of them where there are several maps.
-
-    Raises:
-        UserError: parameters that were not swept, or another number of axes than of maps.
-    """
-    maps = even_grid.resampled(maps) if even_grid.refined(maps) else maps
-    picked = {name: str(value) for name, value in (select or {}).items()}
-    arrangement = _panels.arrange(maps, kind="map", x=x, y=y, select=picked)
-    variable = _field.usual(maps) if variable is None else variable
-    shown, count = _field.field(maps, variable), len(arrangement.panels)
-    given = [ax] if ax is not None else None if axes is None else list(np.ravel(np.array(axes)))
-    if given is None:
-        grid = pyplot.subplots(arrangement.rows, arrangement.columns, sharex=True, sharey=True,
-                               squeeze=False, layout="constrained")[1]  # fmt: skip
-        given = [grid[panel.row, panel.column] for panel in arrangement.panels]
-    own = ax is None and axes is None
-    if len(given) != count:
-        raise UserError(
-            f"there are {count} maps, and {len(given)} axes; give as many, or select, e.g. "
-            "select={'delay': 0.001}"
-        )
-    _draw_maps(given, maps, arrangement, shown, exact=exact, marked=nominal)
-    for one in given if own else ():
-        one.label_outer()
-    if colorbar:
-        mappable = ScalarMappable(norm=shown.norm, cmap=shown.colors)
-        bar = given[0].figure.colorbar(mappable, ax=given, extend=shown.extend)
-        _field.dress_colorbar(bar, shown)
-    if legend:
-        handles = _map.verdict_handles({int(v) for v in np.unique(maps["verdict"])})
-        if handles:
-            given[0].legend(handles=handles, fontsize=_SMALL)
-    return given[0] if count == 1 else np.array(given, dtype=object)
-
-
-def _draw_maps(
-    axes: Sequence[Axes], maps: xr.Dataset, arrangement: _panels.Arrangement,
-    shown: _field.Field, *, exact: bool, marked: bool,
-) -> None:  # fmt: skip
-    plain = agreement.is_plain_mass(maps)
-    known = map_lines.boundaries(arrangement) if exact and plain else [None] * len(axes)
-    rate = shown.variable if shown.variable in _field.RATES else _field.usual(maps)
-    point = map_lines.nominal(maps, arrangement) if marked else None
-    for one, panel, boundary_of_it in zip(axes, arrangement.panels, known, strict=True):
-        _map.dress_axis(one, "x", arrangement.x)
-        _map.dress_axis(one, "y", arrangement.y)
-        one.set_xlabel(arrangement.x.label)
-        one.set_ylabel(arrangement.y.label)
-        words = ", ".join(word for word in (panel.caption, panel.row_caption) if word)
-        if words:
-            one.set_title(words)
-        zero = zero_line(arrangement, panel, rate) if exact and not plain else ()
-        _map.draw(one, arrangement, panel, shown, exact=boundary_of_it, zero=zero, nominal=point)
 
 
 def boundary(

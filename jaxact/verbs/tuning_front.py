@@ -1,10 +1,9 @@
-"""`jaxact tune --pareto`: the front as JSON, table, CSV and picture, of a joint or of a robot."""
+"""A front of stiffness against robustness as JSON, table and CSV, of a joint or of a robot."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -101,27 +100,12 @@ def table(front: Front) -> str:
     return "\n".join(rows)
 
 
-def write(folder: Path, front: Front, marked: float) -> None:
-    """front.csv and front.png, into a folder that is there.
-
-    marked: the peak that was asked for
-    """
-    from jaxact.plotting import theme, tuning
-
+def csv_text(front: Front) -> str:
+    """A header, then one line a point."""
     names = [name.replace(" ", "_") for name, _ in front.columns]
     rows = [",".join(["max_peak", *names, "objective", "certified"])]
     for i in range(len(front)):
         numbers = [front.peaks[i], *(column[i] for _, column in front.columns), front.values[i]]
         cells = [repr(float(number)) for number in numbers]
         rows.append(",".join([*cells, str(bool(front.certified[i])).lower()]))
-    (folder / "front.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    values = np.where(front.certified, front.values, np.nan)
-    known = np.isfinite(values)
-    inside = known.sum() > 1 and front.peaks[known][0] <= marked <= front.peaks[known][-1]
-    at = float(np.interp(marked, front.peaks[known], values[known])) if inside else None
-    figure = tuning.front(
-        front.peaks, values, np.where(known[:, None], front.kd, np.nan),
-        label=f"{front.objective} [{front.units[2]}]", kd_unit=front.units[1],
-        groups=front.groups, marked=None if at is None else (marked, at),
-    )  # fmt: skip
-    theme.write(figure, folder / "front.png", title="jaxact tune: front")
+    return "\n".join(rows) + "\n"

@@ -1,18 +1,44 @@
-"""The pictures of a tuning: gain plane, convergence and step responses of its result."""
+"""Pictures of a tuning: the plane of the gains, convergence, responses, what robustness costs.
+
+Each on given axes, and as a page of the folder that the command line writes.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib import pyplot
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 
+from jaxact.analysis.boundary.boundary import continuous_boundary, sampled_boundary
+from jaxact.errors import UserError
+from jaxact.loops import conversion
+from jaxact.plotting import convergence as _convergence
+from jaxact.plotting import robot_gains as _gains
+from jaxact.plotting import robot_tuning as _bands
+from jaxact.plotting import sensitivity as _sensitivity
+from jaxact.plotting import step_band as _band
+from jaxact.plotting import tuning as _front
+from jaxact.plotting import tuning_map as _map
+from jaxact.plotting.convergence import UnmetBound
+from jaxact.plotting.step_band import Responses
+from jaxact.plotting.tuning_map import Boundary, Plane
 from jaxact.plotting.wording import quantity
+from jaxact.tuning.joint import metrics
+from jaxact.tuning.joint.ensemble import chosen, ensemble, joined
+from jaxact.tuning.joint.response import step_responses
+from jaxact.verbs import naming
+from jaxact.verbs import responses as _responses
+from jaxact.verbs.tuning_front import Front
+from jaxact.verbs.tuning_front import front as _points
 
 if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
-    from jaxact.plotting.convergence import UnmetBound
-    from jaxact.plotting.tuning_map import Boundary
+    from jaxact.plotting.response import LoopResponse
     from jaxact.tuning.joint.ensemble import Ensemble
     from jaxact.tuning.result import OfRobot, Tuned
 
@@ -21,55 +47,220 @@ _FIELDS = ("mass", "natural_frequency", "damping_ratio", "delay")
 # Step responses last this many times the slower one's time constant; that of the start counts up
 # to some multiple of the result's.
 _CONSTANTS, _SLOWER = 6.0, 5.0
+_SMALL = "small"
+
+
+def tuning_map(
+    best: Tuned, *, ax: Axes | None = None, colorbar: bool = True, legend: bool = True
+) -> Axes:
+    """The plane of a joint's gains: worst peaks, the bound, exact boundaries, and both pairs.
+
+    Args:
+        best: from `jaxact.tune`, of a joint.
+        ax: of the plane (kp, kd), made logarithmic.
+        colorbar, legend: add them.
+    """
+    _demand(best, robot=False)
+    ax = pyplot.subplots()[1] if ax is None else ax
+    handles = _map.draw(ax, *_plane_of(best), colorbar=colorbar, **_bounds(best))
+    return _with_legend(ax, handles, legend)
+
+
+def convergence(
+    best: Tuned, *, axes: Sequence[Axes] | None = None, legend: bool = True
+) -> Sequence[Axes]:
+    """The objective of every start along the descent, and by how much its bounds are missed.
+
+    Args:
+        best: from `jaxact.tune`.
+        axes: of the objective and of the bounds.
+        legend: name the curves.
+    """
+    axes = _two(_convergence.HEIGHTS) if axes is None else axes
+    _with_legend(axes[0], _convergence.draw(axes, *_paths(best)[0], **_paths(best)[1]), legend)
+    return axes
+
+
+def step_band(best: Tuned, *, ax: Axes | None = None, legend: bool = True) -> Axes:
+    """Step responses of a joint before and after: the range of all members as a band.
+
+    In it, solid the nominal plant, and dashed the member that overshoots most.
+
+    Args:
+        best: from `jaxact.tune`, of a joint.
+        ax: of position over time.
+        legend: name the curves.
+    """
+    _demand(best, robot=False)
+    assert best.loop is not None
+    ax = pyplot.subplots()[1] if ax is None else ax
+    return _with_legend(ax, _band.draw(ax, *_steps(best, best.loop)), legend)
+
+
+def front(
+    best: Tuned, *, axes: Sequence[Axes] | None = None, legend: bool = True
+) -> Sequence[Axes]:
+    """What robustness costs: the objective against the largest peak allowed, and kd below.
+
+    Args:
+        best: from `jaxact.tune`, with a front.
+        axes: of the objective and of kd.
+        legend: name the curves.
+
+    Raises:
+        UserError: no front was asked for.
+    """
+    if not best.front:
+        raise UserError("there is no front; ask for one, e.g. jaxact.tune(loop, front=10)")
+    axes = _two(_front.HEIGHTS) if axes is None else axes
+    found, marked = _points(best.front), best.goal.max_peak
+    drawn, words = drawn_front(found, marked)
+    _with_legend(axes[0], _front.draw_front(axes, *drawn, **words), legend)
+    return axes
+
+
+def robot_gains(
+    best: Tuned, *, axes: Sequence[Axes] | None = None, legend: bool = True
+) -> Sequence[Axes]:
+    """kp and kd of every group of a robot's joints before and after, and where starts ended.
+
+    Args:
+        best: from `jaxact.tune`, of a robot.
+        axes: of kp and of kd.
+        legend: name the marks.
+    """
+    robot = _demand(best, robot=True)
+    assert robot is not None
+    axes = pyplot.subplots(2, 1, sharex=True)[1] if axes is None else axes
+    drawn = _of_groups(best, robot)
+    _with_legend(axes[0], _gains.draw(axes, *drawn, units=best.units[:2]), legend)
+    return axes
+
+
+def tuned_sensitivity(best: Tuned, *, axes: Any = None, legend: bool = True) -> Any:
+    """Sensitivities before and after.
+
+    Args:
+        best: from `jaxact.tune`.
+        axes: of |S| and of |T|; of a robot of the largest singular values, shape (2, postures).
+        legend: name the curves.
+    """
+    if best.robot is None:
+        assert best.loop is not None
+        axes = pyplot.subplots(2, 1, sharex=True)[1] if axes is None else axes
+        drawn = before_and_after(best, best.loop)
+        _sensitivity.draw(axes, drawn, [response.label for response in drawn])
+        if legend:
+            axes[0].legend(fontsize=_SMALL)
+        return axes
+    number = len(best.robot.situations)
+    if axes is None:
+        axes = pyplot.subplots(2, number, sharex="col", sharey=True, squeeze=False)[1]
+    grid = np.reshape(np.array(axes, dtype=object), (2, number))
+    handles = _bands.draw(grid, *_sides(best, best.robot), max_peak=best.goal.max_peak)
+    _with_legend(grid[0, 0], handles, legend)
+    return axes
 
 
 def of_joint(tuned: Tuned, loop: ControlLoop) -> dict[str, Any]:
-    """Pictures of one joint's tuning by name.
+    """Pages of one joint's tuning by name.
 
-    loop: the nominal one
+    Args:
+        tuned: the result.
+        loop: the nominal one.
     """
-    from jaxact.plotting.tuning_map import tuning_map
-
-    after = tuned.kp, tuned.kd
+    values, options = _paths(tuned)
     return {
-        "stability_map": tuning_map(
-            _plane(tuned),
-            tuned.before,
-            after,
-            max_peak=tuned.goal.max_peak,
-            reached=tuned.certified,
-            footer=tuned.verdict,
-        ),  # fmt: skip
-        "convergence": _convergence(tuned, given=tuned.before is not None),
-        "step": _steps(tuned, loop),
+        "stability_map": _map.tuning_map(*_plane_of(tuned), **_bounds(tuned), footer=tuned.verdict),
+        "convergence": _convergence.convergence(*values, **options),
+        "step": _band.step_band(*_steps(tuned, loop)),
+        "sensitivity": _sensitivity.sensitivity(
+            before_and_after(tuned, loop), footer=tuned.verdict
+        ),
     }
 
 
 def of_robot(tuned: Tuned, robot: OfRobot) -> dict[str, Any]:
-    """Pictures of a robot's tuning by name."""
-    from jaxact.plotting import robot_tuning as pictures
-    from jaxact.plotting.robot_gains import gains
-
-    groups, pair = robot.case.groups, (tuned.kp, tuned.kd)
-    with np.errstate(over="ignore"):
-        ends = np.exp(np.asarray(tuned.paths.gains, float)).reshape(-1, 2, len(groups))
-    after, before = (
-        None if k is None else tuple(np.exp(groups.log_gains(*k)).reshape(2, -1))
-        for k in (pair, tuned.before)
-    )
-    bands = [] if tuned.before is None else _bands(robot, tuned.before)
+    """Pages of a robot's tuning by name."""
+    values, options = _paths(tuned)
     return {
-        "sensitivity": pictures.sensitivities(
-            bands, _bands(robot, pair), max_peak=tuned.goal.max_peak, footer=tuned.verdict
+        "sensitivity": _bands.sensitivities(
+            *_sides(tuned, robot), max_peak=tuned.goal.max_peak, footer=tuned.verdict
         ),
-        "convergence": _convergence(tuned, given=False),
-        "gains": gains(groups.names, before, after, ends, units=tuned.units[:2]),
+        "convergence": _convergence.convergence(*values, **options),
+        "gains": _gains.gains(*_of_groups(tuned, robot), units=tuned.units[:2]),
     }
 
 
-def _bands(robot: OfRobot, gains: tuple[np.ndarray, np.ndarray]) -> list[Any]:
+def _two(heights: tuple[float, float]) -> Sequence[Axes]:
+    axes: Sequence[Axes] = pyplot.subplots(
+        2, 1, sharex=True, gridspec_kw={"height_ratios": heights}
+    )[1]
+    return axes
+
+
+def _with_legend(ax: Axes, handles: list[Artist], legend: bool) -> Axes:
+    if legend and handles:
+        ax.legend(handles=handles, fontsize=_SMALL)
+    return ax
+
+
+def _demand(best: Tuned, *, robot: bool) -> OfRobot | None:
+    if (best.robot is not None) != robot:
+        raise UserError(f"this picture is of {'a robot' if robot else 'a joint'}'s tuned gains")
+    return best.robot
+
+
+def with_gains(tuned: Tuned, loop: ControlLoop) -> ControlLoop:
+    """A joint's loop with the gains before (where there is a start) and after, named so."""
+    pairs = [pair for pair in (tuned.before, (tuned.kp, tuned.kd)) if pair is not None]
+    kp, kd = np.array(pairs).T
+    name = naming.named(loop).labels[0]
+    sides = ("before", "after")[-len(pairs) :]
+    return loop.replace(kp=kp, kd=kd).named(*(f"{side}: {name}" for side in sides))
+
+
+def before_and_after(tuned: Tuned, loop: ControlLoop) -> list[LoopResponse]:
+    """Frequency responses of a joint with both pairs of gains; blue, as everywhere, is after."""
+    sampled = "control_rate" in loop.values
+    drawn = _responses.responses(with_gains(tuned, loop), sampled=sampled)
+    return sorted(drawn, key=lambda response: -(response.loop or 0))
+
+
+def drawn_front(found: Front, marked: float) -> tuple[tuple[np.ndarray, ...], dict[str, Any]]:
+    """What `jaxact.plotting.tuning.draw_front` takes of a front; marked: the peak asked for."""
+    values = np.where(found.certified, found.values, np.nan)
+    known = np.isfinite(values)
+    inside = known.sum() > 1 and found.peaks[known][0] <= marked <= found.peaks[known][-1]
+    at = float(np.interp(marked, found.peaks[known], values[known])) if inside else None
+    return (found.peaks, values, np.where(known[:, None], found.kd, np.nan)), {
+        "label": f"{found.objective} [{found.units[2]}]",
+        "kd_unit": found.units[1],
+        "groups": found.groups,
+        "marked": None if at is None else (marked, at),
+    }
+
+
+def _of_groups(tuned: Tuned, robot: OfRobot) -> tuple[Any, ...]:
+    """Names of the groups, their gains before and after, and where the starts ended."""
+    groups = robot.case.groups
+    with np.errstate(over="ignore"):
+        ends = np.exp(np.asarray(tuned.paths.gains, float)).reshape(-1, 2, len(groups))
+    before, after = (
+        None if k is None else tuple(np.exp(groups.log_gains(*k)).reshape(2, -1))
+        for k in (tuned.before, (tuned.kp, tuned.kd))
+    )
+    return groups.names, before, after, ends
+
+
+def _sides(tuned: Tuned, robot: OfRobot) -> tuple[list[Any], list[Any]]:
+    """Bands of the sensitivities before, [] without a start, and after."""
+    before = [] if tuned.before is None else _singular_values(robot, tuned.before)
+    return before, _singular_values(robot, (tuned.kp, tuned.kd))
+
+
+def _singular_values(robot: OfRobot, gains: tuple[np.ndarray, np.ndarray]) -> list[Any]:
     """Singular values of every situation's loops with gains of the joints."""
-    from jaxact.plotting.robot_tuning import Band
     from jaxact.tuning.robot.peaks import sensitivity
 
     bands, table = [], robot.case.table
@@ -84,14 +275,12 @@ def _bands(robot: OfRobot, gains: tuple[np.ndarray, np.ndarray]) -> list[Any]:
             np.stack([np.interp(angle, a, v) for a, v in zip(own.angle, values, strict=True)])
             for values in size
         ]
-        bands.append(Band(one.name, angle / one.period, *rows))
+        bands.append(_bands.Band(one.name, angle / one.period, *rows))
     return bands
 
 
 def missed(tuned: Tuned) -> UnmetBound | None:
     """What a tuning did not reach, None where it reached everything."""
-    from jaxact.plotting.convergence import UnmetBound
-
     if tuned.feasible:
         return None
     checks = [check for check in tuned.closest if not check.met]
@@ -110,17 +299,12 @@ def missed(tuned: Tuned) -> UnmetBound | None:
 
 def _binding(tuned: Tuned) -> Ensemble:
     """A few members that say where the bounds are: those that bind, else the first."""
-    from jaxact.tuning.joint.ensemble import chosen
-
     named = {tuned.members.name(i): i for i in range(len(tuned.members))}
     index = [named[name] for name in tuned.certificate.binding if name in named][:4]
     return chosen(tuned.members, np.array(index or [0]))
 
 
 def _plane(tuned: Tuned) -> Any:
-    from jaxact.plotting.tuning_map import Plane
-    from jaxact.tuning.joint import metrics
-
     members = _binding(tuned)
     pairs = np.array([pair for pair in (tuned.before, (tuned.kp, tuned.kd)) if pair is not None])
     low, high = pairs.min(axis=0) / np.array([8.0, 4.0]), pairs.max(axis=0) * np.array([8.0, 4.0])
@@ -140,9 +324,6 @@ def _plane(tuned: Tuned) -> Any:
 
 def _boundary(members: Ensemble, index: int, ranges: dict[str, Any]) -> Boundary:
     """Where a member changes stability: sampled as it is controlled, or in continuous time."""
-    from jaxact.analysis.boundary.boundary import continuous_boundary, sampled_boundary
-    from jaxact.plotting.tuning_map import Boundary
-
     plant = [float(getattr(members, name)[index]) for name in _FIELDS]
     name = members.name(index) if len(members) > 1 else ""
     period, cutoff = members.sampling.control_period, members.sampling.velocity_filter
@@ -155,26 +336,30 @@ def _boundary(members: Ensemble, index: int, ranges: dict[str, Any]) -> Boundary
     return Boundary(name or f"sampled at {quantity(1.0 / period, 'Hz')}", curves)
 
 
-def _convergence(tuned: Tuned, *, given: bool) -> Any:
-    from jaxact.plotting.convergence import convergence
-
-    goal, paths = tuned.goal, tuned.paths
-    unit = tuned.units[2]
-    label = goal.objective if unit == "1" else f"{goal.objective} [{unit}]"
+def _paths(tuned: Tuned) -> tuple[tuple[np.ndarray, np.ndarray], dict[str, Any]]:
+    """What `jaxact.plotting.convergence.draw` takes."""
+    goal, paths, unit = tuned.goal, tuned.paths, tuned.units[2]
     with np.errstate(over="ignore"):
         values = np.exp(goal.sense * paths.path_value)
         ratio = np.exp(paths.path_violation)
-    return convergence(
-        values, ratio, label=label, given=given,
-        stable=np.isfinite(paths.violation), missed=missed(tuned),
-    )  # fmt: skip
+    return (values, ratio), {
+        "label": goal.objective if unit == "1" else f"{goal.objective} [{unit}]",
+        "given": tuned.robot is None and tuned.before is not None,
+        "stable": np.isfinite(paths.violation),
+        "missed": missed(tuned),
+    }
 
 
-def _steps(tuned: Tuned, loop: ControlLoop) -> Any:
-    from jaxact.plotting.step_band import Responses, step_band
-    from jaxact.tuning.joint.ensemble import joined
-    from jaxact.tuning.joint.response import step_responses
+def _plane_of(tuned: Tuned) -> tuple[Plane, Any, tuple[float, float]]:
+    return _plane(tuned), tuned.before, (tuned.kp, tuned.kd)
 
+
+def _bounds(tuned: Tuned) -> dict[str, Any]:
+    return {"max_peak": tuned.goal.max_peak, "reached": tuned.certified}
+
+
+def _steps(tuned: Tuned, loop: ControlLoop) -> tuple[np.ndarray, Responses | None, Responses]:
+    """Times [s], and the step responses before (None without a start) and after."""
     members = tuned.members
     several = len(members) > 1
     simulated = joined(members, _nominal(loop, tuned)) if several else members
@@ -192,14 +377,11 @@ def _steps(tuned: Tuned, loop: ControlLoop) -> Any:
 
     time, after = responses((tuned.kp, tuned.kd))
     before = None if tuned.before is None else responses(tuned.before)[1]
-    return step_band(time, before, after)
+    return time, before, after
 
 
 def _nominal(loop: ControlLoop, tuned: Tuned) -> Ensemble:
     """The plant that was named, as an ensemble of one."""
-    from jaxact.loops import conversion
-    from jaxact.tuning.joint.ensemble import ensemble
-
     own = conversion.one(loop)
     delay = conversion.total_delay(own)
     return ensemble(own["mass"], own["wn"], own["zeta"], delay, sampling=tuned.members.sampling)

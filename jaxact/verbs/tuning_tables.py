@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact.plotting import theme
-from jaxact.plotting.sensitivity import sensitivity
+from jaxact.plotting import theme, tuning
 from jaxact.plotting.wording import quantity
 from jaxact.tuning.report import mjcf_text, report, toml_text
-from jaxact.verbs import naming, responses, tuning_pictures
+from jaxact.verbs import tuning_front, tuning_pictures
 from jaxact.verbs.margin_tables import ALWAYS, MARGINS, UNITS, plain
 from jaxact.verbs.margins import margins
 
@@ -46,19 +45,15 @@ class Joint:
     nominal: ControlLoop
     name: str
 
-    @property
-    def sampled(self) -> bool:
-        """Whether the margins are those of the sampled loop."""
-        return "control_rate" in self.nominal.values
-
     def report(self) -> dict[str, Any]:
         """The result as plain values, with the nominal loop's margins before and after."""
-        loops = self._loops()
-        found = margins(loops, sampled=self.sampled).rows
+        loops = tuning_pictures.with_gains(self.tuned, self.nominal)
+        found = margins(loops, sampled="control_rate" in loops.values).rows
         names = (*ALWAYS[:2], *MARGINS, *ALWAYS[2:])
         rows = [{name: plain(name, found, i) for name in names} for i in range(len(loops))]
         before = rows[0] if self.tuned.before is not None else None
-        return report(self.tuned, margins={"before": before, "after": rows[-1]})
+        found = report(self.tuned, margins={"before": before, "after": rows[-1]})
+        return _with_front(found, self.tuned)
 
     def text(self, document: Mapping[str, Any]) -> str:
         """The report for people: gains, margins before and after, and what is guaranteed."""
@@ -80,29 +75,15 @@ class Joint:
             rows.append([name.replace("_", " "), *cells])
         gains = f"kp {document['kp']:.6g} {kp}, kd {document['kd']:.6g} {kd}"
         table = _table(["", *columns], rows)
-        return "\n".join([gains, table, "", *_words(document, document["members"])])
+        said = "\n".join([gains, table, "", *_words(document, document["members"])])
+        return said + _front_table(self.tuned)
 
     def write(self, folder: Path, document: Mapping[str, Any], command: str) -> None:
         """Gains as TOML and MJCF, and the pictures, into a folder that is there."""
-        loops = self._loops()
         nominal = document["margins"]["after"]
-        _write(folder, "gains.toml", toml_text(self.tuned, command, nominal=nominal))
-        _write(folder, "gains.xml", mjcf_text(self.tuned, self.name))
-        pictures = tuning_pictures.of_joint(self.tuned, self.nominal)
-        drawn = responses.responses(loops, sampled=self.sampled)
-        # As in the other pictures, blue is after.
-        drawn.sort(key=lambda response: -(response.loop or 0))
-        pictures["sensitivity"] = sensitivity(drawn, footer=self.tuned.verdict)
-        _draw(folder, pictures)
-
-    def _loops(self) -> ControlLoop:
-        """The nominal loop with the gains before (where there is a start) and after."""
-        tuned = self.tuned
-        pairs = [pair for pair in (tuned.before, (tuned.kp, tuned.kd)) if pair is not None]
-        labels = ("before", "after")[-len(pairs) :]
-        kp, kd = np.array(pairs).T
-        name = naming.named(self.nominal).labels[0]
-        return self.nominal.replace(kp=kp, kd=kd).named(*(f"{label}: {name}" for label in labels))
+        texts = {"gains.toml": toml_text(self.tuned, command, nominal=nominal),
+                 "gains.xml": mjcf_text(self.tuned, self.name)}  # fmt: skip
+        _write(folder, self.tuned, texts, tuning_pictures.of_joint(self.tuned, self.nominal))
 
 
 @dataclass(frozen=True)
@@ -119,20 +100,21 @@ class Robot:
 
     def report(self) -> dict[str, Any]:
         """The result as plain values."""
-        return report(self.tuned, rollouts=self.rollouts)
+        return _with_front(report(self.tuned, rollouts=self.rollouts), self.tuned)
 
     def text(self, document: Mapping[str, Any]) -> str:
         """The report for people."""
         simulated = _tracking_lines(document) + _rollout_lines(document["rollouts"])
         words = _words(document, document["loops"], _box_lines(document["assumed"]), simulated)
-        return "\n\n".join([self._gains(document), _margins(document), "\n".join(words)])
+        said = "\n\n".join([self._gains(document), _margins(document), "\n".join(words)])
+        return said + _front_table(self.tuned)
 
     def write(self, folder: Path, document: Mapping[str, Any], command: str) -> None:
         """Gains as TOML and MJCF, and the pictures, into a folder that is there."""
         assert self.tuned.robot is not None
-        _write(folder, "gains.toml", toml_text(self.tuned, command, rollouts=self.rollouts))
-        _write(folder, "gains.xml", mjcf_text(self.tuned))
-        _draw(folder, tuning_pictures.of_robot(self.tuned, self.tuned.robot))
+        texts = {"gains.toml": toml_text(self.tuned, command, rollouts=self.rollouts),
+                 "gains.xml": mjcf_text(self.tuned)}  # fmt: skip
+        _write(folder, self.tuned, texts, tuning_pictures.of_robot(self.tuned, self.tuned.robot))
 
     def _gains(self, document: Mapping[str, Any]) -> str:
         tuned = self.tuned
@@ -154,11 +136,29 @@ def as_json(document: Any) -> str:
     return json.dumps(document, allow_nan=False)
 
 
-def _write(folder: Path, name: str, text: str) -> None:
-    (folder / name).write_text(text, encoding="utf-8")
+def _with_front(document: dict[str, Any], tuned: Tuned) -> dict[str, Any]:
+    """The report with the front in it, where there is one."""
+    if not tuned.front:
+        return document
+    return document | {"pareto": tuning_front.report(tuning_front.front(tuned.front))}
 
 
-def _draw(folder: Path, pictures: Mapping[str, Any]) -> None:
+def _front_table(tuned: Tuned) -> str:
+    if not tuned.front:
+        return ""
+    return "\n\n" + tuning_front.table(tuning_front.front(tuned.front))
+
+
+def _write(folder: Path, tuned: Tuned, texts: Mapping[str, str], pages: Mapping[str, Any]) -> None:
+    """Texts and pictures, and those of the front where there is one."""
+    files, pictures = dict(texts), dict(pages)
+    if tuned.front:
+        found = tuning_front.front(tuned.front)
+        drawn, words = tuning_pictures.drawn_front(found, tuned.goal.max_peak)
+        files["front.csv"] = tuning_front.csv_text(found)
+        pictures["front"] = tuning.front(*drawn, **words)
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")
     for name, figure in pictures.items():
         theme.write(figure, folder / f"{name}.png", title=f"jaxact tune: {name.replace('_', ' ')}")
 
