@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from jaxact.cli import _options
 from jaxact.cli.main import main
+from jaxact.cli.sweep import Run
 from jaxact.errors import UserError
 from jaxact.loops import reading, toml
 
@@ -79,7 +80,7 @@ def folder(tmp_path_factory):
     def call(verb, _, arguments):
         specification, out, folder = arguments
         assert out == "--out"
-        verb(Path(specification), out=folder)
+        verb(Path(specification), Run(), out=folder)
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(_options, "call", call)

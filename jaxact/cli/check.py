@@ -65,6 +65,6 @@ def main(
     found = check(
         robot(model, keyframe=keyframe, joints=joints, control_rate=control_rate, **mounted)  # type: ignore[arg-type]
     )
-    print(_options.typed(found.to_json() if json else repr(found), "check"))
+    print(_options.typed(found.to_json() if json else repr(found), "margins"))
     if found.refused:
         raise SystemExit(REFUSED)

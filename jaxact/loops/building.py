@@ -102,7 +102,7 @@ def robot(
     """
     path = Path(model)
     if not path.is_file():
-        raise UserError(f"`model` = {shown(str(path))}: no such file; give an MJCF or URDF file")
+        raise UserError(f"{path}: no such model file; give an MJCF or URDF file")
     patterns = (joints,) if isinstance(joints, str) else tuple(joints)
     try:
         plant = Plant(

@@ -145,7 +145,7 @@ def friction_alone(robot: Robot) -> list[str]:
         return []
     most = friction.largest(robot.model)
     return [
-        f"{_left_out(most, friction_unit(robot.model))}; `jaxact margins --friction stuck` has it."
+        f'{_left_out(most, friction_unit(robot.model))}; margins with `friction="stuck"` have it.'
     ]
 
 

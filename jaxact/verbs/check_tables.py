@@ -20,7 +20,8 @@ _NONE = "-"
 
 def text(check: RobotCheck) -> str:
     """The whole report: the gains in sentences, the joints as a table, and the findings."""
-    said = [_wrapped(paragraph) for paragraph in check_gains.as_text(check.on_stand)]
+    of_gains = check_gains.as_text(check.on_stand) or check_gains.friction_alone(check.robot)
+    said = [_wrapped(paragraph) for paragraph in of_gains]
     parts = [_head(check), *(["\n".join(said)] if said else [])]
     if check.joints:
         parts.append(_joint_table(check.joints))

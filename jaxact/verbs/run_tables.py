@@ -26,6 +26,9 @@ SIGNALS = {
 }
 """Signals of a trajectory: the units of a slide and of a hinge, and their names in words."""
 
+# What only a step that comes to rest has.
+_OF_A_STEP = ("overshoot", "rise_time", "settling_time")
+
 
 def text(run: Single) -> str:
     """Verdict, advice, metrics, and what came of each start."""
@@ -33,10 +36,13 @@ def text(run: Single) -> str:
     from rich.table import Table
 
     table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_row("verdict", f"[bold]{Verdict(int(run.results['verdict'])).label}[/bold]")
+    verdict = Verdict(int(run.results["verdict"]))
+    table.add_row("verdict", f"[bold]{verdict.label}[/bold]")
     for name, about in VARIABLES.items():
         value = run.results.get(name, np.nan)
         if name == "verdict" or np.isnan(value):
+            continue
+        if name in _OF_A_STEP and verdict is Verdict.UNSTABLE:
             continue
         units = joint_units(about.units, run.rotary)
         shown = f"{100 * value:.3g} %" if name == "overshoot" else quantity(value, units)

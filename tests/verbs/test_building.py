@@ -90,7 +90,7 @@ def test_what_makes_no_sense_is_refused_by_name(given, said):
 
 
 def test_a_robot_that_is_not_there_is_refused():
-    with pytest.raises(UserError, match="no such file"):
+    with pytest.raises(UserError, match="nowhere.xml: no such model file"):
         jx.robot("nowhere.xml")
 
 
