@@ -94,7 +94,7 @@ class Search:
             "zeta as factors on the actuator's, mass [kg] and delay [s] as they are; an x makes "
             "them factors too: mass=0.8x..1.2x. Of a robot, for mass: payload [kg], the factors "
             "inertia_scale and contact_friction, and joint_damping [N m s/rad] and joint_armature "
-            "[kg m^2] added to the model's.",
+            "[kg m^2] added to the model's; of some joints: wn@.*_knee=0.8..1.2.",
             "none",
         ),
     ] = ""

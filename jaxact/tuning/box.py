@@ -4,7 +4,9 @@
 
 wn, zeta, inertia_scale and contact_friction are factors on what is given (the scales are 1 where
 nothing is), every other parameter is in its unit; an `x` behind both ends makes them factors, too.
-The order in which they are written does not matter.
+The order in which they are written does not matter. Of a robot, `wn@.*_knee=0.9..1.1` is of the
+joints that match the pattern in full, by their names or their actuators'; the others stay as they
+are.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.parameters import check
+from jaxact.parameters import base, check, known
 
 _FACTORS = ("wn", "zeta", "inertia_scale", "contact_friction")
 # What cannot vary where it is not among the parameters that can, and why.
@@ -60,8 +62,8 @@ class Range:
         said = f"`uncertainty` {self.name}"
         if self.factor and not np.isfinite(list(given.values())).all():
             raise UserError(
-                f"{said}: the actuator is ideal, its {self.name} cannot vary by a factor; give "
-                "`wn` and `zeta` or an `actuator`"
+                f"{said}: the actuator is ideal, its {base(self.name)} cannot vary by a factor; "
+                "give `wn` and `zeta` or an `actuator`"
             )
         if self.factor and not any(given.values()):
             raise UserError(
@@ -131,12 +133,13 @@ NOMINAL = Points(np.zeros((1, 0)), ("nominal",))
 """The only point where everything is known."""
 
 
-def read_box(text: str, varied: Collection[str]) -> Box:
+def read_box(text: str, varied: Collection[str], *, patterns: bool = False) -> Box:
     """The box that a text describes, see the module.
 
     Args:
         text: `NAME=LOW..HIGH,...`; "" for none.
         varied: names of the parameters that can vary.
+        patterns: whether some joints may vary apart from the others.
 
     Raises:
         UserError: what cannot be read.
@@ -147,7 +150,7 @@ def read_box(text: str, varied: Collection[str]) -> Box:
         first, dots, last = ends.partition("..")
         if not equals or not dots:
             raise UserError(f"`uncertainty` {shown(part)}: write it as NAME=LOW..HIGH")
-        if name not in varied:
+        if base(name) not in varied or not (name in varied or (patterns and known(name))):
             why = _REFUSED.get(name)
             raise UserError(
                 f"`uncertainty` {name}: {why}" if why
@@ -155,19 +158,20 @@ def read_box(text: str, varied: Collection[str]) -> Box:
             )  # fmt: skip
         if name in (other.name for other in ranges):
             raise UserError(f"`uncertainty` {name} is given twice")
-        factors = [name in _FACTORS or end.strip().endswith("x") for end in (first, last)]
+        always = base(name) in _FACTORS
+        factors = [always or end.strip().endswith("x") for end in (first, last)]
         if factors[0] != factors[1]:
             raise UserError(f"`uncertainty` {part}: write both ends as factors, or none")
         low, high = _number(first, part), _number(last, part)
         if low > high:
             raise UserError(f"`uncertainty` {part}: the lower end is above the upper")
-        if factors[0] and (low < 0.0 or (name in _FACTORS and low == 0.0)):
+        if factors[0] and (low < 0.0 or (always and low == 0.0)):
             raise UserError(f"`uncertainty` {part}: must be positive")
         if not factors[0]:
             check(name, low, f"`uncertainty` {name}")
         ranges.append(Range(name, low, high, factors[0]))
     order = list(varied)
-    return Box(tuple(sorted(ranges, key=lambda one: order.index(one.name))))
+    return Box(tuple(sorted(ranges, key=lambda one: (order.index(base(one.name)), one.name))))
 
 
 def _number(text: str, part: str) -> float:

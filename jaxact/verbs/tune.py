@@ -223,7 +223,7 @@ def _of_robot(
     from jaxact.tuning.robot import search
     from jaxact.tuning.robot.loops import VARIED, situation
 
-    box = read_box(uncertainty, VARIED)
+    box = read_box(uncertainty, VARIED, patterns=True)
     situations: list[Situation] = []
     for place, (name, one) in enumerate(named, 1):
         phase(f"settling and linearising {name} ({place} of {len(named)})")

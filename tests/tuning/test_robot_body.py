@@ -105,6 +105,25 @@ def test_a_payload_that_is_known_is_no_box(folder):
     np.testing.assert_allclose([scaled.low, scaled.high], [[0.25], [0.6]])
 
 
+def test_some_joints_may_vary_apart_from_the_others(folder):
+    """As the loop with the same values given, whatever the other joints are."""
+    asked = _specification(folder / "arm.xml")
+    box = read_box(
+        "joint_damping@elbow=0..0.3,wn@elbow=0.8..1.2,wn=0.9..1.1", VARIED, patterns=True
+    )
+    one = situation(asked, "home", box)
+    assert one.keys == ("wn", "wn@elbow", "joint_damping@elbow")
+    np.testing.assert_allclose(one.low, [720.0, 640.0, 0.0])
+    given = {"wn": 760.0, "zeta": 0.45, "wn@elbow": 900.0, "joint_damping@elbow": 0.2}
+    parameters = {k: v for k, v in asked.parameters.items() if k != "actuator"}
+    known = situation(replace(asked, parameters=parameters | given), "home")
+    theirs = known.opened(np.empty(0))
+    for mine, other in zip(one.opened(np.array([760.0, 900.0, 0.2])), theirs, strict=True):
+        np.testing.assert_allclose(mine, other, rtol=1e-9, atol=1e-12)
+    with pytest.raises(UserError, match="matches no driven joint"):
+        situation(asked, "home", read_box("wn@hip=0.8..1.2", VARIED, patterns=True))
+
+
 def test_under_gravity_a_member_is_linearised_where_it_rests(folder):
     asked = _specification(folder / "arm.xml")
     home = sweep_robots.scene(asked.plant).posture

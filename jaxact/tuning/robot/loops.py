@@ -116,9 +116,9 @@ def situation(specification: Specification, name: str, box: Box = KNOWN) -> Situ
     specification, owned = _with_gains(specification)
     keys, places, low, high = _ends(specification, box)
     columns = dict(zip(keys, np.stack([low, high], axis=1), strict=True))
-    # What differs between models must be part of what is compiled.
-    bodies = {key: float(rows[0]) for key, rows in columns.items() if base(key) in OF_BODY}
-    specification = replace(specification, parameters={**specification.parameters, **bodies})
+    # What differs between models or joints must be part of what is compiled.
+    own = {k: float(rows[0]) for k, rows in columns.items() if base(k) in OF_BODY or "@" in k}
+    specification = replace(specification, parameters={**specification.parameters, **own})
     samples = explicit(specification, columns or {"feedforward": np.zeros(2)})
     (plan,) = plans.groups(specification, samples)
     values = samples.take(np.arange(2))
@@ -192,11 +192,22 @@ def _ends(
 ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]:
     """Parameters that vary, the range of each, and their values at the ends of the box."""
     assert specification.plant is not None
-    brought = robots.brought(robots.scene(specification.plant))
+    scene, nominal = robots.scene(specification.plant), specification.nominal
+    brought = robots.brought(scene)
+    masks = {key: robots.matched(scene, key) for key in nominal if "@" in key}
     rows: list[tuple[str, int, float, float]] = []
     for place, one in enumerate(box.ranges):
-        own = {k: v for k, v in specification.nominal.items() if base(k) == one.name}
-        if np.isnan(own[one.name]):
+        own = {k: v for k, v in nominal.items() if base(k) == one.name}
+        if "@" in one.name:
+            with jax.enable_x64(True):
+                given = {key: np.float64(value) for key, value in nominal.items()}
+                each = robots.each_joint(given, brought, masks)[base(one.name)]
+            joints = robots.matched(scene, one.name)
+            values = np.broadcast_to(np.asarray(each), joints.shape)[joints]
+            if one.factor and (values != values[0]).any():
+                raise UserError(f"`uncertainty` {one.name}: these joints differ in it; name fewer")
+            own = {one.name: float(values[0])}
+        elif np.isnan(own[one.name]):
             of_model = np.unique(brought[one.name])
             if one.factor and of_model.size > 1:
                 raise UserError(
