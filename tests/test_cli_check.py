@@ -6,8 +6,8 @@ import math
 import mujoco
 import numpy as np
 import pytest
+from command_line import jaxact
 from quickly import compiled_quickly as compiled_quickly
-from test_cli import jaxact
 
 from jaxact.robots import inertia
 from jaxact.robots import model as models

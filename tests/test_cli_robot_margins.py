@@ -2,9 +2,6 @@
 
 import json
 import math
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -61,13 +58,8 @@ def _mistake(capsys, *arguments):
 
 
 def test_the_gains_of_the_model_are_taken_and_everything_is_said(capsys):
-    ran = subprocess.run(
-        [sys.executable, "-m", "jaxact", "margins", "--model", "arm.xml", "--keyframe",
-         "bent", "--actuator", "hyq", "--delay", "0.001", "--json"],
-        capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert ran.returncode == 0, ran.stderr
-    (line,) = ran.stdout.splitlines()
+    asked = ("--model", "arm.xml", "--keyframe", "bent", "--actuator", "hyq", "--delay", "0.001")
+    (line,) = _said(capsys, *asked, "--json").splitlines()
     row = json.loads(line)
     assert row["stable"] is True and row["unstable_roots"] == 0 and row["engine"] == "mujoco"
     assert row["keyframe"] == "bent" and row["posture"] == "settled"

@@ -1,15 +1,11 @@
 """`jaxact tune --model`, as a user types it."""
 
 import json
-import os
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import mujoco
 import pytest
-import quickly
 import robots
 from quickly import compiled_quickly as compiled_quickly
 
@@ -43,17 +39,11 @@ def _mistake(capsys, *arguments):
     return said.err
 
 
-def test_a_robot_is_tuned_certified_simulated_and_written():
-    ran = subprocess.run(
-        [sys.executable, "-m", "jaxact", "tune", *ASKED, *QUICK,
-         "--groups", "shoulder,elbow", "--uncertainty", "delay=0.001..0.003,payload=0..0.3",
-         "--set", "plant.payload_body=lower", "--pareto", "3",
-         "--validate", "2", "--out", "tuned", "--json"],
-        capture_output=True, text=True,
-        env=os.environ | quickly.ENVIRONMENT | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert ran.returncode == 0, ran.stderr
-    (line,) = ran.stdout.splitlines()
+def test_a_robot_is_tuned_certified_simulated_and_written(capsys):
+    asked = ("--groups", "shoulder,elbow", "--uncertainty", "delay=0.001..0.003,payload=0..0.3",
+             "--set", "plant.payload_body=lower", "--pareto", "3", "--validate", "2")  # fmt: skip
+    assert main(["tune", *ASKED, *QUICK, *asked, "--out", "tuned", "--json"]) == 0
+    (line,) = capsys.readouterr().out.splitlines()
     found = json.loads(line)
     assert found["certified"] and found["feasible"] and found["situations"] == ["home"]
     assert [row["name"] for row in found["groups"]] == ["shoulder", "elbow"]

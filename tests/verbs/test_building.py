@@ -119,3 +119,38 @@ def test_all_delays_of_the_loop_count_and_that_of_the_setpoint_does_not():
 def test_the_gain_scale_is_part_of_both_gains():
     found = conversion.continuous(jx.joint(kp=100.0, kd=4.0, gain_scale=3.0).parameters)
     assert (float(found.kp), float(found.kd)) == (300.0, 12.0)
+
+
+def test_the_loops_of_a_specification_are_a_batch_over_its_axes(tmp_path):
+    path = tmp_path / "sweep.toml"
+    path.write_text(
+        'velocity = "differenced"\n[parameters]\nmass = 0.5\n[axes]\n'
+        'actuator = ["hyq", "starleth"]\nkp = { min = 10, max = 1000, num = 3, spacing = "log" }\n'
+    )
+    loop = jx.loop_of(path)
+    assert loop.shape == (2, 3) and loop.kind.velocity == "differenced"
+    assert [one.wn for one in loop[:, 0]] == [PRESETS["hyq"][0], PRESETS["starleth"][0]]
+    assert loop[1].kp == pytest.approx([10.0, 100.0, 1000.0]) and loop.mass == 0.5
+    assert conversion.samples(loop).dims == ("actuator", "kp")
+    with pytest.raises(UserError, match="has axes of its own"):
+        jx.loop_of(path, kp=3.0)
+
+
+def test_listed_loops_keep_their_names_wherever_they_are_put(tmp_path):
+    path = tmp_path / "loops.toml"
+    path.write_text(
+        '[[loop]]\nname = "soft"\nkp = 10\n[[loop]]\nname = "stiff"\nactuator = "hyq"\n'
+    )
+    loop = jx.loop_of(path, kd=5.0, kp=300.0)
+    assert loop.kp.tolist() == [10.0, 300.0] and loop.wn.tolist() == [np.inf, PRESETS["hyq"][0]]
+    assert loop[1].kind.names == ("stiff",) and loop[::-1].kind.names == ("stiff", "soft")
+    assert repr(jx.margins(loop)).index("soft") < repr(jx.margins(loop)).index("stiff")
+    path.write_text("[[loop]]\nkp = [1, 2]\n")
+    with pytest.raises(UserError, match=r"loops.toml: loop\[0\].kp = .*; give one value"):
+        jx.loop_of(path)
+
+
+def test_there_is_a_name_for_each_loop():
+    assert jx.joint(kp=[1.0, 2.0], names=["a", "b"])[0].kind.names == ("a",)
+    with pytest.raises(UserError, match="`names`: 1 names for 2 loops"):
+        jx.joint(kp=[1.0, 2.0], names=["a"])

@@ -83,3 +83,68 @@ def test_pictures_of_joints_are_not_of_robots(tmp_path):
     path.write_text(PENDULUM)
     with pytest.raises(UserError, match="joint's loop"):
         jx.plot.bode(jx.robot(path))
+
+
+@pytest.fixture(scope="module")
+def tuned():
+    loop = jx.joint(actuator="starleth", delay=1e-3, kp=100.0, kd=10.0)
+    return jx.tune(loop, max_peak=1.6, samples=2, front=2, steps=20, starts=1)
+
+
+def test_the_plane_of_the_gains_has_the_bound_where_the_margins_have_it(tuned):
+    ax = pyplot.figure().subplots()
+    assert jx.plot.tuning_map(tuned, ax=ax) is ax
+    (bound,) = (one for one in ax.collections if hasattr(one, "allsegs") or "Contour" in str(one))
+    kp, kd = bound.get_paths()[0].vertices[::7].T
+    found = jx.margins(tuned.loop.replace(kp=kp, kd=kd))
+    peaks = np.maximum(found.sensitivity_peak, found.complementary_peak)
+    assert peaks == pytest.approx(1.6, rel=2e-2)  # between the cells of the plane
+    stars = [line for line in ax.lines if line.get_marker() == "*"]
+    assert stars[0].get_xydata()[0] == pytest.approx([tuned.kp, tuned.kd])
+
+
+def test_responses_before_and_after_end_at_the_setpoint(tuned):
+    ax = jx.plot.step_band(tuned, ax=pyplot.figure().subplots())
+    curves = [line.get_ydata() for line in ax.lines if len(line.get_ydata()) > 100]
+    assert len(curves) == 2 and all(abs(curve[-1] - 1.0) < 0.05 for curve in curves)
+    upper, _ = jx.plot.tuned_sensitivity(tuned)
+    assert [text.get_text()[:5] for text in upper.get_legend().get_texts()] == ["after", "befor"]
+
+
+def test_convergence_and_the_front_are_the_results(tuned):
+    upper, lower = jx.plot.convergence(tuned, axes=pyplot.figure().subplots(2, 1))
+    assert "stiffness" in upper.get_ylabel() and lower.get_xlabel() == "step"
+    upper, lower = jx.plot.front(tuned, axes=pyplot.figure().subplots(2, 1))
+    peaks, values = upper.lines[0].get_data()
+    assert list(peaks) == [one.goal.max_peak for one in tuned.front]
+    assert list(values) == [one.kp for one in tuned.front]
+    assert list(lower.lines[0].get_ydata()) == [one.kd for one in tuned.front]
+
+
+def test_pictures_of_a_tuning_say_what_they_are_of(tuned):
+    with pytest.raises(UserError, match="of a robot's tuned gains"):
+        jx.plot.robot_gains(tuned)
+
+
+def test_curves_and_samples_of_a_sweep(loop, maps):
+    ax = jx.plot.lines(maps.isel(kd=2), x="kp", y="delay", ax=pyplot.figure().subplots())
+    expected = maps.growth_rate.isel(kd=2).sel(delay=0.005).values
+    assert any(np.array_equal(line.get_ydata(), expected) for line in ax.lines)
+    drawn = jx.sweep(loop[1], duration=0.25, sampling="sobol", number=16,
+                     kp=jx.log(10, 1e5), kd=jx.log(0.1, 2000))  # fmt: skip
+    ax = jx.plot.scatter(drawn, ax=pyplot.figure().subplots())
+    points = np.concatenate([one.get_offsets() for one in ax.collections])
+    assert sorted(points[:, 0]) == pytest.approx(sorted(drawn.kp.values))
+
+
+@pytest.mark.exhaustive
+def test_sensitivities_of_a_robot(tmp_path):
+    from robots import PENDULUM
+
+    path = tmp_path / "pendulum.xml"
+    path.write_text(PENDULUM)
+    found = jx.margins(jx.robot(path, keyframe="home", delay=1e-3))
+    upper, _, bars = jx.plot.robot_margins(found)
+    (largest,) = (line for line in upper.lines if line.get_label() == "all joints: σmax")
+    assert largest.get_ydata().max() == pytest.approx(float(found.sensitivity_peak), rel=1e-3)
+    assert [text.get_text() for text in bars.get_yticklabels()] == list(found.joints)
