@@ -23,7 +23,7 @@ from jaxact.loops import loop
 from jaxact.loops.conversion import drive_of
 from jaxact.loops.loop import Loop
 from jaxact.loops.samples import Samples
-from jaxact.plants import Mass
+from jaxact.plants.mass import Mass
 from jaxact.plants.mjx import plant as mjx
 
 _OUTPUTS = 31

@@ -17,7 +17,7 @@ from jaxact.drive.step import Drive, DriveOptions
 from jaxact.loops import loop, reading
 from jaxact.loops.loop import Loop
 from jaxact.loops.samples import expand
-from jaxact.plants import Mass
+from jaxact.plants.mass import Mass
 from jaxact.simulation import plans, spectra
 from jaxact.simulation.growth import rate as growth
 

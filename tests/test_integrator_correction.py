@@ -18,7 +18,7 @@ from jaxact.errors import UserError
 from jaxact.loops import loop, reading
 from jaxact.loops.loop import Loop
 from jaxact.loops.samples import expand
-from jaxact.plants import Mass
+from jaxact.plants.mass import Mass
 from jaxact.plants.mjx import plant as mjx
 from jaxact.simulation import plans, rollout, single, spectra
 from jaxact.simulation.growth import rate as growth

@@ -16,7 +16,7 @@ from jaxact.drive.sensor import Sensor
 from jaxact.drive.step import Drive, DriveOptions
 from jaxact.loops import loop
 from jaxact.loops.loop import Loop
-from jaxact.plants import Mass
+from jaxact.plants.mass import Mass
 from jaxact.simulation import metrics, rollout
 from jaxact.simulation.rollout import RolloutOptions
 from jaxact.status import Verdict

@@ -15,7 +15,7 @@ from jaxact.drive.controller import Controller, Setpoint
 from jaxact.drive.step import Drive
 from jaxact.loops import loop
 from jaxact.loops.loop import Loop
-from jaxact.plants import Mass
+from jaxact.plants.mass import Mass
 from jaxact.simulation.growth import rate as growth
 
 ORACLE = json.loads((Path(__file__).parent / "data" / "paper_loop.json").read_text())

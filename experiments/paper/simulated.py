@@ -23,7 +23,7 @@ from jaxact.drive.controller import Controller, Setpoint
 from jaxact.drive.step import Drive
 from jaxact.loops import loop as _loop
 from jaxact.loops.loop import Loop
-from jaxact.plants import Mass
+from jaxact.plants.mass import Mass
 from jaxact.simulation import rollout
 from jaxact.simulation.growth.rate import growth_rate
 

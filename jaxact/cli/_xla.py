@@ -64,7 +64,8 @@ def call_at_once(specification: Specification) -> None:
     To be called before JAX starts its devices. Otherwise another thread runs them, and to wake it
     takes longer than the drive of a few loops. Programs of all devices are started as before.
     """
-    if specification.plant is not None and specification.engine in ("auto", "mujoco"):
+    engine = specification.simulator
+    if specification.robot and (engine is None or not engine.in_jax):
         import jax
 
         jax.config.update("jax_cpu_enable_async_dispatch", False)

@@ -18,6 +18,7 @@ from jaxact.cli import _cache, _progress, _signals, _warnings, _xla
 from jaxact.cli._arguments import NoCache, option
 from jaxact.cli._signals import Terminated
 from jaxact.errors import UserError
+from jaxact.plants.engines import AUTO, names
 
 if TYPE_CHECKING:
     from jaxact.loops.samples import Samples
@@ -143,7 +144,7 @@ def main(
         how = dataclasses.replace(how, workers=functools.partial(fill.here, keep=throughput.keep))
     _warnings.posture(asked.plant)
     measure = not (dry_run or no_cache)
-    if asked.engine == "auto":
+    if asked.engine == AUTO:
         asked = _settled(asked, folder, how, measure=measure and local, quiet=quiet)
     with _computed_by(how, run.workers, run.address, budget, measure=measure, quiet=quiet) as how:
         if dry_run:
@@ -220,7 +221,7 @@ def _settled(
     with contextlib.suppress(OSError):  # said when the sweep begins
         there = store.identity_of(folder.inside(store.STORE)) if how.resume else None
         engine = (there or {}).get("engine")
-    if engine not in ("mjx", "mujoco", "warp"):
+    if engine not in names(robot=True):
         engine = throughput.fastest(asked, expand(asked), say=say if measure else None)
     if not quiet:
         print(f"engine {engine}, expected to be the fastest one here; engine = {engine!r} says it")
@@ -270,7 +271,7 @@ def _time(planned: Planned, basis: str) -> str:
 def _variables(specification: Specification) -> tuple[str, ...]:
     from jaxact.sweeping.store import variables
 
-    return variables(robot=specification.plant is not None)
+    return variables(robot=specification.robot)
 
 
 def _shape(samples: Samples) -> str:

@@ -23,7 +23,6 @@ OF_VELOCITY = (
 # Most physics steps of one rollout.
 MOST_STEPS = 100_000_000
 FEWEST_CONTROL_PERIODS = 10
-MJX_STEP = 0.00025
 
 
 def check(specification: Specification) -> None:
@@ -50,8 +49,8 @@ def physics_step(specification: Specification, control_rate: float) -> float:
     """
     if specification.physics_step is not None:
         return specification.physics_step
-    whole = specification.engine == "mass" or specification.plant is not None
-    return 1.0 / control_rate if whole else MJX_STEP
+    engine = specification.simulator
+    return (engine.step if engine else None) or 1.0 / control_rate
 
 
 def _check_axes(specification: Specification, axes: dict[str, Axis]) -> None:
@@ -71,7 +70,7 @@ def _check_axes(specification: Specification, axes: dict[str, Axis]) -> None:
 
 def _check_robot_only(specification: Specification, axes: dict[str, Axis]) -> None:
     """What only a robot has would be ignored silently without one."""
-    if specification.plant is not None:
+    if specification.robot:
         return
     for name in (*specification.parameters, *axes):
         if "@" in name or name in ROBOT_ONLY:
@@ -138,8 +137,9 @@ def _rates(specification: Specification, axes: dict[str, Axis]) -> np.ndarray:
     if "control_rate" not in axes:
         return np.array([specification.nominal["control_rate"]])
     axis = axes["control_rate"]
-    fixed = specification.engine == "mjx" or specification.physics_step is not None
-    if axis.sampled and fixed:
+    engine = specification.simulator
+    whatever = engine is not None and engine.exact and specification.physics_step is None
+    if axis.sampled and not whatever:
         raise UserError(
             "axes.control_rate: drawn from a range its period is not a multiple of the physics "
             "step; give a list of rates"

@@ -30,6 +30,7 @@ from pydantic.dataclasses import dataclass
 from jaxact.loops import toml
 from jaxact.loops.axes import MOST_SAMPLES, Axis
 from jaxact.parameters import OF_MODEL, OF_ROBOTS, PARAMETERS, PRESETS
+from jaxact.plants.engines import Engine, known
 
 _STRICT = ConfigDict(extra="forbid", strict=True)
 TABLES = ("plant", "motion", "push")
@@ -164,6 +165,16 @@ class Specification:
     push: Push | None = None
 
     @property
+    def robot(self) -> bool:
+        """Whether the plant is a robot instead of the built-in joint."""
+        return self.plant is not None
+
+    @property
+    def simulator(self) -> Engine | None:
+        """The engine that is asked for; None where that is open, or it cannot have this plant."""
+        return known(self.engine, robot=self.robot)
+
+    @property
     def model(self) -> Path | None:
         """The model file of the robot, None for the built-in plants."""
         return None if self.plant is None else self.plant.model
@@ -182,7 +193,7 @@ class Specification:
         some joints only follow those of all.
         """
         values = {name: parameter.default for name, parameter in PARAMETERS.items()}
-        if self.plant is not None:
+        if self.robot:
             values |= {name: math.nan for name in OF_MODEL} | OF_ROBOTS
         # A key of an axis is a parameter of some joints, which has no value of its own elsewhere.
         values |= {axis.name: math.nan for axis in self.axes if "@" in axis.name}

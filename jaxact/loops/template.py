@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxact.loops.specification import Setting
+from jaxact.plants.engines import Engine
 
 if TYPE_CHECKING:
     from jaxact.loops.robots import Scene
@@ -53,9 +54,9 @@ class Template:
     scene: Scene | None = None
 
 
-def built_in(engine: str, *, corrected: bool = False) -> Template:
+def built_in(engine: Engine, *, corrected: bool = False) -> Template:
     """The template of a built-in plant, in the precision that JAX has at this moment."""
-    if engine == "mass":
+    if not engine.impl:
         return Template()
     from jaxact.plants.mjx import plant as mjx  # imports MuJoCo, which the mass plant does not need
 
@@ -64,7 +65,7 @@ def built_in(engine: str, *, corrected: bool = False) -> Template:
 
 def of_robot(
     setting: Setting,
-    engine: str,
+    engine: Engine,
     *,
     varied: tuple[str, ...],
     step: float,
@@ -76,7 +77,7 @@ def of_robot(
 
     Args:
         setting: with a plant.
-        engine: "mjx", "warp", or "mujoco", which loads no MJX plant.
+        engine: for robots.
         varied: changes of the model that differ between samples.
         step: physics step [s].
         period: control period [s].
@@ -91,9 +92,9 @@ def of_robot(
     assert setting.plant is not None
     scene = robots.scene(setting.plant)
     plant = found = None
-    # MJX-Warp has no derivatives: its robots are linearised in C.
-    if engine == "mjx" or (engine == "warp" and not growth):
-        plant = _placed(setting, scene, varied, "jax" if engine == "mjx" else "warp")
+    # What has no derivatives is linearised in C.
+    if engine.impl and (engine.differentiable or not growth):
+        plant = _placed(setting, scene, varied, engine.impl)
     # Where models differ, each is linearised in C, in the coordinates of the nominal one there.
     if growth:
         found = _linear(setting, scene, None if varied else plant, step)

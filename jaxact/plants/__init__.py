@@ -1,6 +1,1 @@
-"""What the force acts on: the exact mass, or a MuJoCo model in MJX."""
-
-from jaxact.plants.base import Plant
-from jaxact.plants.mass import Mass
-
-__all__ = ["Mass", "Plant"]
+"""What the force acts on: the exact mass, or a MuJoCo model; and the engines that simulate it."""

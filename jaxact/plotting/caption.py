@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
+from jaxact.plants import engines
 from jaxact.plotting import wording
 from jaxact.status import Verdict
 
@@ -28,12 +29,6 @@ _NONLINEAR = {
     "force_rate_limit": math.inf,
     "stall_force": math.inf,
 }
-_ENGINES = {
-    "mass": "exact mass plant",
-    "mjx": "MuJoCo MJX",
-    "mujoco": "MuJoCo (C)",
-    "warp": "MJX-Warp",
-}
 
 
 def simulated(results: xr.Dataset) -> str:
@@ -42,7 +37,7 @@ def simulated(results: xr.Dataset) -> str:
     results: a sweep store
     """
     specification = json.loads(results.attrs["specification"])
-    engine = _ENGINES.get(specification["engine"], str(specification["engine"]))
+    engine = _engine(specification["engine"])
     if "plant" in specification:
         engine += f" with {specification['plant']['model']}"
     rates = np.unique(_parameter(results, "control_rate"))
@@ -57,9 +52,14 @@ def simulated(results: xr.Dataset) -> str:
     ]
     if "physics_step" in specification:
         words.insert(3, f"physics step {wording.quantity(specification['physics_step'], 's')}")
-    if specification.get("integrator_correction") and specification["engine"] != "mass":
+    if specification.get("integrator_correction") and specification["engine"] != engines.MASS.name:
         words.insert(1, "its integrator corrected")
     return ", ".join(words) + "."
+
+
+def _engine(name: str) -> str:
+    own = engines.named(name)
+    return own.title if own else name
 
 
 def exact(results: xr.Dataset) -> str:
@@ -128,7 +128,7 @@ def loop(
     static: options of a specification by name
     unit: of the joint's position
     """
-    engine = _ENGINES.get(str(static["engine"]), str(static["engine"]))
+    engine = _engine(str(static["engine"]))
     rate = wording.quantity(values["control_rate"], "Hz")
     gains = f"kp {values['kp']:g} N/m, kd {values['kd']:g} N s/m, mass {values['mass']:g} kg"
     if static.get("plant") is not None:

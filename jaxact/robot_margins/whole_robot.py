@@ -20,6 +20,7 @@ from jaxact.loops.robots import Scene
 from jaxact.loops.samples import Samples, expand
 from jaxact.loops.specification import Setting, Specification
 from jaxact.loops.template import Template
+from jaxact.plants.engines import MUJOCO
 from jaxact.robots import friction, mounting
 from jaxact.simulation import engines, kernel, mujoco_batch, plans, robot_loop
 from jaxact.simulation.kernel import Case
@@ -163,5 +164,5 @@ def _one(
         neutral=basis.shape[0] - basis.shape[1],
         floating=mounting.floats(scene.robot),
         physics_step=case.step,
-        engine="mujoco" if case.engine == "warp" else case.engine,  # it has no derivatives
+        engine=(case.engine if case.engine.differentiable else MUJOCO).name,
     )

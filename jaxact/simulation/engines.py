@@ -1,41 +1,29 @@
-"""Engines, and how many loops each likes to compute side by side.
-
-`mass` is the exact mass plant; `mjx`, `warp` and `mujoco` simulate models.
-"""
+"""Which engine simulates a specification, and how many loops it computes side by side."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, cast
+from typing import Any
 
 import jax
 
 from jaxact.errors import UserError
 from jaxact.loops.specification import Setting, Specification
+from jaxact.plants.engines import (
+    AUTO,
+    MUJOCO,
+    ROBOT_IN_MJX,
+    WARP,
+    Engine,
+    Name,
+    names,
+)
 from jaxact.simulation import starts as _starts
 from jaxact.simulation.kernel import Case
 
-Engine = Literal["mjx", "mujoco", "warp"]
-"""Of a robot."""
-
-# Loops in a tile, where none is given: measured on CPUs, where the state should stay in the
-# first-level cache, and GPUs, which want many. On a CPU each step of MJX-Warp costs 10 ms whatever
-# the tile: its kernels are started from Python, one by one.
-_TILES = {
-    ("mass", "cpu"): 128, ("mjx", "cpu"): 128, ("mujoco", "cpu"): 32, ("warp", "cpu"): 256,
-    ("mass", "gpu"): 65536, ("mjx", "gpu"): 4096, ("mujoco", "gpu"): 32, ("warp", "gpu"): 4096,
-}  # fmt: skip
-# The same for robots in MJX on a CPU: their states are far larger.
-_ROBOT_TILE = 32
 # Most degrees of freedom of a robot without constraints that MJX on a CPU simulates faster than C
 # MuJoCo: as many as `jaxact.plants.mjx.step` writes out.
 _LIGHT = 7
-# Physics steps that one call to a device simulates: about a second of work; of MJX-Warp on a CPU.
-_WORK = {"mass": 6e8, "mjx": 5e6, "mujoco": 2e5, "warp": 1e4}
-# Of robots in C MuJoCo on a core, growth rates included: a quadruped's, measured.
-_ROBOT_RATE = 8e4
-# The same work for the single joint in MJX.
-_JOINT_WORK = 2e8
 
 
 def resolved(specification: Specification) -> Specification:
@@ -48,63 +36,70 @@ def resolved(specification: Specification) -> Specification:
     Raises:
         UserError: the engine cannot simulate the robot.
     """
-    if specification.plant is None:
-        if specification.engine in ("mujoco", "warp"):
+    asked, chosen = specification.engine, specification.simulator
+    if chosen is None and asked != AUTO:
+        if specification.robot:
+            others = "', '".join((AUTO, *names(robot=True)))
+            raise UserError(f"engine = '{asked}': simulates no robot; use '{others}'")
+        raise UserError(f"engine = '{asked}': simulates robots; give one with [plant] model")
+    if chosen is None:
+        chosen = _for_robot(specification.setting)
+    elif chosen.robot:
+        if specification.precision == "float64" and not chosen.double:
+            doubles = "', '".join(name for name in names(robot=True) if name != asked)
             raise UserError(
-                f"engine = '{specification.engine}': simulates robots; give one with [plant] model"
+                f"precision = 'float64': {chosen.title} computes in float32; use it, or engine "
+                f"'{doubles}'"
             )
-        if specification.engine == "auto":
-            return replace(specification, engine="mjx")
-        return specification
-    if specification.engine == "mass":
-        raise UserError("engine = 'mass': simulates no robot; use 'auto', 'mjx', 'mujoco', 'warp'")
-    if specification.engine == "warp" and specification.precision == "float64":
-        raise UserError(
-            "precision = 'float64': MJX-Warp computes in float32; use it, or engine 'mjx', 'mujoco'"
-        )
-    return replace(specification, engine=_for_robot(specification.setting, specification.engine))
+        _demand(specification.setting, chosen)
+    return replace(specification, engine=chosen.name)
 
 
-def _for_robot(setting: Setting, asked: str) -> Engine:
-    """The engine that simulates a robot: the one asked for, or the one expected to be faster.
+def of(specification: Specification) -> Engine:
+    """The engine of a specification from `resolved`."""
+    engine = specification.simulator
+    assert engine is not None
+    return engine
 
-    Raises:
-        UserError: the engine asked for cannot simulate the robot.
-    """
-    from jaxact.loops import robots
-    from jaxact.robots import model  # imports MuJoCo, which the mass plant does not need
 
-    assert setting.plant is not None
-    robot = robots.scene(setting.plant).robot
-    if asked == "warp":
+def _demand(setting: Setting, engine: Engine) -> None:
+    """Raise UserError unless the engine is there and can simulate the robot."""
+    if engine.packages:
         from jaxact.plants import warp  # starts MJX
 
         warp.demand()
-    if asked != "auto":
-        model.demand(robot, asked)
-        return cast(Engine, asked)
-    if jax.default_backend() == "cpu":
-        return "mujoco"
-    return "mjx" if model.suits(robot, "mjx") else "mujoco"
+    robot, model = _robot(setting)
+    model.demand(robot, engine.name)
 
 
-def able(specification: Specification) -> tuple[Engine, ...]:
+def _for_robot(setting: Setting) -> Engine:
+    """The engine of a robot that is expected to be the faster one."""
+    robot, model = _robot(setting)
+    on_cpu = jax.default_backend() == "cpu"
+    return MUJOCO if on_cpu or not model.suits(robot, ROBOT_IN_MJX.name) else ROBOT_IN_MJX
+
+
+def _robot(setting: Setting) -> tuple[Any, Any]:
+    """The robot, and the module that knows which engines suit it."""
+    from jaxact.loops import robots
+    from jaxact.robots import model  # imports MuJoCo, which the mass plant does not need
+
+    return robots.scene(setting.plant).robot, model
+
+
+def able(specification: Specification) -> tuple[Name, ...]:
     """The engines that can simulate the robot and are worth measuring here.
 
     MJX-Warp is on an NVIDIA GPU only; on a CPU it is there to be asked for by name.
     """
-    from jaxact.loops import robots
-    from jaxact.robots import model  # as above
-
-    assert specification.plant is not None
-    robot = robots.scene(specification.plant).robot
-    engines: tuple[Engine, ...] = ("mjx", "mujoco")
+    robot, model = _robot(specification.setting)
+    engines = [ROBOT_IN_MJX, MUJOCO]
     if jax.default_backend() == "gpu" and specification.precision == "float32":
         from jaxact.plants import warp  # starts MJX
 
         if not warp.lacking() and not warp.refusal(robot.model):
-            engines = ("mjx", "mujoco", "warp")
-    return tuple(engine for engine in engines if model.suits(robot, engine))
+            engines.append(WARP)
+    return tuple(engine.name for engine in engines if model.suits(robot, engine.name))
 
 
 def light(setting: Setting) -> bool:
@@ -113,54 +108,42 @@ def light(setting: Setting) -> bool:
     On two cores, with 2 hinges: MJX 0.1 us a step, C MuJoCo 3.8; with 6 hinges: 0.75 against 2.75.
     With limits or contacts it depends on the robot.
     """
-    from jaxact.loops import robots  # as above
-
-    assert setting.plant is not None
-    model = robots.scene(setting.plant).robot.model
+    model = _robot(setting)[0].model
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     held = model.jnt_limited.any() or model.tendon_limited.any() or model.neq
     rubbing = model.dof_frictionloss.any() or model.tendon_frictionloss.any()
     return model.nv <= _LIGHT and int(touching.sum()) <= 1 and not held and not rubbing
 
 
-def fewest(specification: Specification) -> int:
+def fewest(engine: Engine) -> int:
     """Smallest tile of a sweep that has but one loop.
 
     XLA's simplifier goes round in circles, and complains, over products of a matrix with a vector
     in batches of one.
     """
-    return 1 if specification.plant is None else 2
+    return 2 if engine.robot else 1
 
 
 def tile_size(specification: Specification) -> int:
     """Loops in a tile: the specification's own, else the engine's usual."""
-    specification = resolved(specification)
-    platform = "cpu" if jax.default_backend() == "cpu" else "gpu"
-    if specification.tile is not None:
-        return specification.tile
-    if specification.plant is not None and (specification.engine, platform) == ("mjx", "cpu"):
-        return _ROBOT_TILE
-    return _TILES[specification.engine, platform]
+    return specification.tile or of(resolved(specification)).tiles[_place()]
 
 
 def usual_rate(case: Case) -> float:
     """Physics steps per second on one device, before anything was measured on a machine."""
-    if case.engine == "warp" and jax.default_backend() != "cpu":
-        return _WORK["mjx"]
-    if case.engine == "mujoco":
-        return _ROBOT_RATE
-    return _work(case)
+    rates = case.engine.rates
+    return case.engine.work if rates is None else rates[_place()]
+
+
+def _place() -> int:
+    """Of a CPU's number among those of a CPU and a GPU."""
+    return 0 if jax.default_backend() == "cpu" else 1
 
 
 def batch_size(case: Case, tile: int, devices: int) -> int:
     """Loops that make about a second of work, in whole tiles for every device."""
     per_tile = tile * _starts.steps(case)
-    return max(1, int(_work(case) / per_tile)) * tile * devices
-
-
-def _work(case: Case) -> float:
-    """Physics steps that one call to a device simulates."""
-    return _JOINT_WORK if case.engine == "mjx" and not case.model else _WORK[case.engine]
+    return max(1, int(case.engine.work / per_tile)) * tile * devices
 
 
 def old_jax() -> bool:

@@ -77,7 +77,7 @@ def _simulated(
 ) -> _Batch:
     """A batch that is being simulated; arguments as for `simulate_batch`."""
     with _precision(specification):
-        if plan.case.engine == "mujoco":
+        if not plan.case.engine.in_jax:
             found = _outside(plan, specification, samples, numbers, rates.growth)
             return _Batch(slice(None), rates, found)
         order = _by_life(plan, rates.growth)
@@ -95,7 +95,7 @@ def prepare(
     """Compile what simulates some samples; arguments as for `compute`."""
     for plan in groups:
         batch = next((batch for batch, _ in plans.batches(plan, samples, numbers)), None)
-        if batch is None or plan.case.engine == "mujoco":
+        if batch is None or not plan.case.engine.in_jax:
             continue
         with _precision(specification):
             rates = np.zeros(batch.size)

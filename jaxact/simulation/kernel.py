@@ -6,6 +6,7 @@ A robot's parameters become those of its joints here, and with `jaxact.loops.con
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -22,7 +23,8 @@ from jaxact.loops.conversion import drive_of
 from jaxact.loops.loop import Loop, LoopState, Prepared
 from jaxact.loops.specification import Setting
 from jaxact.loops.template import Template
-from jaxact.plants import Mass
+from jaxact.plants.engines import Engine
+from jaxact.plants.mass import Mass
 from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import rollout as _rollout
 from jaxact.simulation import starts as _starts
@@ -41,7 +43,7 @@ class Case:
     """The static side of a tile: everything that a compiled kernel depends on.
 
     Attributes:
-        engine: "mass", "mjx", "mujoco" or "warp".
+        engine: what simulates it.
         drive: static options of the drive.
         rollout: static options of the rollout.
         masked: some samples run longer than the duration, because control rates differ or because
@@ -56,7 +58,7 @@ class Case:
         starts: from which every loop is judged beside its own, see `jaxact.simulation.starts`.
     """
 
-    engine: str
+    engine: Engine
     drive: DriveOptions
     rollout: RolloutOptions
     masked: bool
@@ -99,15 +101,19 @@ def model_digest(setting: Setting) -> str:
     return found
 
 
-def timestep(setting: Setting) -> float:
-    """Physics step of a robot's model itself [s]."""
+def longest_step(setting: Setting) -> float:
+    """Physics step that is not to be exceeded: a robot's model's own [s]."""
+    if setting.plant is None:
+        return math.inf
     from jaxact.loops import robots  # as above
 
     return float(robots.scene(setting.plant).robot.model.opt.timestep)
 
 
 def rubs(setting: Setting, along: Mapping[str, np.ndarray]) -> bool:
-    """Whether a joint or a tendon of the robot has dry friction in some sample."""
+    """Whether a joint or a tendon of a robot has dry friction in some sample."""
+    if setting.plant is None:
+        return False
     from jaxact.loops import robots  # as above
 
     model = robots.scene(setting.plant).robot.model
@@ -146,7 +152,7 @@ def resolved(template: Template, values: Values) -> Values:
 
 def _plant_of(case: Case, template: Template, values: Values) -> Any:
     """The plant with the sample's own parameters filled in."""
-    if template.plant is None:
+    if case.engine.exact:
         return Mass(values["mass"])
     plant = template.plant.with_mass(values["mass"]) if case.own_mass else template.plant
     if not case.varied:

@@ -27,6 +27,7 @@ from jaxact.loops.robots import Scene
 from jaxact.loops.specification import Setting
 from jaxact.loops.template import Template
 from jaxact.plants import linearize, variation
+from jaxact.plants.engines import MUJOCO
 from jaxact.plants.mujoco import Impulse, JointPush, Simulations
 from jaxact.plants.variation import Variation
 from jaxact.robots import posture as _posture
@@ -45,7 +46,7 @@ Observer = Callable[[int, BatchState, jax.Array], None]
 @functools.lru_cache(maxsize=4)
 def template(case: Case, setting: Setting) -> Template:
     """What the samples share; it holds no JAX arrays, so any precision may use it."""
-    return kernel.template_of(replace(case, engine="mujoco"), setting, "metrics")
+    return kernel.template_of(replace(case, engine=MUJOCO), setting, "metrics")
 
 
 def moved(case: Case, setting: Setting, values: Mapping[str, np.ndarray]) -> tuple[Any, Any] | None:
@@ -269,7 +270,7 @@ def _beginning(case: Case, setting: Setting, start: str) -> dict[str, Any]:
     """What the beginning of a batch depends on: the drive, the robot, and how it is moved."""
     ticks = case.rollout.ticks if setting.motion is not None else 0
     begun = Case(
-        "mujoco", case.drive, RolloutOptions(ticks), False, 0.0, case.model, step=case.step,
+        MUJOCO, case.drive, RolloutOptions(ticks), False, 0.0, case.model, step=case.step,
         starts=(start,) if start else (),
     )  # fmt: skip
     return {"case": begun, "setting": replace(setting, push=None)}

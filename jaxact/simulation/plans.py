@@ -28,9 +28,6 @@ from jaxact.simulation.growth.rate import GrowthOptions
 from jaxact.simulation.kernel import Case
 from jaxact.simulation.rollout import RolloutOptions
 
-# Physics step of the MJX plant where none is given [s].
-MJX_STEP = 0.25e-3
-
 # Control periods of the mass plant in one iteration of the compiled loop.
 _UNROLL = 4
 # The same with JAX 0.10, which fuses several of them in spite of the stages between, and computes
@@ -84,14 +81,12 @@ def substeps(specification: Specification, control_rate: np.ndarray) -> np.ndarr
     Raises:
         UserError: a control period is not a multiple of the physics step.
     """
-    step = specification.physics_step
-    if step is None and specification.engine == "mass":
-        return np.ones(control_rate.shape, int)
-    if step is None and specification.plant is not None:
+    engine = engines.of(specification)
+    step = specification.physics_step or engine.step
+    if step is None:
         # The largest step that divides the control period and is no longer than the model's own.
-        longest = kernel.timestep(specification.setting)
+        longest = kernel.longest_step(specification.setting)
         return np.maximum(np.ceil(1.0 / (control_rate * longest) - _ROUNDING), 1.0).astype(int)
-    step = MJX_STEP if step is None else step
     ratio = 1.0 / (control_rate * step)
     whole = np.maximum(np.round(ratio), 1.0)
     wrong = np.abs(ratio - whole) > _ROUNDING * whole
@@ -111,12 +106,13 @@ def _devices(specification: Specification) -> int:
         UserError: more are asked for than there are.
     """
     there = len(jax.local_devices())
-    # MJX-Warp computes for one CPU device after the other, so that more of them would gain nothing.
-    single = specification.engine == "warp" and jax.default_backend() == "cpu"
-    usual = 1 if single else there
-    asked = usual if specification.devices is None else specification.devices
-    if single and asked > 1:
-        raise UserError(f"devices = {asked}: on CPUs, the engine warp uses one; leave it out")
+    engine = engines.of(specification)
+    gaining = engine.cpu_devices if jax.default_backend() == "cpu" else None
+    asked = specification.devices or gaining or there
+    if gaining is not None and asked > gaining:
+        raise UserError(
+            f"devices = {asked}: on CPUs, the engine {engine.name} uses one; leave it out"
+        )
     if asked > there:
         raise UserError(f"devices = {asked}: this machine has {there}; `jaxact info` lists them")
     return asked
@@ -131,7 +127,7 @@ def _refuse_deadlock(specification: Specification) -> None:
     old = engines.old_jax() and jax.default_backend() == "cpu"
     asked = os.environ.get("NPROC", "")
     threads = int(asked) if asked.isdigit() else os.cpu_count() or 1
-    if old and specification.model is not None and specification.engine == "mjx" and threads < 8:
+    if old and engines.of(specification).large and threads < 8:
         raise UserError(
             "JAX 0.10 can hang on this machine with a model of one's own: set the environment "
             "variable NPROC=8 before Python starts, or use Python 3.12 or newer, which gets a "
@@ -144,7 +140,8 @@ def groups(
 ) -> list[Plan]:
     """How the groups of samples that one compiled kernel serves each are computed.
 
-    Samples whose control periods hold different numbers of physics steps are different groups;
+    Samples whose control periods hold different numbers of physics steps are different groups, and
+    a robot's samples of different control rates;
     usually there is one.
 
     Args:
@@ -160,12 +157,14 @@ def groups(
     _refuse_deadlock(specification)
     rates = samples.along["control_rate"].ravel()
     steps = substeps(specification, rates)
-    kinds = np.unique(steps)
+    engine = engines.of(specification)
+    # A robot is linearised, and compiled, for its own physics step.
+    kinds = rates if engine.robot else steps
     devices = _devices(specification)
-    tile = max(min(engines.tile_size(specification), len(samples)), engines.fewest(specification))
+    tile = max(min(engines.tile_size(specification), len(samples)), engines.fewest(engine))
     found = []
-    for count in kinds:
-        own = rates[steps == count]
+    for kind in np.unique(kinds):
+        own, count = rates[kinds == kind], steps[kinds == kind][0]
         apart = own.reshape(-1, *(1,) * len(samples.dims))
         case = _case(specification, samples.along | {"control_rate": apart}, int(count))
         size = together
@@ -173,7 +172,7 @@ def groups(
             # Batches of equal size, so that the last one is not mostly filling.
             size = -(-len(samples) // -(-len(samples) // engines.batch_size(case, tile, devices)))
         tiles = max(1, -(-size * own.size // (rates.size * tile * devices)))
-        found.append(Plan(case, None if kinds.size == 1 else own, tile, tiles, devices))
+        found.append(Plan(case, None if own.size == rates.size else own, tile, tiles, devices))
     return found
 
 
@@ -181,41 +180,42 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
     """The static options that serve all samples with these values, which broadcast."""
     rates = values["control_rate"]
     fastest = float(np.max(rates))
-    robot = specification.plant is not None
+    engine = engines.of(specification)
     options = _drive.options(
         drive_of(kernel.occurring(specification.setting, values)),
         substeps=count,
         differenced=specification.velocity == "differenced",
     )
-    if specification.engine == "mass" and jax.default_backend() == "cpu":
+    if engine.exact and jax.default_backend() == "cpu":
         options = replace(options, staged=True)
     unroll = _OLD_UNROLL if engines.old_jax() else _UNROLL
     ticks = _rollout.whole_ticks(specification.duration, 1.0 / fastest)
     varied = {base(axis.name) for axis in specification.axes}
     varied |= {base(name) for name in specification.parameters}
-    mass = specification.engine == "mass"
     starts = _starts.needed(
         options,
-        linear_plant=mass or not robot,
-        rubs=robot and kernel.rubs(specification.setting, values),
+        linear_plant=not engine.robot,
+        rubs=kernel.rubs(specification.setting, values),
         disturbed=_disturbed(specification, values),
     )
     return Case(
-        engine=specification.engine,
+        engine=engine,
         drive=options,
         rollout=RolloutOptions(
             ticks=ticks,
-            unroll=unroll if mass else 1,
-            linear_plant=mass or not robot,
-            stops=specification.engine != "mujoco",
+            unroll=unroll if engine.exact else 1,
+            linear_plant=not engine.robot,
+            stops=engine.in_jax,
         ),
         masked=bool(np.any(np.ceil(specification.duration * rates - 1e-4) < ticks)),
         duration=specification.duration,
         model=kernel.model_digest(specification.setting),
-        own_mass=not mass and (not robot or "mass" in varied),
-        varied=tuple(name for name in ROBOT_ONLY if robot and name in varied),
-        step=1.0 / (fastest * count) if robot else 0.0,
-        growth=_growth(_ROBOT_GROWTH if robot else GrowthOptions(dense=not mass), fastest),
+        own_mass=not engine.robot or "mass" in varied,
+        varied=tuple(name for name in ROBOT_ONLY if name in varied),
+        step=1.0 / (fastest * count) if engine.robot else 0.0,
+        growth=_growth(
+            _ROBOT_GROWTH if engine.robot else GrowthOptions(dense=not engine.exact), fastest
+        ),
         starts=starts,
     )
 

@@ -167,7 +167,7 @@ def _followed(
     loops = specification.setting, values, growth, specification.seed, numbers
     double = specification.precision == "float64"
     with jax.enable_x64(True) if double else nullcontext():
-        if case.engine == "mujoco":
+        if not case.engine.in_jax:
             from jaxact.simulation import mujoco_batch  # imports MuJoCo
 
             figures, kept, judged = mujoco_batch.followed(case, *loops)

@@ -24,6 +24,7 @@ from jaxact.analysis.robot.modes import swinging
 from jaxact.drive.step import DriveOptions
 from jaxact.loops.samples import SAMPLE, Samples
 from jaxact.loops.specification import Setting, Specification
+from jaxact.plants.engines import MASS, MUJOCO
 from jaxact.simulation import kernel, tiles
 from jaxact.simulation.growth.delayed_roots import polynomial_doubt
 from jaxact.simulation.growth.rate import TOLERANCE, GrowthOptions, SlowModes, TooManyStatesError
@@ -83,7 +84,7 @@ def rates_batch(
 ) -> Rates:
     """Growth rates of one batch of samples, and of robots the shaking rates."""
     with jax.enable_x64(True):
-        if specification.plant is not None:
+        if plan.case.engine.robot:
             return _of_robots(plan, specification, samples, numbers)
         sets = _sets(plan, specification, samples)
         if sets is None:
@@ -117,7 +118,7 @@ def _of_robots(
     """Growth and shaking rates, every robot by itself."""
     case, setting = kernel.linear_part(plan.case, specification.setting)
     # MJX's own derivatives are the same, and take as long to compile as its simulation.
-    case = replace(case, engine="mujoco")
+    case = replace(case, engine=MUJOCO)
     static = tiles.static(plan, "slow_modes", case, setting)
     inputs: list[Any] = [*tiles.tiled(plan, samples, numbers, np.float64)]
     if plan.case.varied:
@@ -162,7 +163,7 @@ def _shaking(modes: SlowModes, rate: np.ndarray) -> np.ndarray:
 
 def _sets(plan: Plan, specification: Specification, samples: Samples) -> _Sets | None:
     """The sets of parameters whose gains alone differ; None where that is of no use."""
-    if specification.plant is not None or SAMPLE in samples.dims:
+    if plan.case.engine.robot or SAMPLE in samples.dims:
         return None
     others = {name: array for name, array in samples.along.items() if name not in _GAINS}
     shape = np.broadcast_shapes(*(array.shape for array in others.values()))
@@ -262,9 +263,7 @@ def _characteristic(matrices: np.ndarray) -> np.ndarray:
 def _of_any(case: Case) -> Case:
     """A case with the same search for roots: what else a loop is, its polynomial tells."""
     growth = GrowthOptions(squarings=case.growth.squarings)
-    return Case(
-        "mass", DriveOptions(), RolloutOptions(0), masked=False, duration=0.0, growth=growth
-    )
+    return Case(MASS, DriveOptions(), RolloutOptions(0), masked=False, duration=0.0, growth=growth)
 
 
 def _of_gains(

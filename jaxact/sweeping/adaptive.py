@@ -327,7 +327,7 @@ def _joined(
     identity = planning.identity(specification, planned, layout, **_more(planned, width))
     attributes = _store.provenance(specification, planned.device) | origin
     attributes |= {"complete": False, "adaptive": _described(specification, grid, points, width)}
-    robot = specification.plant is not None
+    robot = specification.robot
     store = Store(target, layout, specification.precision, planned.tile, robot)
     files = _store.skeleton(specification, samples, layout, _store.as_json(identity), attributes)
     if _store.identity_of(target) != identity:

@@ -52,7 +52,7 @@ class Computer:
 
         self._work = work
         # For the built-in plants, of which a second of work is a million loops.
-        small = work.specification.plant is None and not engines.old_jax()
+        small = not work.specification.robot and not engines.old_jax()
         self._helper = helper if small else None
         self._plan(work.store.tile)
 

@@ -70,7 +70,7 @@ def fill(
         attributes |= _store.beginning(target)
     tile = int(str(wanted["tile"]))
     specification = dataclasses.replace(specification, tile=tile)
-    robot = specification.plant is not None
+    robot = specification.robot
     store = Store(target, layout, specification.precision, tile, robot)
 
     @functools.cache

@@ -12,13 +12,6 @@ _UNITS = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40}
 _SIZE = re.compile(r"(\d+(?:\.\d*)?|\.\d+) ?([kmgt]?)(?:i?b)?")
 # Share of the free memory that a sweep takes by itself.
 SHARE = 0.25
-# What Python, JAX and a kernel that is being compiled take, measured and rounded up [bytes]: the
-# mass plant 410 MiB, MJX 690 MiB with a slide joint and 1280 MiB with a quadruped, which C MuJoCo
-# runs in 520 MiB. MJX-Warp takes 920 MiB with it.
-_BASE = {"mass": 600 * 2**20, "mujoco": 700 * 2**20, "mjx": 900 * 2**20,
-    "warp": 1100 * 2**20,
-}  # fmt: skip
-_ROBOT_IN_MJX = 1500 * 2**20
 # Copies of the parameters of a batch: taken from the axes, sorted into tiles, and on the device.
 _COPIES = 3
 # Copies of its results: from the device, put together, as files, and of the batch being written.
@@ -61,19 +54,10 @@ def per_loop(parameters: int, results: int, itemsize: int) -> int:
     return _COPIES * parameters * 8 + _RESULT_COPIES * results * itemsize
 
 
-def base(engine: str, *, robot: bool) -> int:
-    """What a process takes before it computes the first loop [bytes].
-
-    engine: "mass", "mjx", "mujoco" or "warp"
-    robot: the plant is a robot of the user's
-    """
-    return _ROBOT_IN_MJX if robot and engine == "mjx" else _BASE[engine]
-
-
 def least(base: int, coordinates: int, each: int) -> int:
     """The smallest memory with which a sweep can be run [bytes].
 
-    base: from the function of that name
+    base: what a process takes before it computes the first loop [bytes], see `Engine.memory`
     coordinates: bytes of the coordinates of the axes
     each: bytes of a loop, from `per_loop`
     """
@@ -84,7 +68,7 @@ def most_loops(budget: int, base: int, coordinates: int, each: int) -> int:
     """Loops that may be computed together.
 
     budget: memory of the whole process [bytes]
-    base: from the function of that name
+    base: what a process takes before it computes the first loop [bytes], see `Engine.memory`
     coordinates: bytes of the coordinates of the axes, kept all the time
     each: bytes of a loop, from `per_loop`
 

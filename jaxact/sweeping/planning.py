@@ -79,11 +79,11 @@ def plan(
     coordinates = sum(array.nbytes for array in samples.along.values() if array.size > 1)
     each = memory.per_loop(
         len(samples.along),
-        len(variables(robot=specification.plant is not None)),
+        len(variables(robot=specification.robot)),
         8 if specification.precision == "float64" else 4,
     )
     case = plans.groups(specification, samples)[0].case
-    base = memory.base(case.engine, robot=specification.plant is not None)
+    base = case.engine.memory
     if budget is None:
         budget = max(int(memory.SHARE * memory.free()), memory.least(base, coordinates, each))
     most = memory.most_loops(budget, base, coordinates, each)
@@ -104,7 +104,7 @@ def plan(
         tile=tile,
         loops=loops,
         devices=devices,
-        engine=groups[0].case.engine,
+        engine=case.engine.name,
         digest=groups[0].case.model,
         platform="cpu" if jax.default_backend() == "cpu" else "gpu",
         device=f"{jax.local_device_count()} x {device.platform} ({device.device_kind})",
@@ -137,7 +137,7 @@ def identity(
         "platform": planned.platform,
         "versions": numeric_versions(planned.engine),
         **more,
-        **({"shaking_rate": True} if specification.plant is not None else {}),
+        **({"shaking_rate": True} if specification.robot else {}),
         "tile": planned.tile,
         "precision": specification.precision,
         "shape": list(layout.shape),

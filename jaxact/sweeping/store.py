@@ -24,6 +24,7 @@ from jaxact import __version__
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.parameters import of
+from jaxact.plants import engines
 from jaxact.status import Verdict
 from jaxact.sweeping import checksums
 from jaxact.sweeping.checksums import ChecksumState
@@ -167,7 +168,7 @@ def skeleton(
             "filters": None,
             "chunk_key_encoding": {"name": "default", "separator": "."},
         }
-        names = variables(robot=specification.plant is not None)
+        names = variables(robot=specification.robot)
         for name in names:
             dtype = dtype_of(name, specification.precision)
             root.create_array(
@@ -286,7 +287,7 @@ def provenance(specification: Specification, device: str) -> dict[str, Any]:
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-    model = specification.model if specification.plant is None else specification.plant.model
+    model = specification.model
     if model is not None:
         found["model_xml"] = model.read_text(encoding="utf-8", errors="replace")
     return found
@@ -309,7 +310,8 @@ def versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:
 
 def numeric_versions(engine: str) -> dict[str, str]:
     """Of what computes an engine's numbers: another version may compute other ones."""
-    return versions((*_NUMERIC, "warp-lang") if engine == "warp" else _NUMERIC)
+    own = engines.named(engine)
+    return versions((*_NUMERIC, *(own.packages if own else ())))
 
 
 def as_json(value: Any) -> str:

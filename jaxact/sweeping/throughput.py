@@ -19,6 +19,7 @@ import numpy as np
 
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
+from jaxact.plants.engines import AUTO, ROBOT_IN_MJX
 from jaxact.simulation import engines, execute, plans
 from jaxact.simulation.plans import Plan
 from jaxact.simulation.spectra import Rates
@@ -26,16 +27,11 @@ from jaxact.sweeping import cache
 
 # Tiles that are measured, as factors on the usual one.
 _FACTORS = (0.5, 1.0, 2.0, 4.0)
-# Shortest sweep for which measuring pays [s]: it takes a few compilations.
-_WORTH = {"mass": 300.0, "mjx": 1800.0, "mujoco": 600.0, "warp": 1800.0}
 # Physics steps from which on the compilation of a light robot in MJX is made up for.
 _MANY = 3e6
 # Physics steps of a rollout that is measured.
 _STEPS = 400
 
-
-# Least time before the first loop is simulated, where programs are compiled already [s].
-_STARTUP = {"mass": 3.0, "mjx": 10.0, "mujoco": 5.0, "warp": 10.0}
 # What a rate is of: whole sweeps, growth rates and files included, or rollouts only.
 SWEEPS, ROLLOUTS = "sweeps", "rollouts"
 
@@ -74,7 +70,7 @@ def startup(groups: list[Plan]) -> float:
 
     Where programs must be compiled anew it takes several times as long, a robot's in MJX minutes.
     """
-    return _STARTUP[groups[0].case.engine]
+    return groups[0].case.engine.startup
 
 
 def best_tile(
@@ -95,7 +91,7 @@ def best_tile(
         if say is None:
             return None
         estimate, _ = seconds([plan], specification, len(samples))
-        if estimate < _WORTH[plan.case.engine]:
+        if estimate < plan.case.engine.worth:
             return None
         say("measuring the best tile")
         known |= _measured(plan, specification, samples)
@@ -117,19 +113,21 @@ def fastest(
     Raises UserError as `jaxact.simulation.engines.resolved`.
     """
     usual = engines.resolved(specification)
-    if specification.engine != "auto" or specification.plant is None:
+    if specification.engine != AUTO or not specification.robot:
         return usual.engine
     able = engines.able(specification)
-    steps = len(samples) * plans.groups(usual, samples)[0].steps
-    if "mjx" in able and engines.light(specification.setting) and steps > _MANY:
-        usual = replace(usual, engine="mjx")
+    (first, *_) = plans.groups(usual, samples)
+    many = len(samples) * first.steps > _MANY
+    if ROBOT_IN_MJX.name in able and engines.light(specification.setting) and many:
+        usual = replace(usual, engine=ROBOT_IN_MJX.name)
+        first = plans.groups(usual, samples)[0]
     rates: dict[str, float] = {}
     for engine in able:
         one = replace(specification, engine=engine)
         plan = plans.groups(one, samples)[0]
         known = curve(plan, one, ROLLOUTS)
         if not known:
-            if say is None or seconds([plan], usual, len(samples))[0] < _WORTH[usual.engine]:
+            if say is None or seconds([plan], usual, len(samples))[0] < first.case.engine.worth:
                 return usual.engine
             say(f"measuring engine {engine}")
             known = _measured(plan, one, samples, factors=(1.0,))
@@ -170,7 +168,8 @@ def _kind(plan: Plan, specification: Specification, what: str) -> str:
     device = jax.local_devices()[0]
     parts = repr((plan.case.drive, plan.case.model, plan.case.masked)).encode()
     words = (
-        what, plan.case.engine, specification.precision, device.device_kind, platform.machine(),
-        str(os.cpu_count()), jax.__version__, hashlib.sha256(parts).hexdigest()[:12],
+        what, plan.case.engine.name, specification.precision, device.device_kind,
+        platform.machine(), str(os.cpu_count()), jax.__version__,
+        hashlib.sha256(parts).hexdigest()[:12],
     )  # fmt: skip
     return " ".join(words)

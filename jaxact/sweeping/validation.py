@@ -12,6 +12,7 @@ from jaxact.errors import UserError
 from jaxact.loops import reading
 from jaxact.loops.samples import Samples, expand, explicit
 from jaxact.loops.specification import Specification
+from jaxact.plants import engines
 from jaxact.simulation import execute, plans
 from jaxact.sweeping import integrity, opening, progress
 from jaxact.sweeping import store as _store
@@ -158,6 +159,7 @@ def _rounds_otherwise(target: Location) -> str:
     platform = "cpu" if jax.default_backend() == "cpu" else "gpu"
     if (there.get("versions"), there["platform"]) != (_store.numeric_versions(engine), platform):
         return "other versions or devices"
-    if engine == "warp" and platform == "gpu":
-        return "MJX-Warp on a GPU adds up in any order"
+    own = engines.named(engine)
+    if platform == "gpu" and own and not own.reproducible:
+        return f"{own.title} on a GPU adds up in any order"
     return ""

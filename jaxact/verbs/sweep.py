@@ -23,6 +23,7 @@ from jaxact.loops.conversion import described, preset_axis
 from jaxact.loops.samples import expand
 from jaxact.loops.specification import Sampling, Specification
 from jaxact.parameters import PARAMETERS, canonical, known
+from jaxact.plants.engines import AUTO
 from jaxact.sweeping import execution, location, opening, planning, throughput
 from jaxact.sweeping import memory as _memory
 from jaxact.sweeping.execution import SweepOptions
@@ -128,7 +129,7 @@ def sweep(
     )
     budget = None if memory is None else _memory.read_size(memory)
     how = dataclasses.replace(how, planner=functools.partial(planning.plan, budget=budget))
-    if asked.engine == "auto":
+    if asked.engine == AUTO:
         asked = dataclasses.replace(asked, engine=throughput.fastest(asked, expand(asked)))
     with _shown(progress) as moved:
         how = dataclasses.replace(how, moved=moved)

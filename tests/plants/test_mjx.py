@@ -16,7 +16,7 @@ from jaxact.drive.step import Drive
 from jaxact.errors import UserError
 from jaxact.loops import loop
 from jaxact.loops.loop import Loop
-from jaxact.plants import Mass
+from jaxact.plants.mass import Mass
 from jaxact.plants.mjx import plant as mjx
 from jaxact.simulation import rollout
 from jaxact.simulation.growth import rate as growth

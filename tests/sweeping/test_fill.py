@@ -18,6 +18,7 @@ from quickly import optimised_fully
 from jaxact.errors import UserError
 from jaxact.loops import reading
 from jaxact.loops.samples import expand
+from jaxact.plants import engines
 from jaxact.simulation import execute, plans
 from jaxact.sweeping import (
     cache,
@@ -186,8 +187,8 @@ def test_a_machine_with_little_free_memory_still_sweeps(monkeypatch):
     monkeypatch.setattr(memory, "free", lambda: 2**29)
     asked = reading.parse(HUGE)
     assert planning.plan(asked, expand(asked)).loops >= 1000
-    robot = memory.base("mjx", robot=True)
-    assert robot > memory.base("mjx", robot=False) > memory.base("mass", robot=False)
+    robot = engines.ROBOT_IN_MJX.memory
+    assert robot > engines.JOINT_IN_MJX.memory > engines.MASS.memory
 
 
 @pytest.mark.exhaustive

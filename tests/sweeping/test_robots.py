@@ -323,6 +323,24 @@ def test_any_control_rate_suits_a_robot_without_a_step_of_its_own(folder):
         _parsed(folder, HOME, "control_rate = 333", duration=0.1, physics_step=0.002)
 
 
+def test_loops_of_other_control_rates_are_what_they_are_alone(folder):
+    """Above the model's own rate each control rate is another physics step."""
+    slow = "pendulum_slow.xml"
+    (folder / slow).write_text(PENDULUM.replace('timestep="0.001"', 'timestep="0.01"'))
+    plant = HOME.replace("pendulum.xml", slow)
+    options = {"engine": "mujoco", "duration": 0.2, "precision": "float64"}
+
+    def found(rates):
+        parameters = DRIVE + "setpoint = 0.1"
+        rows = _rows(_parsed(folder, plant, parameters, f"control_rate = {rates}", **options))
+        return rows["growth_rate"], rows["integrated_squared_error"]
+
+    alone = [found([rate]) for rate in (200, 400)]
+    for together, *apart in zip(found([200, 400]), *alone, strict=True):
+        np.testing.assert_allclose(together, np.concatenate(apart), rtol=1e-9)
+        assert np.ptp(together) > 0.01 * np.abs(together).max()
+
+
 def test_joints_that_are_too_weak_for_their_posture_are_named(folder):
     text = """<mujoco><worldbody><body><joint name="j" axis="0 1 0"/>
         <geom size="0.05" mass="2" pos="0.5 0 0"/></body></worldbody>

@@ -23,7 +23,7 @@ from jaxact.drive.options import DriveOptions
 from jaxact.drive.sensor import Sensor
 from jaxact.drive.step import Drive
 from jaxact.loops.loop import Loop
-from jaxact.plants import Mass
+from jaxact.plants.mass import Mass
 from jaxact.simulation import rollout
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.joint.ensemble import PARAMETERS, Ensemble, Sampling

@@ -22,6 +22,7 @@ from jaxact.loops.robots import Scene
 from jaxact.loops.samples import Samples, explicit
 from jaxact.loops.specification import Setting, Specification
 from jaxact.parameters import check, known
+from jaxact.plants.engines import MUJOCO
 from jaxact.robots import posture as _posture
 from jaxact.simulation import engines as _engines
 from jaxact.simulation import kernel, mujoco_batch, plans, spectra
@@ -259,7 +260,7 @@ def _posture_row(
         plan = replace(group, case=replace(group.case, starts=()))
         for batch, count in plans.batches(plan, samples):
             # Linearised in C for either engine, which takes no compilation of MJX.
-            in_c = replace(plan, case=replace(plan.case, engine="mujoco"))
+            in_c = replace(plan, case=replace(plan.case, engine=MUJOCO))
             rates = spectra.growth_batch(in_c, asked, samples, batch)
             result, farthest, qpos = _simulated(plan, asked, samples, batch, rates)
             for place, sample in enumerate(batch[:count]):
@@ -308,7 +309,7 @@ def _simulated(
     plan: Plan, asked: Specification, samples: Samples, numbers: np.ndarray, growth: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
     """Metrics of a batch, largest distances from the setpoint (n, m), and final configurations."""
-    simulate = _in_c if plan.case.engine == "mujoco" else _in_mjx
+    simulate = _in_mjx if plan.case.engine.in_jax else _in_c
     double = asked.precision == "float64"
     with jax.enable_x64(True) if double else nullcontext():
         result, farthest, qpos = simulate(plan, asked, samples.take(numbers), numbers, growth)
