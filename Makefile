@@ -4,6 +4,7 @@
 # make tuning  gains for that robot, certified and simulated, to results/tuning/quadruped/
 # make engines  MJX against C MuJoCo with the same drives, to results/engines/
 # make shipped how much delay the gains bear that public robots ship with, to results/shipped_gains/
+# make identification  drives from real logs, and how simple their models may be
 # make test    the everyday tests
 # make test-all  all tests, the exhaustive ones too
 # make lint    style and types
@@ -21,7 +22,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 STUDY := paper_gain_map
 ROBOTS := .robots
 
-.PHONY: help demo paper quadruped tuning engines shipped test test-all lint bench lock clean
+.PHONY: help demo paper quadruped tuning engines shipped identification test test-all lint bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -45,6 +46,9 @@ engines: $(STAMP)
 
 shipped: $(STAMP) $(ROBOTS)/.complete
 	PYTHONPATH=$(ROBOTS) $(BIN)/python experiments/shipped_gains/run.py
+
+identification: $(STAMP)
+	$(BIN)/python experiments/identification/run.py
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n auto -m "not exhaustive"

@@ -25,6 +25,7 @@ _PUBLIC = {
     "Drive": "jaxact.drive.step",
     "drive_around": "jaxact.loops.around",
     "Goal": "jaxact.tuning.goal",
+    "identify": "jaxact.verbs.identify",
     "joint": "jaxact.loops.building",
     "JointLoop": "jaxact.analysis.joint.frequency",
     "linear": "jaxact.verbs.sweep",

@@ -33,6 +33,7 @@ VERBS = {
     "sensitivity": "draw the sensitivity functions of loops, with their peaks",
     "render": "film a robot twice, side by side: bare, and with the drive model",
     "tune": "find the best gains of a joint by gradient descent on its margins, and certify them",
+    "identify": "find a drive's dynamics, delay and friction from logs of the real thing",
     "export": "write the results of a sweep as one NetCDF file",
     "parameters": "list every parameter of a loop: unit, default, bounds, meaning",
     "check": "show what will be driven in a robot model, and every field that engines would ignore",
@@ -41,7 +42,8 @@ VERBS = {
 
 # Those that keep what they compile and have no option that says otherwise.
 _COMPILE = (
-    "plot", "simulate", "step", "margins", "bode", "nyquist", "sensitivity", "render"
+    "plot", "simulate", "step", "margins", "bode", "nyquist", "sensitivity", "render",
+    "identify",
 )  # fmt: skip
 
 USAGE_ERROR = 2

@@ -1,0 +1,1 @@
+"""From logs of the real thing to the drive: models, their fit, and what is known of it."""

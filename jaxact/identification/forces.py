@@ -1,0 +1,82 @@
+"""The ladder of a drive whose force was measured: from commanded to given force."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.errors import UserError
+from jaxact.identification import inspection, torque_loop
+from jaxact.identification.fitting import Unknown
+from jaxact.identification.log import Log
+from jaxact.identification.model import DYNAMICS, NEUTRAL_DRIVE, Family, Rung, drive_unknowns
+
+_ALWAYS = ("gain", "offset")
+_MOST_TICKS_OF_DELAY = 12
+_NEUTRAL = {"gain": 1.0, "offset": 0.0, "force_limit": math.inf, **NEUTRAL_DRIVE}
+
+
+def family(logs: Sequence[Log]) -> Family:
+    """The ladder for logs of commanded and measured force.
+
+    Raises:
+        UserError: a log lacks one of the two.
+    """
+    for log in logs:
+        missing = [name for name in ("command", "force") if name not in log]
+        if missing:
+            raise UserError(
+                f"{log.title}: has no {missing[0]}; a force loop needs the commanded and the"
+                " measured force; for what moved, give a `plant`"
+            )
+    limited = any(inspection.saturation(log["force"]) is not None for log in logs)
+    always = (*_ALWAYS, "force_limit") if limited else _ALWAYS
+    rungs = tuple(
+        Rung(name, name, "", (*always, *free), fixed) for name, (free, fixed) in DYNAMICS.items()
+    )
+    return Family(
+        rungs=rungs,
+        unknowns=_unknowns,
+        neutral=_NEUTRAL,
+        positive=frozenset(("wn", "zeta", "force_limit")),
+        inputs=_inputs,
+        simulate=_simulate,
+        measured=lambda log: log["force"],
+        stimulus=lambda log: log["command"],
+        signal="force",
+        unit="N m" if logs[0].unit == "rad" else "N",
+    )
+
+
+def _unknowns(logs: Sequence[Log]) -> dict[str, Unknown]:
+    force = np.concatenate([log["force"] for log in logs])
+    command = np.concatenate([log["command"] for log in logs])
+    unit = "N m" if logs[0].unit == "rad" else "N"
+    size = float(np.max(np.abs(force))) + 1e-12
+    ratio = float(np.std(force) / max(float(np.std(command)), 1e-12))
+    sought = (
+        Unknown("gain", "1", -100.0 * ratio, 100.0 * ratio, (ratio,)),
+        Unknown("offset", unit, -size, size, (0.0,)),
+        Unknown("force_limit", unit, 0.3 * size, 3.0 * size, (0.99 * size,), positive=True),
+        *drive_unknowns(logs, _MOST_TICKS_OF_DELAY),
+    )
+    return {unknown.name: unknown for unknown in sought}
+
+
+def _inputs(log: Log) -> dict[str, jax.Array]:
+    return {
+        "time": jnp.asarray(log.time),
+        "command": jnp.asarray(log["command"]),
+        "first": jnp.asarray(log["force"][0]),
+    }
+
+
+def _simulate(
+    values: Mapping[str, jax.Array | float], inputs: Mapping[str, jax.Array]
+) -> jax.Array:
+    begun = {"initial_force": inputs["first"] - values["offset"]}
+    return torque_loop.simulate(inputs["time"], inputs["command"], {**values, **begun})

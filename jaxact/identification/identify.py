@@ -1,0 +1,104 @@
+"""Logs in, an identified drive out."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import jax
+
+from jaxact.errors import UserError, nearest, shown
+from jaxact.identification import forces, motion
+from jaxact.identification.ladder import climb
+from jaxact.identification.log import Log
+from jaxact.identification.reading import ColumnMap, Columns, read, read_columns
+from jaxact.identification.result import Identified, check_gains, inspected
+from jaxact.identification.verdict import judge
+
+PLANTS = ("none", *motion.PLANTS)
+LOSSES = ("linear", "soft_l1", "huber")
+
+Source = Log | str | os.PathLike[str]
+
+
+def identify(
+    logs: Source | Sequence[Source],
+    plant: str = "none",
+    *,
+    validate: Source | Sequence[Source] = (),
+    columns: ColumnMap | Mapping[str, Columns] | str | os.PathLike[str] | None = None,
+    joint: str = "",
+    control_rate: float | None = None,
+    loss: str = "linear",
+    bootstrap: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> Identified:
+    """Find the drive behind logs: its dynamics, delay, friction, and how well each is known.
+
+        found = jaxact.identify("log.csv", "pendulum", validate="other.csv", columns="map.toml")
+        print(found.report)
+        jaxact.margins(found.loop)
+
+    A ladder of models is fitted by least squares on the logs' own time stamps, and each is tried
+    on logs it has not seen; the simplest is chosen that is within 1 % of the best and all of whose
+    numbers are identified.
+
+    Args:
+        logs: to fit; files (CSV or NPZ) or `Log`s of one joint.
+        plant: what the drive moves: "none" where its force was measured, "mass" or "pendulum".
+        validate: logs to try the models on; without them the last 30 % of each log.
+        columns: what the columns are: a TOML file, or from `read_columns`.
+        joint: of several in a file.
+        control_rate: at which the drive's own controller runs [Hz]; None for once a row.
+        loss: of the least squares; "soft_l1" and "huber" bear outliers.
+        bootstrap: intervals by resampling blocks instead of the kernel's estimate.
+        progress: is told each model's name as its turn comes.
+
+    Returns:
+        The identified drive.
+
+    Raises:
+        UserError: logs that cannot be read or used, or that lack what the plant needs.
+    """
+    if plant not in PLANTS:
+        raise UserError(f"plant = {shown(plant)}; {nearest(plant, PLANTS)}")
+    if loss not in LOSSES:
+        raise UserError(f"loss = {shown(loss)}; {nearest(loss, LOSSES)}")
+    if control_rate is not None and not 0.1 <= control_rate <= 1e5:
+        raise UserError(
+            f"`control_rate` = {control_rate:g} is out of range; allowed: 0.1 to 1e5 Hz"
+        )
+    if isinstance(columns, str | os.PathLike):
+        columns = read_columns(Path(columns))
+    fitted, held = (_logs(each, columns, joint) for each in (logs, validate))
+    if not fitted:
+        raise UserError("`logs` is empty; give at least one log")
+    check_gains((*fitted, *held))
+    with jax.enable_x64(True):
+        if plant == "none":
+            family = forces.family(fitted)
+        else:
+            family = motion.family(fitted, plant, control_rate)
+        ladder = climb(family, fitted, held, loss=loss, bootstrap=bootstrap, report=progress)
+        return Identified(plant, ladder, inspected(ladder), judge(ladder))
+
+
+def _logs(
+    given: Source | Sequence[Source],
+    columns: ColumnMap | Mapping[str, Columns] | None,
+    joint: str,
+) -> list[Log]:
+    """Logs of one joint each."""
+    each = [given] if isinstance(given, Log | str | os.PathLike) else list(given)
+    found: list[Log] = []
+    for one in each:
+        if isinstance(one, Log):
+            found.append(one)
+            continue
+        own = read(Path(one), columns, (joint,) if joint else ())
+        if len(own) > 1:
+            names = ", ".join(log.joint for log in own[:8])
+            raise UserError(f"{one}: has several joints ({names}); choose one with `joint`")
+        found += own
+    return found

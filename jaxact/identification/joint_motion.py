@@ -1,0 +1,325 @@
+"""A joint with friction and gravity behind its drive, on the log's own time stamps.
+
+    J q'' = f - c q' - F(q', f, load) - G sin(q - q0) + offset
+    f: the force of the drive, see `jaxact.drive.actuator`, for the command of the controller
+
+Between two instants at which something switches the force is integrated in closed form, and so is
+the joint's viscous damping; dry friction takes from the speed what it can, and holds the joint
+where that is all of it. Of second order in the step, exact without friction and gravity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.drive import actuator as _actuator
+from jaxact.drive import controller as _controller
+from jaxact.drive.controller import Controller, Setpoint
+from jaxact.identification.schedule import schedule
+
+_NO_LIMIT = 1e15
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What of a joint and its controller is not a number; static where JAX traces.
+
+    Attributes:
+        closed: the controller is simulated; otherwise the log's command is given to the drive.
+        history: commands that are remembered for the longest delay.
+        difference_ticks: rows over which the controller differences the position; 0 for the speed.
+        gravity: the joint carries a pendulum.
+    """
+
+    closed: bool
+    history: int
+    difference_ticks: int
+    gravity: bool
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What the simulation needs of a log; arrays over its ticks.
+
+    Attributes:
+        time: of the ticks [s], shape (ticks,).
+        setpoint, feedforward: held at each tick, [m or rad] and [N or N m].
+        command: given at each tick [N or N m]; used where the loop is not closed.
+        strength: supply voltage over the usual one, 0 where the drive is off [-], shape (ticks,).
+        controls: whether the controller runs at a tick, shape (ticks,).
+        row: tick of each row of the log, shape (rows,).
+        kp, kd: of the controller [N/m, N s/m or per rad]; NaN where they are sought.
+        command_limit: of the controller's output [N or N m].
+        position, velocity: at the first row [m or rad] and per second.
+    """
+
+    time: jax.Array
+    setpoint: jax.Array
+    feedforward: jax.Array
+    command: jax.Array
+    strength: jax.Array
+    controls: jax.Array
+    row: jax.Array
+    kp: jax.Array
+    kd: jax.Array
+    command_limit: jax.Array
+    position: jax.Array
+    velocity: jax.Array
+
+
+jax.tree_util.register_dataclass(Recording)
+
+
+@dataclass(frozen=True)
+class _Carry:
+    position: jax.Array
+    velocity: jax.Array
+    force: jax.Array
+    rate: jax.Array
+    commands: jax.Array
+    ticks: jax.Array
+    seen: tuple[jax.Array, ...]
+
+
+jax.tree_util.register_dataclass(_Carry)
+
+
+def simulate(
+    values: Mapping[str, Any], recording: Recording, structure: Structure
+) -> tuple[jax.Array, jax.Array]:
+    """Position and command at each row.
+
+    Args:
+        values: inertia [kg or kg m^2], gain, wn [rad/s], zeta, delay [s], force_limit [N or N m],
+            friction by `_friction`, gravity [N m], zero [rad], offset [N or N m], kp and kd where
+            the recording has none, initial_position, initial_velocity.
+        recording: the log.
+        structure: static.
+
+    Returns:
+        Position [m or rad] and command [N or N m], each of shape (rows,).
+    """
+    plan = schedule(recording.time, jnp.asarray(values["delay"], recording.time.dtype))
+    wn, zeta = (jnp.asarray(values[name], plan.length.dtype) for name in ("wn", "zeta"))
+    free = jax.vmap(lambda length: _actuator.free_response(wn, zeta, length))(plan.length)
+    tick = jnp.cumsum(plan.is_row) - 1
+    own = {
+        "setpoint": recording.setpoint[tick],
+        "feedforward": recording.feedforward[tick],
+        "controls": plan.is_row & recording.controls[tick],
+        "is_row": plan.is_row,
+        "held": plan.held,
+        "command": recording.command[jnp.maximum(plan.held, 0)],
+        "strength": recording.strength[jnp.maximum(plan.held, 0)],
+        "length": plan.length,
+    }
+    begin = _begin(values, recording, structure)
+
+    def advance(carry: _Carry, at: tuple[Any, Mapping[str, jax.Array]]) -> tuple[_Carry, Any]:
+        over, now = at
+        carry, command = _control(values, recording, structure, carry, now)
+        held = carry.commands[now["held"] % structure.history] if structure.closed else command
+        output = (
+            carry.position,
+            held if not structure.closed else carry.commands[(carry.ticks - 1) % structure.history],
+        )
+        return _move(values, structure, carry, over, now, held), output
+
+    _, (position, command) = jax.lax.scan(advance, begin, (free, own))
+    at = plan.row[recording.row]
+    return position[at], command[at]
+
+
+def _begin(values: Mapping[str, Any], recording: Recording, structure: Structure) -> _Carry:
+    dtype = recording.time.dtype
+    position = jnp.asarray(values.get("initial_position", recording.position), dtype)
+    velocity = jnp.asarray(values.get("initial_velocity", recording.velocity), dtype)
+    zero = jnp.zeros((), dtype)
+    period = (recording.time[-1] - recording.time[0]) / (recording.time.shape[0] - 1)
+    number = structure.difference_ticks
+    seen = tuple(position - velocity * period * (late + 1) for late in range(number))
+    # The force that holds the joint where it is: it stood there before the log began.
+    force = values["gravity"] * jnp.sin(position - values["zero"]) if structure.gravity else zero
+    return _Carry(
+        position=position,
+        velocity=velocity,
+        force=jnp.asarray(force - values["offset"], dtype),
+        rate=zero,
+        commands=jnp.full(structure.history, (force - values["offset"]) / values["gain"], dtype),
+        ticks=jnp.zeros((), jnp.int32),
+        seen=seen,
+    )
+
+
+def _control(
+    values: Mapping[str, Any],
+    recording: Recording,
+    structure: Structure,
+    carry: _Carry,
+    now: Mapping[str, jax.Array],
+) -> tuple[_Carry, jax.Array]:
+    """The controller at a tick; between ticks nothing changes."""
+    if not structure.closed:
+        return carry, now["command"]
+    kp = values.get("kp", recording.kp)
+    kd = values.get("kd", recording.kd)
+    speed = carry.velocity
+    if structure.difference_ticks:
+        period = (recording.time[-1] - recording.time[0]) / (recording.time.shape[0] - 1)
+        speed = (carry.position - carry.seen[-1]) / (structure.difference_ticks * period)
+    asked = _controller.step(
+        Controller(kp=kp, kd=kd),
+        Setpoint(now["setpoint"], force=now["feedforward"]),
+        carry.position,
+        speed,
+        quantised=False,
+    )
+    asked = jnp.clip(asked, -recording.command_limit, recording.command_limit)
+    last = carry.commands[(carry.ticks - 1) % structure.history]
+    command = jnp.where(now["controls"], asked, last)
+    slot = carry.ticks % structure.history
+    commands = jnp.where(now["is_row"], carry.commands.at[slot].set(command), carry.commands)
+    seen = (
+        tuple(
+            jnp.where(now["controls"], new, old)
+            for new, old in zip((carry.position, *carry.seen[:-1]), carry.seen, strict=True)
+        )
+        if carry.seen
+        else ()
+    )
+    ticks = carry.ticks + now["is_row"].astype(jnp.int32)
+    return (
+        _Carry(carry.position, carry.velocity, carry.force, carry.rate, commands, ticks, seen),
+        command,
+    )
+
+
+def _move(
+    values: Mapping[str, Any],
+    structure: Structure,
+    carry: _Carry,
+    over: _actuator.Free,
+    now: Mapping[str, jax.Array],
+    held: jax.Array,
+) -> _Carry:
+    """Drive and joint over one interval with a constant input."""
+    length = now["length"]
+    value = values["gain"] * now["strength"] * held
+    e, g = carry.force - value, carry.rate
+    impulse = value * length + over.Ic * e + over.Is * g
+    moment = 0.5 * value * length * length + over.Jc * e + over.Js * g
+    # Finite, as it is multiplied by times that may be zero.
+    limit = jnp.minimum(values["force_limit"], _NO_LIMIT)
+    impulse = jnp.clip(impulse, -limit * length, limit * length)
+    moment = jnp.clip(moment, -0.5 * limit * length**2, 0.5 * limit * length**2)
+    force = value + over.c * e + over.s * g
+    rate = over.rate_e * e + over.rate_g * g
+    inertia = values["inertia"]
+    position, velocity = carry.position, carry.velocity
+    load = values["offset"]
+    pull = jnp.zeros_like(load)
+    if structure.gravity:
+        middle = position + 0.5 * length * velocity
+        pull = values["gravity"] * jnp.sin(middle - values["zero"])
+        load = load - pull
+    viscous, dry = _friction(values, velocity, impulse, length, pull)
+    decay = viscous * length / inertia
+    one, two = _phi(decay)
+    pushed = jnp.exp(-decay) * velocity + one * (impulse + length * load) / inertia
+    most = one * length * dry / inertia
+    after = jnp.sign(pushed) * jnp.maximum(jnp.abs(pushed) - most, 0.0)
+    moved = (
+        position
+        + length * one * velocity
+        + 2.0 * two * (moment + 0.5 * length * length * load) / inertia
+        - length * two / one * (pushed - after)
+    )
+    return _Carry(moved, after, force, rate, carry.commands, carry.ticks, carry.seen)
+
+
+def _phi(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """``(1 - exp(-x)) / x`` and ``(x - 1 + exp(-x)) / x^2``, also where x is small."""
+    small = jnp.abs(x) < 1e-3
+    safe = jnp.where(small, 1.0, x)
+    one = jnp.where(small, 1.0 - x / 2.0 + x * x / 6.0, -jnp.expm1(-safe) / safe)
+    two = jnp.where(small, 0.5 - x / 6.0 + x * x / 24.0, (1.0 - one) / safe)
+    return one, two
+
+
+def _friction(
+    values: Mapping[str, Any],
+    velocity: jax.Array,
+    impulse: jax.Array,
+    length: jax.Array,
+    pull: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Viscous coefficient [N s/m or N m s/rad] and dry friction [N or N m] in this interval.
+
+    ``F = (F0 + loaded |f| + carried |G sin q|) (1 + stribeck exp(-(v / v_s)^2))``, with factors
+    of their own for the two directions where friction is asymmetric.
+    """
+    forwards = velocity >= 0.0
+    viscous = jnp.where(forwards, values["viscous"], values.get("viscous_back", values["viscous"]))
+    dry = jnp.where(forwards, values["coulomb"], values.get("coulomb_back", values["coulomb"]))
+    if "loaded" in values:
+        mean = impulse / jnp.maximum(length, 1e-9)
+        dry = dry + values["loaded"] * jnp.abs(mean) + values["carried"] * jnp.abs(pull)
+    if "stribeck" in values:
+        slow = jnp.exp(-jnp.square(velocity / values["stribeck_speed"]))
+        dry = dry * (1.0 + values["stribeck"] * slow)
+    return viscous, dry
+
+
+def recording(
+    time: np.ndarray,
+    *,
+    setpoint: np.ndarray,
+    command: np.ndarray,
+    feedforward: np.ndarray,
+    strength: np.ndarray,
+    position: np.ndarray,
+    velocity: float,
+    gains: tuple[float, float],
+    command_limit: float,
+    ticks_per_row: int,
+    controlled: int,
+) -> Recording:
+    """A log cut into ticks.
+
+    Args:
+        time: of the rows [s], shape (rows,).
+        setpoint, command, feedforward, strength: at each row.
+        position: at each row; the first is where the joint begins.
+        velocity: at the first row.
+        gains: (kp, kd), NaN where sought.
+        command_limit: of the controller's output.
+        ticks_per_row: into which each time between rows is cut.
+        controlled: the controller runs at every so many ticks.
+    """
+    share = np.arange(ticks_per_row) / ticks_per_row
+    fine = (time[:-1, None] + np.diff(time)[:, None] * share).ravel()
+    fine = np.append(fine, time[-1])
+
+    def each(values: np.ndarray) -> jax.Array:
+        return jnp.asarray(np.append(np.repeat(values[:-1], ticks_per_row), values[-1]))
+
+    return Recording(
+        time=jnp.asarray(fine),
+        setpoint=each(setpoint),
+        feedforward=each(feedforward),
+        command=each(command),
+        strength=each(strength),
+        controls=jnp.asarray(np.arange(len(fine)) % controlled == 0),
+        row=jnp.asarray(np.arange(len(time)) * ticks_per_row),
+        kp=jnp.asarray(gains[0]),
+        kd=jnp.asarray(gains[1]),
+        command_limit=jnp.asarray(command_limit),
+        position=jnp.asarray(float(position[0])),
+        velocity=jnp.asarray(velocity),
+    )

@@ -1,0 +1,243 @@
+"""What is known of each unknown: its interval, and which combinations are known where it is not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from jaxact.identification import uncertainty
+from jaxact.identification.fitting import DELAY, Fit, Problem, solve
+
+# A number is identified where its interval is narrower than this share of it, in either direction.
+_LARGEST_SHARE = 0.4
+# Slopes of two unknowns that are this much alike cannot be told apart.
+_COLLINEAR = 0.05
+_IN_A_COMBINATION = 0.2
+_CHI_SQUARE = 3.841458820694124
+_STEPS_OF_PROFILE = 14
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One number with its 95 % interval.
+
+    Attributes:
+        name, unit: of the unknown.
+        value: estimated.
+        low, high: the interval's ends, in the same unit; infinite where a bound was reached.
+        wider: standard deviation over that of independent residuals [-].
+        identified: whether the logs say enough of it.
+        reason: why not, "" where they do.
+        at_bound: whether it lies at a bound of its range.
+    """
+
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    wider: float
+    identified: bool
+    reason: str = ""
+    at_bound: bool = False
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What a fit says of its unknowns.
+
+    Attributes:
+        estimates: of the unknowns that are of interest.
+        names: of all unknowns, in the order of the matrices.
+        covariance: of the coordinates of the search, shape (unknowns, unknowns).
+        correlation: of the same, shape (unknowns, unknowns).
+        condition: condition number of the slopes, each scaled to length 1.
+        combinations: unknowns that cannot be told apart, set by set.
+        lag: ``delay + 2 zeta / wn`` and its standard deviation [s]; None where the model has none.
+    """
+
+    estimates: tuple[Estimate, ...]
+    names: tuple[str, ...]
+    covariance: np.ndarray
+    correlation: np.ndarray
+    condition: float
+    combinations: tuple[tuple[str, ...], ...]
+    lag: tuple[float, float] | None
+
+    def __getitem__(self, name: str) -> Estimate:
+        """The estimate of this name."""
+        return next(estimate for estimate in self.estimates if estimate.name == name)
+
+    @property
+    def identified(self) -> bool:
+        """Whether every unknown is."""
+        return all(estimate.identified for estimate in self.estimates)
+
+
+def of_fit(fit: Fit, *, bootstrap: bool = False, profile: bool = True) -> Knowledge:
+    """Intervals, correlations and combinations of a fit.
+
+    Args:
+        fit: solved.
+        bootstrap: resample blocks instead of the kernel's estimate.
+        profile: the delay's interval, and those at bounds, by profile likelihood.
+    """
+    naive = uncertainty.naive(fit)
+    covariance = uncertainty.bootstrap(fit) if bootstrap else uncertainty.robust(fit)
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    plain = np.sqrt(np.maximum(np.diag(naive), 0.0))
+    wider = deviation / np.where(plain > 0.0, plain, 1.0)
+    sets, condition = combinations(fit)
+    estimates = []
+    for index, unknown in enumerate(fit.problem.unknowns):
+        if unknown.nuisance:
+            continue
+        half = uncertainty.critical(fit) * float(deviation[index])
+        point = float(fit.point[index])
+        ends = sorted((unknown.value(point - half), unknown.value(point + half)))
+        low, high = max(ends[0], unknown.low), min(ends[1], unknown.high)
+        if unknown.name == DELAY and profile:
+            ratio = float(wider[index]) if wider[index] > 0.0 else float(np.median(wider))
+            low, high = _profile(fit, index, max(ratio, 1.0))
+        estimates.append(_estimate(fit, index, low, high, float(wider[index]), sets))
+    size = np.where(deviation > 0.0, deviation, 1.0)
+    return Knowledge(
+        estimates=tuple(estimates),
+        names=fit.problem.names,
+        covariance=covariance,
+        correlation=covariance / np.outer(size, size),
+        condition=condition,
+        combinations=sets,
+        lag=_lag(fit, covariance),
+    )
+
+
+def _estimate(
+    fit: Fit, index: int, low: float, high: float, wider: float, sets: tuple[tuple[str, ...], ...]
+) -> Estimate:
+    unknown = fit.problem.unknowns[index]
+    value = unknown.value(float(fit.point[index]))
+    together = [names for names in sets if unknown.name in names]
+    at_bound = unknown.name in fit.at_bounds
+    width = high - low
+    if unknown.name == DELAY:
+        period = fit.problem.period or 0.0
+        enough = width <= max(period, _LARGEST_SHARE * value)
+    elif unknown.positive:
+        enough = high <= (1.0 + 2.0 * _LARGEST_SHARE) * value and low >= 0.4 * value
+    else:
+        size = max(abs(value), 0.02 * max(abs(unknown.low), abs(unknown.high)))
+        enough = width <= 2.0 * _LARGEST_SHARE * size or unknown.name in ("offset", "zero")
+    reason = ""
+    if together:
+        others = " and ".join(name for name in together[0] if name != unknown.name)
+        reason = f"cannot be told from {others}"
+    elif at_bound and unknown.name != DELAY:
+        reason = "lies at a bound of its range"
+    elif not enough:
+        reason = "its interval is wide"
+    return Estimate(
+        unknown.name, unknown.unit, value, low, high, wider, reason == "", reason, at_bound
+    )
+
+
+def combinations(fit: Fit) -> tuple[tuple[tuple[str, ...], ...], float]:
+    """Sets of unknowns whose slopes are nearly dependent, and the condition number.
+
+    By the singular vectors of the slopes, each scaled to length 1: a small singular value is a
+    direction in which the residuals hardly change.
+
+    Source: Belsley, Kuh, Welsch, "Regression diagnostics", chapter 3.
+    """
+    size = np.linalg.norm(fit.slopes, axis=0)
+    moving = size > 1e-12 * max(float(size.max()), 1e-300)
+    names = np.array(fit.problem.names)
+    nuisance = np.array([u.nuisance for u in fit.problem.unknowns])
+    still = tuple((str(name),) for name in names[~moving & ~nuisance])
+    scaled = fit.slopes[:, moving] / size[moving]
+    if not scaled.size:
+        return still, math.inf
+    _, singular, right = np.linalg.svd(scaled, full_matrices=False)
+    condition = float(singular[0] / max(float(singular[-1]), 1e-300))
+    sets = []
+    for value, direction in zip(singular, right, strict=True):
+        if value < _COLLINEAR:
+            inside = np.abs(direction) > _IN_A_COMBINATION
+            inside &= ~nuisance[moving]
+            chosen = tuple(names[moving][inside].tolist())
+            if len(chosen) > 1:
+                sets.append(chosen)
+    return (*still, *sets), condition
+
+
+def _profile(fit: Fit, index: int, wider: float) -> tuple[float, float]:
+    """The delay's interval: where the others' best fit grows by chi-square's 95 %.
+
+    The sum of squares is in units of the residuals' variance times `wider`^2, which is how much
+    less they say than independent ones.
+    """
+    unknown = fit.problem.unknowns[index]
+    period = fit.problem.period or unknown.high
+    best = float(fit.point[index])
+    spare = max(len(fit.residuals) - len(fit.point), 1)
+    allowed = fit.square_sum * (1.0 + _CHI_SQUARE * wider * wider / spare)
+    known = {
+        u.name: value for u, value in zip(fit.problem.unknowns, fit.values.values(), strict=True)
+    }
+
+    def excess(delay: float) -> float:
+        if abs(delay - best) < 1e-15:
+            return fit.square_sum - allowed
+        others = solve(fit.problem, fixed={unknown.name: delay}, start=known)
+        return others.square_sum - allowed
+
+    def end(bound: float, sign: float) -> float:
+        inside, step = best, 0.02 * period
+        for _ in range(_STEPS_OF_PROFILE):
+            outside = best + sign * step
+            if sign * (outside - bound) >= 0.0:
+                outside = bound
+            if outside == inside:
+                return bound
+            if excess(outside) > 0.0:
+                return float(brentq(excess, inside, outside, xtol=1e-3 * period, rtol=1e-6))
+            if outside == bound:
+                return bound
+            inside, step = outside, 2.5 * step
+        return bound
+
+    return end(unknown.low, -1.0), end(unknown.high, 1.0)
+
+
+def profile(problem: Problem, fit: Fit, name: str, values: np.ndarray) -> np.ndarray:
+    """The smallest sum of squares at each value of one unknown, for a picture.
+
+    Args:
+        problem: solved by `fit`.
+        fit: the solution.
+        name: of the unknown.
+        values: of it, shape (values,).
+
+    Returns:
+        Sum of squares over that of the fit, shape (values,).
+    """
+    start: Mapping[str, float] = fit.values
+    found = [solve(problem, fixed={name: float(value)}, start=start) for value in values]
+    return np.array([one.square_sum for one in found]) / fit.square_sum
+
+
+def _lag(fit: Fit, covariance: np.ndarray) -> tuple[float, float] | None:
+    """``delay + 2 zeta / wn`` and its standard deviation, to first order."""
+    names = [u.model_name for u in fit.problem.unknowns]
+    if "wn" not in names and DELAY not in names:
+        return None
+    values = fit.problem.model_values(fit.point)
+    late = 2.0 * values["zeta"] / values["wn"]
+    slope = np.zeros(len(names))
+    for index, name in enumerate(names):
+        slope[index] = {DELAY: 1.0, "wn": -late, "zeta": late}.get(name, 0.0)
+    return values[DELAY] + late, float(np.sqrt(max(slope @ covariance @ slope, 0.0)))

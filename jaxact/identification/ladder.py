@@ -1,0 +1,188 @@
+"""Climbing the ladder: every rung fitted, every rung tried on what it has not seen, one chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxact.identification import knowledge as _knowledge
+from jaxact.identification.fitting import Fit, solve
+from jaxact.identification.knowledge import Knowledge
+from jaxact.identification.log import Log
+from jaxact.identification.model import Family, Rung, of_rung, predicted
+
+# A simpler model is preferred where its error is within this share of the best one's.
+_AS_GOOD = 0.01
+# Of a log that is alone, the last part is kept for validation.
+_HELD_OUT = 0.3
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A rung, fitted and tried.
+
+    Attributes:
+        rung: the model.
+        fit: its least squares.
+        knowledge: intervals and combinations.
+        errors: root of the mean square error on each validation log, in the signal's unit.
+        scores: 100 (1 - error / spread) of each validation log [%].
+        numbers: all numbers of the model by name.
+    """
+
+    rung: Rung
+    fit: Fit
+    knowledge: Knowledge
+    errors: tuple[float, ...]
+    scores: tuple[float, ...]
+    numbers: dict[str, float]
+
+    @property
+    def error(self) -> float:
+        """Root of the mean square error over all validation logs."""
+        return float(np.sqrt(np.mean(np.square(self.errors))))
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns, those of single logs apart."""
+        return len(self.rung.free)
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """All rungs, and the one that is chosen.
+
+    Attributes:
+        family: what was identified.
+        candidates: fitted, in the order of their size.
+        chosen: the simplest one as good as the best, all of whose numbers are identified.
+        fitted: logs that were fitted.
+        validation: logs that were not.
+        kept_apart: whether validation is the end of the fitted logs, for want of others.
+    """
+
+    family: Family
+    candidates: tuple[Candidate, ...]
+    chosen: Candidate
+    fitted: tuple[Log, ...]
+    validation: tuple[Log, ...]
+    kept_apart: bool
+
+
+def split(logs: Sequence[Log], validation: Sequence[Log]) -> tuple[list[Log], list[Log], bool]:
+    """(logs to fit, logs to validate, whether the latter are parts of the former)."""
+    if validation:
+        return list(logs), list(validation), False
+    cuts = [int((1.0 - _HELD_OUT) * len(log)) for log in logs]
+    first = [log.part(0, at) for log, at in zip(logs, cuts, strict=True)]
+    last = [log.part(at, len(log)) for log, at in zip(logs, cuts, strict=True)]
+    return first, last, True
+
+
+def climb(
+    family: Family,
+    logs: Sequence[Log],
+    validation: Sequence[Log],
+    *,
+    loss: str = "linear",
+    bootstrap: bool = False,
+    report: Callable[[str], None] | None = None,
+) -> Ladder:
+    """Fit every rung, and choose.
+
+    Args:
+        family: of the logs.
+        logs: to fit.
+        validation: to try the models on; where there are none, the last 30 % of each log.
+        loss: of the least squares, "linear", "soft_l1" or "huber".
+        bootstrap: intervals by resampling.
+        report: is told each rung's name as its turn comes.
+
+    Returns:
+        The ladder.
+    """
+    fitted, held, apart = split(logs, validation)
+    found: list[Candidate] = []
+    for rung in stages(family, found):
+        if report is not None:
+            report(rung.name)
+        found.append(_candidate(family, rung, fitted, held, loss, found))
+    chosen = choose(found)
+    final = _knowledge.of_fit(chosen.fit, bootstrap=bootstrap)
+    refined = Candidate(
+        chosen.rung, chosen.fit, final, chosen.errors, chosen.scores, chosen.numbers
+    )
+    ordered = sorted(found, key=lambda one: (one.size, one.rung.name))
+    return Ladder(
+        family,
+        tuple(refined if one is chosen else one for one in ordered),
+        refined,
+        tuple(fitted),
+        tuple(held),
+        apart,
+    )
+
+
+def stages(family: Family, found: list[Candidate]):
+    """The rungs one after another: frictions with a delay first, then dynamics with the best one.
+
+    Args:
+        family: of the rungs.
+        found: candidates so far, which grows while this is iterated over.
+    """
+    frictions = {rung.friction for rung in family.rungs}
+    if len(frictions) == 1:
+        yield from family.rungs
+        return
+    yield from (rung for rung in family.rungs if rung.dynamics == "delay")
+    best = choose(found).rung.friction
+    yield from (rung for rung in family.rungs if rung.friction == best and rung.dynamics != "delay")
+
+
+def _candidate(
+    family: Family,
+    rung: Rung,
+    fitted: Sequence[Log],
+    held: Sequence[Log],
+    loss: str,
+    before: Sequence[Candidate],
+) -> Candidate:
+    sought = of_rung(family, rung, fitted)
+    fit = solve(sought, loss=loss)
+    inside = [one for one in before if set(one.rung.free) <= set(rung.free)]
+    if inside:
+        # A model that contains another can be no worse: begun where that one ended.
+        simpler = min(inside, key=lambda one: one.fit.square_sum)
+        if simpler.fit.square_sum < fit.square_sum * (1.0 - 1e-6):
+            again = solve(sought, loss=loss, start=simpler.fit.values)
+            fit = again if again.square_sum < fit.square_sum else fit
+    numbers = sought.model_values(fit.point)
+    errors, scores = [], []
+    for log in held:
+        measured = family.measured(log)
+        rest = predicted(family, log, numbers) - measured
+        errors.append(float(np.sqrt(np.mean(rest**2))))
+        spread = float(np.std(measured))
+        scores.append(100.0 * (1.0 - errors[-1] / max(spread, 1e-300)))
+    return Candidate(
+        rung, fit, _knowledge.of_fit(fit, profile=False), tuple(errors), tuple(scores), numbers
+    )
+
+
+def choose(candidates: Sequence[Candidate]) -> Candidate:
+    """The simplest that is as good as the best and all of whose numbers are identified.
+
+    Where none is, the best of those that are identified; where none of those either, the best.
+    """
+    usable = [one for one in candidates if np.isfinite(one.error)] or list(candidates)
+    best = min(one.error for one in usable)
+    as_good = [one for one in usable if one.error <= (1.0 + _AS_GOOD) * best]
+    known = [one for one in as_good if one.knowledge.identified]
+    if known:
+        return min(known, key=lambda one: (one.size, one.error))
+    identified = [one for one in usable if one.knowledge.identified]
+    if identified:
+        return min(identified, key=lambda one: one.error)
+    return min(as_good, key=lambda one: (one.size, one.error))

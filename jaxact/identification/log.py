@@ -1,0 +1,131 @@
+"""One recording of one joint: time stamps as they are, and the signals that were written down."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from jaxact.errors import UserError
+
+FEWEST_ROWS = 200
+"""A log with fewer rows says too little of a drive."""
+
+SIGNALS: dict[str, str] = {
+    "setpoint": "position that the joint was told to take [m or rad]",
+    "position": "measured position [m or rad]",
+    "velocity": "measured velocity [m/s or rad/s]",
+    "command": "force that the drive was told to give [N or N m]",
+    "force": "measured force [N or N m]",
+    "feedforward": "force added to the command beside the controller's [N or N m]",
+    "supply": "supply voltage [V]",
+    "powered": "1 where the drive was switched on, 0 where not",
+}
+"""What a column can stand for, by name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """A recording of one joint.
+
+    Attributes:
+        name: of the file, as messages have it.
+        time: stamps of the rows [s], shape (rows,), rising.
+        signals: by their names in `SIGNALS`, each of shape (rows,).
+        joint: its name, "" where there is one.
+        unit: "rad" or "m".
+        stamp: what of a control tick a row's time is, its "start" or its "end".
+        gains: (kp, kd) of the controller, None where unknown; [N/m, N s/m] or [N m/rad, N m s/rad].
+        difference_ticks: rows over which the controller differenced its position; 0 for a measured
+            velocity.
+        details: what else is known of the recording by name, such as masses and lengths.
+    """
+
+    name: str
+    time: np.ndarray
+    signals: Mapping[str, np.ndarray]
+    joint: str = ""
+    unit: str = "rad"
+    stamp: str = "start"
+    gains: tuple[float | None, float | None] = (None, None)
+    difference_ticks: int = 0
+    details: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def period(self) -> float:
+        """Median time between two rows [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def duration(self) -> float:
+        """From the first row to the last [s]."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def title(self) -> str:
+        """The file, and the joint where it has a name."""
+        return f"{self.name}, {self.joint}" if self.joint else self.name
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.time)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """One of the signals, shape (rows,)."""
+        return self.signals[name]
+
+    def __contains__(self, name: str) -> bool:
+        """Whether the signal was recorded."""
+        return name in self.signals
+
+    def part(self, first: int, last: int) -> Log:
+        """Rows `first` to `last` (exclusive) of this log."""
+        signals = {name: values[first:last] for name, values in self.signals.items()}
+        return replace(self, time=self.time[first:last], signals=signals)
+
+
+def check(log: Log) -> None:
+    """That a log can be used at all.
+
+    Raises:
+        UserError: too few rows, values that are not numbers, time that does not rise, a signal that
+            is zero or constant where it must move.
+    """
+    where = log.title
+    if len(log) < FEWEST_ROWS:
+        raise UserError(
+            f"{where}: {len(log)} rows are too few; give a log of at least {FEWEST_ROWS}"
+        )
+    for name, values in (("time", log.time), *log.signals.items()):
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise UserError(
+                f"{where}: {name} is not a number in {_rows(bad)}; take these rows out, or repair"
+                " them"
+            )
+    late = np.flatnonzero(np.diff(log.time) <= 0.0)
+    if late.size:
+        raise UserError(
+            f"{where}: time does not rise in {_rows(late + 1)}; sort the rows, or take them out"
+        )
+    still = [name for name in ("command", "setpoint", "force", "position") if name in log
+             and np.ptp(log[name]) == 0.0]  # fmt: skip
+    moves = [name for name in ("command", "setpoint") if name in log and name not in still]
+    answers = [name for name in ("force", "position") if name in log and name not in still]
+    if not moves or not answers:
+        said = ", ".join(f"{name} is {log[name][0]:g} throughout" for name in still)
+        raise UserError(
+            f"{where}: {said or 'nothing moves'}; a log must show a command or setpoint and what"
+            " the joint made of it"
+        )
+
+
+def _rows(indices: np.ndarray, most: int = 5) -> str:
+    """`rows 3, 4 and 7`, of the file, whose head is row 1."""
+    numbers = [str(index + 2) for index in indices[:most].tolist()]
+    if len(indices) > most:
+        return f"rows {', '.join(numbers)} and {len(indices) - most:,} more"
+    if len(numbers) == 1:
+        return f"row {numbers[0]}"
+    return f"rows {', '.join(numbers[:-1])} and {numbers[-1]}"

@@ -1,0 +1,142 @@
+"""A ladder of models: each rung says which numbers are free, and how a log follows from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.identification.fitting import Problem, Unknown
+from jaxact.identification.log import Log
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One model of the ladder.
+
+    Attributes:
+        name: in words.
+        dynamics: of the drive, of `DYNAMICS`.
+        friction: of the joint, "" where no joint moves.
+        free: names of the unknowns.
+        fixed: numbers of the model that are not the neutral ones.
+    """
+
+    name: str
+    dynamics: str
+    friction: str
+    free: tuple[str, ...]
+    fixed: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Family:
+    """All that a ladder needs to know of what is identified.
+
+    Attributes:
+        rungs: simplest first.
+        unknowns: by name, for the logs that are fitted.
+        neutral: every number of the model by name, at the value at which it changes nothing.
+        positive: names of those that are searched as logarithms.
+        inputs: what of a log the simulation needs, a pytree of arrays.
+        simulate: (values by name, inputs) -> the measured signal, shape (rows,); hashable.
+        measured: the signal of a log that is predicted, shape (rows,).
+        stimulus: the signal of a log that moves it, shape (rows,).
+        signal: its name, "force" or "position".
+        unit: of the signal.
+        nuisances: unknowns that every log has for itself.
+    """
+
+    rungs: tuple[Rung, ...]
+    unknowns: Callable[[Sequence[Log]], dict[str, Unknown]]
+    neutral: Mapping[str, float]
+    positive: frozenset[str]
+    inputs: Callable[[Log], Any]
+    simulate: Callable[[Mapping[str, Any], Any], jax.Array]
+    measured: Callable[[Log], np.ndarray]
+    stimulus: Callable[[Log], np.ndarray]
+    signal: str
+    unit: str
+    nuisances: Callable[[Sequence[Log]], tuple[Unknown, ...]] = lambda logs: ()
+
+
+# A first-order loop is a second-order one whose other pole is 4 zeta^2 times faster.
+FIRST_ORDER_ZETA = 100.0
+# Names of the drive's numbers that each kind of dynamics leaves free, and those it fixes.
+DYNAMICS: dict[str, tuple[tuple[str, ...], tuple[tuple[str, float], ...]]] = {
+    "gain": ((), ()),
+    "delay": (("delay",), ()),
+    "first order": (("lag",), (("zeta", FIRST_ORDER_ZETA),)),
+    "first order with delay": (("lag", "delay"), (("zeta", FIRST_ORDER_ZETA),)),
+    "second order": (("wn", "zeta"), ()),
+    "second order with delay": (("wn", "zeta", "delay"), ()),
+}
+NEUTRAL_DRIVE = {"wn": math.inf, "zeta": 1.0, "delay": 0.0}
+
+
+def drive_unknowns(logs: Sequence[Log], most_ticks: int) -> tuple[Unknown, ...]:
+    """Delay, lag, wn and zeta in the range that logs of this rate and length can tell of."""
+    period = float(np.median([log.period for log in logs]))
+    shortest = min(log.duration for log in logs)
+    ticks = max(int(min(most_ticks * period, 0.1 * shortest) / period), 1)
+    fast, slow = 30.0 / period, 0.3 * math.pi / shortest
+    middle = [math.pi / period * share for share in (0.05, 0.2, 0.8)]
+    both = 2.0 * FIRST_ORDER_ZETA
+    return (
+        Unknown("delay", "s", 0.0, ticks * period,
+                tuple((at + 0.5) * period for at in range(ticks))),
+        Unknown("lag", "s", 1.0 / fast, 1.0 / slow, tuple(1.0 / w for w in middle),
+                positive=True, inverse_of=("wn", both)),
+        Unknown("wn", "rad/s", slow, fast, tuple(middle), positive=True),
+        Unknown("zeta", "1", 0.02, 50.0, (0.4, 1.0), positive=True),
+    )  # fmt: skip
+
+
+def effective_lag(values: Mapping[str, float]) -> float:
+    """``delay + 2 zeta / wn`` [s]: what slow excitation sees of a drive, as one number.
+
+    Args:
+        values: of the model.
+    """
+    return float(values["delay"] + 2.0 * values["zeta"] / values["wn"])
+
+
+def of_rung(family: Family, rung: Rung, logs: Sequence[Log]) -> Problem:
+    """The least-squares problem of a rung on these logs, each residual in shares of its spread."""
+    known = family.unknowns(logs)
+    measured = [family.measured(log) for log in logs]
+    moved = np.concatenate([rows - rows.mean() for rows in measured])
+    own = family.nuisances(logs)
+    return Problem(
+        unknowns=(*(known[name] for name in rung.free), *own),
+        numbers={**family.neutral, **{u.name: u.starts[0] for u in own}, **dict(rung.fixed)},
+        positive=family.positive,
+        simulate=family.simulate,
+        inputs=tuple(family.inputs(log) for log in logs),
+        measured=tuple(measured),
+        scale=1.0 / max(float(np.sqrt(np.mean(moved**2))), 1e-300),
+        period=float(np.median([log.period for log in logs])),
+    )
+
+
+def predicted(family: Family, log: Log, values: Mapping[str, float]) -> np.ndarray:
+    """The signal that a model with these numbers predicts for a log, shape (rows,).
+
+    Args:
+        family: of the model.
+        log: any; where it begins is taken from its first rows.
+        values: of the model; those of single logs are left out.
+    """
+    given = {name: jnp.asarray(value) for name, value in values.items() if "[" not in name}
+    return np.asarray(_simulate(given, family.inputs(log), family.simulate))
+
+
+@partial(jax.jit, static_argnums=2)
+def _simulate(values, inputs, simulate):
+    return simulate(values, inputs)

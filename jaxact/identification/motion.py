@@ -1,0 +1,335 @@
+"""The ladder of a joint that moved: from setpoint or command to position.
+
+Friction comes first, with a delay in the drive, since wrong friction is taken for delay; then the
+drive's dynamics, with the friction that was found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+from scipy import signal as _signal
+
+from jaxact.errors import UserError
+from jaxact.identification import inspection, joint_motion
+from jaxact.identification.fitting import Unknown
+from jaxact.identification.joint_motion import Recording, Structure
+from jaxact.identification.log import Log
+from jaxact.identification.model import DYNAMICS, NEUTRAL_DRIVE, Family, Rung, drive_unknowns
+
+PLANTS = ("mass", "pendulum")
+GRAVITY = 9.81
+_MOST_TICKS_OF_DELAY = 6
+# Logs that are few each begin where the fit puts them; of many, where they were measured.
+_MOST_FREE_BEGINNINGS = 3
+# The longest time over which friction and gravity are integrated in one step [s].
+_LONGEST_STEP = 2.5e-3
+
+FRICTION: dict[str, tuple[str, ...]] = {
+    "no friction": (),
+    "viscous": ("viscous",),
+    "viscous and dry": ("viscous", "coulomb"),
+    "asymmetric": ("viscous", "coulomb", "viscous_asymmetry", "coulomb_asymmetry"),
+    "load-dependent": ("viscous", "coulomb", "loaded", "carried"),
+    "load-dependent, more at rest": (
+        "viscous", "coulomb", "loaded", "carried", "stribeck", "stribeck_speed",
+    ),
+}  # fmt: skip
+"""Names of the numbers that each kind of friction leaves free."""
+
+_NEUTRAL: dict[str, float] = {
+    "inertia": 1.0, "gain": 1.0, "force_limit": 1e12, "viscous": 1e-12, "coulomb": 1e-12,
+    "viscous_asymmetry": 0.0, "coulomb_asymmetry": 0.0, "loaded": 0.0, "carried": 0.0,
+    "stribeck": 0.0, "stribeck_speed": 1.0, "gravity": 0.0, "zero": 0.0, "offset": 0.0,
+    "kp": 1.0, "kd": 0.0, **NEUTRAL_DRIVE,
+}  # fmt: skip
+_POSITIVE = frozenset(("inertia", "viscous", "coulomb", "stribeck_speed", "wn", "zeta"))
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Position for a structure; as a value, so that equal ones share a program."""
+
+    structure: Structure
+    sought_gains: bool
+
+    def __call__(self, values: Mapping[str, Any], recording: Recording) -> jax.Array:
+        """Position at each row [m or rad], shape (rows,)."""
+        return self.both(values, recording)[0]
+
+    def both(self, values: Mapping[str, Any], recording: Recording) -> tuple[jax.Array, jax.Array]:
+        """Position [m or rad] and command [N or N m] at each row."""
+        turned = {
+            "viscous": values["viscous"] * (1.0 + values["viscous_asymmetry"]),
+            "viscous_back": values["viscous"] * (1.0 - values["viscous_asymmetry"]),
+            "coulomb": values["coulomb"] * (1.0 + values["coulomb_asymmetry"]),
+            "coulomb_back": values["coulomb"] * (1.0 - values["coulomb_asymmetry"]),
+        }
+        whole = {**values, **turned}
+        if not self.sought_gains:
+            whole = {name: value for name, value in whole.items() if name not in ("kp", "kd")}
+        return joint_motion.simulate(whole, recording, self.structure)
+
+
+def family(logs: Sequence[Log], plant: str, control_rate: float | None = None) -> Family:
+    """The ladder for logs of a joint's motion.
+
+    Args:
+        logs: to be fitted.
+        plant: "mass" or "pendulum".
+        control_rate: at which the controller ran [Hz]; None for once a row.
+
+    Raises:
+        UserError: a log lacks the position, or both setpoint and command.
+    """
+    for log in logs:
+        if "position" not in log:
+            raise UserError(f"{log.title}: has no position; a {plant} needs one")
+        if "setpoint" not in log and "command" not in log:
+            raise UserError(f"{log.title}: has neither setpoint nor command; map one of them")
+    first = logs[0]
+    known_gains = all(log.gains[0] is not None for log in logs)
+    closed = "setpoint" in first and (known_gains or "command" not in first)
+    sought = closed and not known_gains
+    ticks, _ = cut(first, control_rate)
+    longest = _MOST_TICKS_OF_DELAY * ticks + 2
+    structure = Structure(closed, longest, first.difference_ticks, plant == "pendulum")
+    context = _Context(logs, plant, structure, sought, control_rate)
+    unit = "rad" if first.unit == "rad" else "m"
+    return Family(
+        rungs=context.rungs(),
+        unknowns=context.unknowns,
+        neutral={**_NEUTRAL, **context.known()},
+        positive=_POSITIVE,
+        inputs=context.inputs,
+        simulate=Simulate(structure, sought),
+        measured=lambda log: log["position"],
+        stimulus=lambda log: log["setpoint"] if closed else log["command"],
+        signal="position",
+        unit=unit,
+        nuisances=context.nuisances,
+    )
+
+
+def cut(log: Log, control_rate: float | None) -> tuple[int, int]:
+    """(ticks of a row, of which every how-many-th is the controller's) for a log.
+
+    Args:
+        log: any.
+        control_rate: [Hz], None for once a row.
+    """
+    if control_rate is None:
+        ticks = max(math.ceil(log.period / _LONGEST_STEP - 1e-6), 1)
+        return ticks, ticks
+    controls = max(round(log.period * control_rate), 1)
+    finer = max(math.ceil(log.period / controls / _LONGEST_STEP - 1e-6), 1)
+    return controls * finer, finer
+
+
+@dataclass(frozen=True)
+class _Context:
+    logs: Sequence[Log]
+    plant: str
+    structure: Structure
+    sought_gains: bool
+    control_rate: float | None
+
+    def known(self) -> dict[str, float]:
+        """Numbers that the logs' details give."""
+        details = self.logs[0].details
+        found: dict[str, float] = {}
+        if "inertia" in details:
+            found["inertia"] = details["inertia"]
+        if self.structure.gravity and {"mass", "length"} <= set(details):
+            found["gravity"] = details["mass"] * GRAVITY * details["length"]
+        return found
+
+    def always(self) -> tuple[str, ...]:
+        """Unknowns of every rung."""
+        known = self.known()
+        names = ["offset"] if not self.structure.gravity else ["zero"]
+        if self.sought_gains:
+            # Without a force in the log only ratios to the inertia can be known.
+            return (*names, "kp", "kd", *(("gravity",) if self.structure.gravity else ()))
+        if "inertia" not in known:
+            names.append("inertia")
+        if self.structure.gravity and "gravity" not in known:
+            names.append("gravity")
+        if "gravity" in known or "inertia" in known:
+            names.append("gain")
+        return tuple(names)
+
+    def rungs(self) -> tuple[Rung, ...]:
+        """Every friction with a delay, then every other dynamics with the richest friction."""
+        made = []
+        for dynamics, (drive, fixed) in DYNAMICS.items():
+            for kind, terms in FRICTION.items():
+                if "load" in kind and not self.structure.gravity:
+                    continue
+                own = self.always()
+                if kind == "asymmetric" and "offset" in own:
+                    # While the joint slides an offset is the asymmetry of dry friction.
+                    own = tuple(name for name in own if name != "offset")
+                if self.sought_gains:
+                    # kd and viscous friction are one where no force was recorded.
+                    terms = tuple(t for t in terms if not t.startswith("viscous"))
+                name = f"{dynamics}, {kind}"
+                made.append(Rung(name, dynamics, kind, (*own, *terms, *drive), fixed))
+        return tuple(made)
+
+    def unknowns(self, logs: Sequence[Log]) -> dict[str, Unknown]:
+        guess = _guess(logs, self)
+        force = "N m" if logs[0].unit == "rad" else "N"
+        mass = "kg m^2" if logs[0].unit == "rad" else "kg"
+        speed = "rad/s" if logs[0].unit == "rad" else "m/s"
+        size, coulomb = guess["size"], max(abs(guess["coulomb"]), 0.02 * guess["size"])
+        viscous = max(guess["viscous"], 1e-3 * guess["inertia"])
+        low, high = 1e-4, 1e4
+        sought = (
+            Unknown("inertia", mass, low * guess["inertia"], high * guess["inertia"],
+                    (guess["inertia"],), positive=True),
+            Unknown("gain", "1", 1e-3 * guess["gain"], 1e3 * guess["gain"], (guess["gain"],)),
+            Unknown("viscous", f"{force} s/{logs[0].unit}", low * viscous, high * viscous,
+                    (viscous,), positive=True),
+            Unknown("coulomb", force, low * coulomb, 1e2 * coulomb, (coulomb,), positive=True),
+            Unknown("viscous_asymmetry", "1", -1.0, 1.0, (0.0,)),
+            Unknown("coulomb_asymmetry", "1", -1.0, 1.0, (0.0,)),
+            Unknown("loaded", "1", 0.0, 0.95, (0.1,)),
+            Unknown("carried", "1", 0.0, 2.0, (0.1,)),
+            Unknown("stribeck", "1", 0.0, 10.0, (0.3,)),
+            Unknown("stribeck_speed", speed, 1e-3 * guess["speed"], 3.0 * guess["speed"],
+                    (0.1 * guess["speed"],), positive=True),
+            Unknown("offset", force, -size, size, (guess["offset"],)),
+            Unknown("gravity", force, -10.0 * size, 10.0 * size, (guess["gravity"],)),
+            Unknown("zero", "rad", -0.5, 0.5, (0.0,)),
+            Unknown("kp", "1/s^2", 1.0, 1e7, guess["kp"], positive=False),
+            Unknown("kd", "1/s", 0.0, 1e5, (guess["kd"],)),
+            *drive_unknowns(logs, _MOST_TICKS_OF_DELAY),
+        )  # fmt: skip
+        return {unknown.name: unknown for unknown in sought}
+
+    def nuisances(self, logs: Sequence[Log]) -> tuple[Unknown, ...]:
+        """Where each of a few logs begins."""
+        if len(logs) > _MOST_FREE_BEGINNINGS:
+            return ()
+        found = []
+        for number, log in enumerate(logs):
+            position, velocity = beginning(log)
+            room = 0.05 * float(np.ptp(log["position"]))
+            fast = max(float(np.max(np.abs(smooth_velocity(log)))), 1e-9)
+            for name, value, reach, unit in (
+                ("initial_position", position, room, log.unit),
+                ("initial_velocity", velocity, fast, f"{log.unit}/s"),
+            ):
+                found.append(
+                    Unknown(f"{name}[{number}]", unit, value - reach, value + reach, (value,),
+                            nuisance=True)
+                )  # fmt: skip
+        return tuple(found)
+
+    def inputs(self, log: Log) -> Recording:
+        zero = np.zeros(len(log))
+        ticks, controlled = cut(log, self.control_rate)
+        gains = (math.nan, math.nan) if self.sought_gains else log.gains
+        strength = np.ones(len(log))
+        if "supply" in log:
+            usual = np.median(np.concatenate([one["supply"] for one in self.logs]))
+            strength = log["supply"] / usual
+        if "powered" in log:
+            strength = strength * log["powered"]
+        limit = log.details.get("command_limit", math.nan)
+        if math.isnan(limit):
+            found = inspection.saturation(log["command"]) if "command" in log else None
+            limit = math.inf if found is None else found
+        position, velocity = beginning(log)
+        return joint_motion.recording(
+            log.time,
+            setpoint=log["setpoint"] if "setpoint" in log else zero,
+            command=log["command"] if "command" in log else zero,
+            feedforward=log["feedforward"] if "feedforward" in log else zero,
+            strength=strength,
+            position=np.append(position, log["position"][1:]),
+            velocity=velocity,
+            gains=(float(gains[0] or 0.0), float(gains[1] or 0.0)),
+            command_limit=min(limit, 1e12),
+            ticks_per_row=ticks,
+            controlled=controlled,
+        )
+
+
+def beginning(log: Log, rows: int = 7) -> tuple[float, float]:
+    """Position and velocity at a log's first row, by a line through its first rows."""
+    time = log.time[:rows] - log.time[0]
+    slope, start = np.polyfit(time, log["position"][:rows], 1)
+    return float(start), float(slope)
+
+
+def smooth_velocity(log: Log) -> np.ndarray:
+    """The velocity of a log's position, smoothed over some rows, shape (rows,)."""
+    return _derivative(log, 1)
+
+
+def _derivative(log: Log, order: int) -> np.ndarray:
+    window = min(max(2 * int(0.01 / log.period) + 5, 7), len(log) // 4 * 2 - 1)
+    return _signal.savgol_filter(log["position"], window, 3, deriv=order, delta=log.period)
+
+
+def _guess(logs: Sequence[Log], context: _Context) -> dict[str, Any]:
+    """Where the search begins: least squares on smoothed derivatives, row by row."""
+    rows, forces = [], []
+    gravity = context.structure.gravity
+    for log in logs:
+        speed, acceleration = smooth_velocity(log), _derivative(log, 2)
+        columns = [acceleration, speed, np.sign(speed), np.ones(len(log))]
+        if gravity:
+            columns.append(np.sin(log["position"]))
+        rows.append(np.stack(columns, axis=1))
+        forces.append(_force(log, context))
+    matrix, force = np.concatenate(rows), np.concatenate(forces)
+    size = max(float(np.max(np.abs(force))), 1e-9)
+    fastest = max(float(np.max(np.abs(matrix[:, 1]))), 1e-9)
+    known = context.known()
+    target, names = force, ["inertia", "viscous", "coulomb", "offset", "gravity"][: matrix.shape[1]]
+    found = _least_squares(matrix, target, names)
+    gain = 1.0
+    if gravity and "gravity" in known and found["gravity"] != 0.0:
+        gain = abs(known["gravity"] / found["gravity"])
+    elif "inertia" in known and found["inertia"] > 0.0:
+        gain = known["inertia"] / found["inertia"]
+    scaled = {name: gain * value for name, value in found.items()}
+    inertia = scaled["inertia"]
+    if inertia <= 0.0:
+        inertia = gain * size / max(float(np.max(np.abs(matrix[:, 0]))), 1e-9)
+    return {
+        "inertia": inertia, "viscous": scaled["viscous"], "coulomb": scaled["coulomb"],
+        "offset": float(np.clip(scaled["offset"], -0.5 * gain * size, 0.5 * gain * size)),
+        "gravity": scaled.get("gravity", 0.0), "gain": gain, "size": gain * size,
+        "speed": fastest, "kp": (30.0, 300.0, 3000.0), "kd": 20.0,
+    }  # fmt: skip
+
+
+def _force(log: Log, context: _Context) -> np.ndarray:
+    """The force that a log's command, or its controller, asks for at each row."""
+    if not context.structure.closed:
+        return log["command"]
+    kp, kd = (0.0 if gain is None else gain for gain in log.gains)
+    if context.sought_gains:
+        kp, kd = 300.0, 20.0
+    force = kp * (log["setpoint"] - log["position"]) - kd * inspection.velocity(log)
+    if "feedforward" in log:
+        force = force + log["feedforward"]
+    limit = log.details.get("command_limit", math.inf)
+    return np.clip(force, -limit, limit)
+
+
+def _least_squares(
+    matrix: np.ndarray, target: np.ndarray, names: Sequence[str]
+) -> dict[str, float]:
+    size = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+    solved = np.linalg.lstsq(matrix / size, target, rcond=1e-9)[0] / size
+    return dict(zip(names, solved.tolist(), strict=True))

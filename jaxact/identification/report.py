@@ -1,0 +1,170 @@
+"""An identification in words and a table."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from jaxact.identification import model
+from jaxact.identification.inspection import Inspection
+from jaxact.identification.knowledge import Estimate
+from jaxact.identification.ladder import Candidate
+from jaxact.identification.log import Log
+
+if TYPE_CHECKING:
+    from jaxact.identification.result import Identified
+
+
+def text(identified: Identified) -> str:
+    """The whole report, lines of at most some 100 characters."""
+    ladder = identified.ladder
+    logs = (*ladder.fitted, *ladder.validation)
+    lines = []
+    roles = ["fit"] * len(ladder.fitted) + ["validate"] * len(ladder.validation)
+    for role, log, found in zip(roles, logs, identified.inspections, strict=True):
+        lines += [f"{role}: {log.title}: {first}" for first in [summary(log, found)]]
+        lines += [f"  {note}" for note in notes(log, found)]
+    if ladder.kept_apart:
+        lines.append("validated on the last 30 % of each log, as no other was given")
+    lines += ["", *table(identified), ""]
+    chosen = ladder.chosen
+    lines.append(f"chosen: {chosen.rung.name}")
+    lines += [f"  {estimate(one)}" for one in chosen.knowledge.estimates]
+    lines += [f"  {said}" for said in combined(chosen, ladder.fitted[0])]
+    lines += [f"  {said}" for said in unstable_delay(identified)]
+    lines += [f"  {said}" for said in alignment(chosen, ladder.fitted[0])]
+    lines += ["", f"verdict: {identified.verdict.sentence}"]
+    white = identified.verdict.whiteness
+    lines.append(
+        f"residuals: {100.0 * white:.0f} % of their autocorrelations are not those of white noise,"
+        " which the intervals allow for"
+    )
+    return "\n".join(lines)
+
+
+def summary(log: Log, found: Inspection) -> str:
+    """`2,996 rows, 500 Hz, 6 s`."""
+    band = "" if found.band is None else f", answer follows up to {found.band:.3g} Hz"
+    return (
+        f"{len(log):,} rows, {found.rate:.4g} Hz, {log.duration:.3g} s; 95 % of the excitation"
+        f" below {found.excited:.3g} Hz{band}"
+    )
+
+
+def notes(log: Log, found: Inspection) -> list[str]:
+    """What is odd about a log."""
+    said = []
+    if found.jitter > 0.02 * log.period:
+        said.append(f"rows are {1e6 * found.jitter:.3g} us (standard deviation) off their rate")
+    if found.gaps:
+        first = ", ".join(str(row) for row in found.gaps[:3])
+        more = f" and {len(found.gaps) - 3} more" if len(found.gaps) > 3 else ""
+        said.append(f"time is missing before row {first}{more}")
+    if found.repeated > 0.05:
+        said.append(f"{100.0 * found.repeated:.0f} % of the rows repeat the one before")
+    for name, quantum in found.quanta.items():
+        if name in ("position", "velocity", "force", "command"):
+            said.append(f"{name} comes in steps of {quantum:.4g}")
+    for name, limit in found.saturated.items():
+        said.append(f"{name} stays at {limit:.4g} for part of the time")
+    if found.skew is not None and abs(found.skew) > 0.3 * log.period:
+        said.append(f"velocity lags the position by {1e3 * found.skew:.2g} ms")
+    controller = found.controller
+    if controller is not None:
+        share = 100.0 * controller.explained
+        missing = f"; the rest goes with {controller.missing}" if controller.missing else ""
+        said.append(
+            f"the command is that of kp {controller.kp:.4g}, kd {controller.kd:.4g}"
+            f" ({share:.4g} % explained{missing})"
+        )
+    return said
+
+
+def table(identified: Identified) -> list[str]:
+    """The ladder, a line for each model."""
+    ladder = identified.ladder
+    unit = ladder.family.unit
+    width = max(len(one.rung.name) for one in ladder.candidates)
+    head = f"  {'model':{width}}  unknowns  error on unseen logs  score  known"
+    lines = [head]
+    for one in ladder.candidates:
+        mark = ">" if one is ladder.chosen else " "
+        missing = [e.name for e in one.knowledge.estimates if not e.identified]
+        known = "all" if not missing else f"not {', '.join(missing)}"
+        lines.append(
+            f"{mark} {one.rung.name:{width}}  {one.size:8d}  {one.error:14.4g} {unit:<5s}"
+            f"  {min(one.scores):5.1f} %  {known}"
+        )
+    return lines
+
+
+def estimate(one: Estimate) -> str:
+    """`delay 2 ms (95 %: 1.9 to 2.1; 1.9 times the naive interval)`."""
+    factor, unit = (1e3, "ms") if one.unit == "s" else (1.0, "" if one.unit == "1" else one.unit)
+    value, low, high = (factor * x for x in (one.value, one.low, one.high))
+    space = f" {unit}" if unit else ""
+    width = high - low
+    digits = 4
+    if 0.0 < width < abs(value):
+        # As many as make the ends of a narrow interval differ.
+        digits = min(max(4, math.ceil(math.log10(abs(value) / width)) + 2), 9)
+    said = f"{one.name} {value:.{digits}g}{space} (95 %: {low:.{digits}g} to {high:.{digits}g}"
+    if one.wider > 0.0 and math.isfinite(one.wider):
+        said += f"; {one.wider:.2g} times the naive interval"
+    said += ")"
+    return said if one.identified else f"{said}: not identified, {one.reason}"
+
+
+def combined(chosen: Candidate, log: Log) -> list[str]:
+    """Which combinations are known where single numbers are not."""
+    known = chosen.knowledge
+    said = [
+        f"{' and '.join(names)} cannot be told apart by these logs" for names in known.combinations
+        if len(names) > 1
+    ]  # fmt: skip
+    unsure = [e for e in known.estimates if e.name in ("delay", "wn", "zeta", "lag")
+              and not e.identified]  # fmt: skip
+    if unsure and known.lag is not None:
+        value, deviation = known.lag
+        half = 1.96 * deviation
+        fine = 1e3 * max(log.period, 1e-3) * 5.0
+        if half < 0.3 * max(value, log.period):
+            said.append(
+                f"only delay + 2 zeta/wn = {1e3 * value:.4g} ms (+- {1e3 * half:.2g}) is known; a"
+                f" PRBS of {fine:.3g} ms would separate them"
+            )
+    return said
+
+
+def unstable_delay(identified: Identified) -> list[str]:
+    """Whether the delay depends on what is assumed of friction."""
+    said: list[str] = []
+    ladder = identified.ladder
+    delays = {
+        one.rung.friction: one.knowledge["delay"]
+        for one in ladder.candidates
+        if one.rung.dynamics == "delay" and one.rung.friction
+    }
+    if len(delays) < 2:
+        return said
+    best = delays.get(ladder.chosen.rung.friction)
+    if best is None:
+        return said
+    period = ladder.fitted[0].period
+    for friction, one in delays.items():
+        if friction != ladder.chosen.rung.friction and abs(one.value - best.value) > 0.5 * period:
+            said.append(
+                f"with {friction} friction the delay would be {1e3 * one.value:.3g} ms: it is not"
+                " stable, it makes up for what that friction lacks"
+            )
+    return said
+
+
+def alignment(chosen: Candidate, log: Log) -> list[str]:
+    """That a tick of the delay may be the log's."""
+    if log.stamp != "end" or model.effective_lag(chosen.numbers) < 0.5 * log.period:
+        return []
+    return [
+        f"rows are stamped at the end of the tick: up to {1e3 * log.period:.3g} ms of the delay may"
+        " be the log's own alignment"
+    ]

@@ -1,0 +1,63 @@
+"""The force loop alone: what a drive makes of the commands in a log.
+
+    f'' + 2 zeta wn f' + wn^2 f = wn^2 gain u(t - delay),      measured: f + offset, within limits
+
+on the log's own time stamps, with the closed form of `jaxact.drive.actuator`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+
+from jaxact.drive import actuator as _actuator
+from jaxact.identification.schedule import schedule
+
+
+def simulate(
+    time: jax.Array, command: jax.Array, values: Mapping[str, jax.Array | float]
+) -> jax.Array:
+    """The force at each row.
+
+    Args:
+        time: of the rows [s], shape (rows,).
+        command: held from each row on [N or N m], shape (rows,).
+        values: `gain` [-], `offset` [N or N m], `wn` [rad/s] (may be infinite), `zeta`, `delay`
+            [s], `force_limit` [N or N m] (may be infinite), `initial_force` [N or N m].
+
+    Returns:
+        [N or N m], shape (rows,). An ideal drive's force at a row is the one just after a command
+        that arrives at that instant.
+    """
+    plan = schedule(time, jnp.asarray(values["delay"], time.dtype))
+    wn, zeta = (jnp.asarray(values[name], time.dtype) for name in ("wn", "zeta"))
+    # Before the first command arrives it acts already: of those before it nothing is known.
+    inputs = values["gain"] * command[jnp.maximum(plan.held, 0)]
+    free = jax.vmap(lambda length: _actuator.free_response(wn, zeta, length))(plan.length)
+
+    def advance(carry, at):
+        force, rate = carry
+        over, value = at
+        offset = force - value
+        after = (
+            value + over.c * offset + over.s * rate,
+            over.rate_e * offset + over.rate_g * rate,
+        )
+        return after, force
+
+    start = jnp.asarray(values["initial_force"], time.dtype)
+    _, forces = jax.lax.scan(advance, (start, jnp.zeros_like(start)), (free, inputs))
+    followed = jnp.where(jnp.isinf(wn), inputs[_last_of_instant(plan)], forces[plan.row])
+    limit = values["force_limit"]
+    return jnp.clip(followed, -limit, limit) + values["offset"]
+
+
+def _last_of_instant(plan):
+    """The interval that begins at each row once everything of that instant has happened."""
+    after = plan.row + 1
+    at_once = (plan.length[plan.row] == 0.0) & ~plan.is_row[
+        jnp.minimum(after, plan.is_row.size - 1)
+    ]
+    return jnp.where(at_once, jnp.minimum(after, plan.is_row.size - 1), plan.row)

@@ -1,0 +1,156 @@
+"""How well the unknowns are known: residuals of real logs are not independent.
+
+With slopes J and residuals r of a fit, the scores s_t = J_t r_t, and A = J^T J,
+
+    naive       cov = s^2 A^-1                           right for independent residuals only
+    one log     cov = A^-1 (sum_k w_k Gamma_k) A^-1      w: quadratic-spectral kernel
+    many logs   cov = A^-1 (sum_l S_l S_l^T) A^-1        S_l: the sum of the scores of one log
+
+The bandwidth of the kernel is chosen by the scores' own autocorrelation, after a first-order filter
+has whitened them.
+
+Source: Andrews, "Heteroskedasticity and autocorrelation consistent covariance matrix estimation",
+Econometrica 59 (1991); Andrews, Monahan, Econometrica 60 (1992); Cameron, Miller, "A practitioner's
+guide to cluster-robust inference", Journal of Human Resources 50 (2015).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy import stats
+
+from jaxact.identification.fitting import Fit
+
+FEWEST_CLUSTERS = 6
+"""Of so many logs and more, each is a draw of its own."""
+# The whitening filter must stay a filter: a pole of 1 would make the estimate infinite.
+_LARGEST_POLE = 0.97
+
+
+def naive(fit: Fit) -> np.ndarray:
+    """Covariance under independent residuals, shape (unknowns, unknowns)."""
+    spare = max(len(fit.residuals) - len(fit.point), 1)
+    return fit.square_sum / spare * _inverse(fit)
+
+
+def robust(fit: Fit) -> np.ndarray:
+    """Covariance under residuals that hang together, shape (unknowns, unknowns)."""
+    scores = fit.slopes * fit.residuals[:, None]
+    ends = np.cumsum(fit.problem.lengths)
+    each = np.split(scores, ends[:-1])
+    rows, unknowns = scores.shape
+    if len(each) >= FEWEST_CLUSTERS:
+        sums = np.stack([part.sum(axis=0) for part in each])
+        middle = sums.T @ sums * len(each) / (len(each) - 1)
+    else:
+        middle = sum(long_run(part) for part in each) * rows / max(rows - unknowns, 1)
+    outside = _inverse(fit)
+    return outside @ middle @ outside
+
+
+def critical(fit: Fit) -> float:
+    """Half-width of a 95 % interval in standard deviations."""
+    logs = len(fit.problem.lengths)
+    if logs >= FEWEST_CLUSTERS:
+        return float(stats.t.ppf(0.975, logs - 1))
+    return float(stats.norm.ppf(0.975))
+
+
+def _inverse(fit: Fit) -> np.ndarray:
+    """(J^T J)^-1 by the singular values of the scaled slopes."""
+    size = np.linalg.norm(fit.slopes, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    _, singular, right = np.linalg.svd(fit.slopes / size, full_matrices=False)
+    floor = np.finfo(float).eps * len(fit.slopes) * singular[0]
+    scaled = right.T / np.maximum(singular, floor)
+    return scaled @ scaled.T / np.outer(size, size)
+
+
+def long_run(scores: np.ndarray) -> np.ndarray:
+    """Sum of all autocovariances of the scores of one log, times its rows.
+
+    Args:
+        scores: shape (rows, unknowns).
+
+    Returns:
+        shape (unknowns, unknowns).
+    """
+    rows = len(scores)
+    size = np.linalg.norm(scores, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    scaled = scores / size
+    whitened, filters = _whitened(scaled)
+    bandwidth = _bandwidth(whitened)
+    spectrum = np.fft.rfft(whitened, 2 * rows, axis=0)
+    total = np.zeros((scores.shape[1],) * 2)
+    lags = np.arange(rows)
+    weights = _kernel(lags / bandwidth)
+    used = int(min(rows, math.ceil(30 * bandwidth) + 1))
+    for one in range(scores.shape[1]):
+        for two in range(scores.shape[1]):
+            cross = np.fft.irfft(spectrum[:, one] * np.conj(spectrum[:, two]), 2 * rows)
+            total[one, two] = cross[0] + weights[1:used] @ (cross[1:used] + cross[-1:-used:-1])
+    unfilter = np.diag(1.0 / (1.0 - filters))
+    total = unfilter @ total @ unfilter
+    return 0.5 * (total + total.T) * np.outer(size, size)
+
+
+def _whitened(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The scores through a first-order filter each, and its poles."""
+    before, after = scores[:-1], scores[1:]
+    power = np.sum(before * before, axis=0)
+    poles = np.sum(before * after, axis=0) / np.where(power > 0.0, power, 1.0)
+    poles = np.clip(poles, -_LARGEST_POLE, _LARGEST_POLE)
+    white = scores.copy()
+    white[1:] -= poles * before
+    return white, poles
+
+
+def _bandwidth(scores: np.ndarray) -> float:
+    """Andrews' bandwidth for the quadratic-spectral kernel, by first-order models."""
+    rows = len(scores)
+    before, after = scores[:-1], scores[1:]
+    power = np.sum(before * before, axis=0)
+    poles = np.sum(before * after, axis=0) / np.where(power > 0.0, power, 1.0)
+    poles = np.clip(poles, -_LARGEST_POLE, _LARGEST_POLE)
+    noise = np.mean((after - poles * before) ** 2, axis=0) ** 2
+    above = np.sum(4.0 * poles**2 * noise / (1.0 - poles) ** 8)
+    below = np.sum(noise / (1.0 - poles) ** 4)
+    alpha = above / below if below > 0.0 else 0.0
+    return max(1.3221 * (alpha * rows) ** 0.2, 1.0)
+
+
+def _kernel(x: np.ndarray) -> np.ndarray:
+    """The quadratic-spectral kernel."""
+    z = 6.0 * np.pi * np.where(x == 0.0, 1.0, x) / 5.0
+    value = 25.0 / (12.0 * np.pi**2 * np.where(x == 0.0, 1.0, x) ** 2) * (np.sin(z) / z - np.cos(z))
+    return np.where(x == 0.0, 1.0, value)
+
+
+def bootstrap(fit: Fit, *, number: int = 500, seed: int = 0) -> np.ndarray:
+    """Covariance by resampling blocks of rows, each with the first-order change of the solution.
+
+    Args:
+        fit: solved.
+        number: of resamplings.
+        seed: of the choice of blocks.
+
+    Returns:
+        shape (unknowns, unknowns).
+
+    Source: Kuensch, "The jackknife and the bootstrap for general stationary observations", Annals
+    of Statistics 17 (1989).
+    """
+    generator = np.random.default_rng(seed)
+    scores = fit.slopes * fit.residuals[:, None]
+    each = np.split(scores, np.cumsum(fit.problem.lengths)[:-1])
+    changes = np.zeros((number, len(fit.point)))
+    for part in each:
+        rows = len(part)
+        block = max(int(round(rows ** (1.0 / 3.0) * _bandwidth(part) ** 0.5)), 1)
+        sums = np.cumsum(np.vstack([np.zeros(part.shape[1]), part - part.mean(axis=0)]), axis=0)
+        first = generator.integers(0, rows - block + 1, (number, math.ceil(rows / block)))
+        changes += (sums[first + block] - sums[first]).sum(axis=1)
+    return np.cov((changes @ _inverse(fit).T).T).reshape((len(fit.point),) * 2)

@@ -1,0 +1,167 @@
+"""Whether an identified model can be used, and up to which frequency, by logs it has not seen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from scipy import signal as _signal
+
+from jaxact.identification.inspection import excited_band
+from jaxact.identification.ladder import Candidate, Ladder
+from jaxact.identification.log import Log
+from jaxact.identification.model import Family, predicted
+
+# A share of amplitude in error up to which a model is usable at a frequency, and for being good.
+_USABLE = 0.35
+_GOOD_SCORE = 85.0
+_LEAST_SCORE = 40.0
+# A validation log that is this much worse than the fitted ones was not foreseen by the model.
+_MOST_LOST = 10.0
+_MOST_CORRELATED = 0.35
+# A validation that excites nothing new says nothing of other excitations.
+_SAME_BAND = 0.5
+_AMPLITUDE = 1e-3
+
+
+class Level(Enum):
+    """The three verdicts."""
+
+    GOOD = "good"
+    USABLE = "usable"
+    NOT_ENOUGH = "not good enough"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A verdict and what it rests on.
+
+    Attributes:
+        level: good, usable up to a frequency, or not good enough.
+        below: frequency up to which the model is usable [Hz]; None where it is not.
+        score: worst score of the validation logs [%].
+        whiteness: share of the residuals' autocorrelations outside the 95 % band of white noise;
+            reported, and decides nothing alone.
+        correlated: largest correlation of residual and stimulus over lags.
+        reasons: why it is not good, in words.
+    """
+
+    level: Level
+    below: float | None
+    score: float
+    whiteness: float
+    correlated: float
+    reasons: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one sentence."""
+        if self.level is Level.GOOD:
+            return f"good: {self.score:.1f} % of what logs show that it has not seen is predicted"
+        why = "; ".join(self.reasons)
+        if self.level is Level.USABLE:
+            return f"usable below {self.below:.3g} Hz: {why}"
+        return f"not good enough: {why}"
+
+
+def judge(ladder: Ladder) -> Verdict:
+    """The verdict on a ladder's chosen model."""
+    family, chosen = ladder.family, ladder.chosen
+    rests = [
+        predicted(family, log, chosen.numbers) - family.measured(log) for log in ladder.validation
+    ]
+    below = _usable_band(family, ladder.validation, rests)
+    correlated = max(
+        _correlation(rest, family.stimulus(log))
+        for rest, log in zip(rests, ladder.validation, strict=True)
+    )
+    score = min(chosen.scores)
+    own = _own_score(chosen)
+    reasons = []
+    if not math.isfinite(score) or score < _GOOD_SCORE:
+        reasons.append(f"{score:.1f} % of logs it has not seen is predicted")
+    if own - score > _MOST_LOST:
+        reasons.append(f"it does not carry over: {own:.1f} % of the fitted logs is predicted")
+    if correlated > _MOST_CORRELATED:
+        reasons.append(f"its error follows the stimulus (correlation {correlated:.2f})")
+    bounds = [e.name for e in chosen.knowledge.estimates if e.at_bound and e.name != "delay"]
+    if bounds:
+        reasons.append(f"{' and '.join(bounds)} at a bound")
+    if ladder.kept_apart:
+        reasons += _narrow(ladder)
+    reasons += [f"{e.name} is not identified ({e.reason})" for e in chosen.knowledge.estimates
+                if not e.identified and e.name in ("delay", "wn", "zeta", "lag")]  # fmt: skip
+    if not reasons:
+        level = Level.GOOD
+    elif below is not None and score > _LEAST_SCORE:
+        level = Level.USABLE
+    else:
+        level = Level.NOT_ENOUGH
+        reasons = reasons or ["its error is as large as the signal at all frequencies"]
+    return Verdict(level, below, score, _whiteness(rests), correlated, tuple(reasons))
+
+
+def _own_score(chosen: Candidate) -> float:
+    """Score on the fitted logs [%]; residuals are in shares of their spread."""
+    return 100.0 * (1.0 - float(np.sqrt(np.mean(chosen.fit.residuals**2))))
+
+
+def _narrow(ladder: Ladder) -> list[str]:
+    """Whether only one log vouches for the model, whose parts resemble each other."""
+    logs = ladder.fitted
+    if len(logs) > 1:
+        return []
+    return ["no log of another excitation was there to try it on (give `validate`)"]
+
+
+def _usable_band(family: Family, logs: Sequence[Log], rests: Sequence[np.ndarray]) -> float | None:
+    """Frequency up to which the error stays a small share of the signal, on every log."""
+    found = []
+    for log, rest in zip(logs, rests, strict=True):
+        measured = family.measured(log)
+        if not np.isfinite(rest).all():
+            return None
+        length = max(64, min(1024, len(log) // 6))
+        rate = 1.0 / log.period
+        frequency, whole = _signal.welch(measured, rate, nperseg=length)
+        _, error = _signal.welch(rest, rate, nperseg=length)
+        frequency, whole, error = frequency[1:], whole[1:], error[1:]
+        top = max(excited_band(family.stimulus(log), rate), float(frequency[0]))
+        share = np.sqrt(np.cumsum(error) / np.maximum(np.cumsum(whole), 1e-300))
+        local = np.sqrt(error / np.maximum(whole, 1e-300))
+        bad = (share > _USABLE) | ((local > 2.0 * _USABLE) & (frequency <= top))
+        first = int(np.argmax(bad)) if bad.any() else len(bad)
+        if first == 0:
+            return None
+        found.append(min(float(frequency[first - 1]), top))
+    return min(found)
+
+
+def _correlation(rest: np.ndarray, stimulus: np.ndarray, most: int = 50) -> float:
+    """Largest correlation of residual and stimulus over lags."""
+    one, two = rest - rest.mean(), stimulus - stimulus.mean()
+    size = float(np.linalg.norm(one) * np.linalg.norm(two))
+    if size == 0.0 or not math.isfinite(size):
+        return 1.0 if not math.isfinite(size) else 0.0
+    most = min(most, len(one) - 1)
+    lags = [float(one[lag:] @ two[: len(two) - lag]) / size for lag in range(most)]
+    return float(np.max(np.abs(lags)))
+
+
+def _whiteness(rests: Sequence[np.ndarray], lags: int = 25) -> float:
+    """Share of autocorrelations outside the band of white noise.
+
+    Source: Box, Jenkins, "Time series analysis", section 8.2.
+    """
+    outside = []
+    for rest in rests:
+        centred = rest - rest.mean()
+        power = float(centred @ centred)
+        if power == 0.0:
+            continue
+        each = [float(centred[lag:] @ centred[:-lag]) / power for lag in range(1, lags + 1)]
+        outside.append(np.mean(np.abs(each) > 1.96 / math.sqrt(len(rest))))
+    return float(np.mean(outside)) if outside else 0.0

@@ -1,0 +1,226 @@
+"""An identification in pictures: measured and simulated, the ladder, what is left, the response."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy import signal as _signal
+from scipy import stats
+
+from jaxact.plotting import theme
+from jaxact.plotting.page import page
+
+# So many rows of a log can be seen beside each other.
+_MOST_ROWS = 1500
+_LAGS = 60
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One log, and what a model makes of it.
+
+    Attributes:
+        title: of the log.
+        time: of its rows [s], shape (rows,).
+        stimulus, measured, simulated: shape (rows,).
+        signal, unit: that was measured.
+        force: whether the stimulus is of the same kind as what was measured.
+    """
+
+    title: str
+    time: np.ndarray
+    stimulus: np.ndarray
+    measured: np.ndarray
+    simulated: np.ndarray
+    signal: str
+    unit: str
+
+    @property
+    def rest(self) -> np.ndarray:
+        """Measured minus simulated, shape (rows,)."""
+        return self.measured - self.simulated
+
+
+@dataclass(frozen=True)
+class Step:
+    """One rung of the ladder: name, unknowns, error on unseen logs, whether all is identified."""
+
+    name: str
+    size: int
+    error: float
+    identified: bool
+    chosen: bool
+
+
+def sheet(
+    compared: Compared, steps: Sequence[Step], *, title: str = "", footer: str = ""
+) -> Figure:
+    """All panels on one page.
+
+    Args:
+        compared: a log that the model has not seen.
+        steps: the ladder, simplest first.
+        title: above.
+        footer: below.
+    """
+    with theme.applied():
+        paper = page(9.0, 6.6, title=title, footer=footer, entries=3, entry_width=2.6)
+        grid = paper.figure.subplot_mosaic(
+            [["over", "over"], ["rest", "rest"], ["gain", "ladder"], ["phase", "white"]],
+            height_ratios=(1.5, 0.7, 1.0, 1.0),
+        )
+        handles = over(grid["over"], compared)
+        residual(grid["rest"], compared)
+        grid["over"].sharex(grid["rest"])
+        grid["over"].tick_params(labelbottom=False)
+        frequency_response((grid["gain"], grid["phase"]), compared)
+        ladder(grid["ladder"], steps, compared.unit)
+        autocorrelation(grid["white"], compared)
+        paper.legend(handles)
+    return paper.figure
+
+
+def over(axes: Axes, compared: Compared) -> list:
+    """Measured and simulated over each other.
+
+    Args:
+        axes: to draw on.
+        compared: a log and its simulation.
+
+    Returns:
+        The lines, for a legend.
+    """
+    part = _busiest(compared)
+    time = compared.time[part]
+    lines = [
+        axes.plot(time, compared.measured[part], color=theme.INK, linewidth=1.4, label="measured"),
+        axes.plot(
+            time, compared.simulated[part], color=theme.VERMILION, linewidth=1.1,
+            linestyle=(0, (4, 1.5)), label="simulated",
+        ),
+    ]  # fmt: skip
+    axes.set_ylabel(f"{compared.signal} [{compared.unit}]")
+    axes.set_title(compared.title, loc="left")
+    axes.grid(visible=True)
+    axes.set_xlim(time[0], time[-1])
+    return [line[0] for line in lines]
+
+
+def residual(axes: Axes, compared: Compared) -> None:
+    """Measured minus simulated over time, on the part that `over` shows."""
+    part = _busiest(compared)
+    axes.plot(compared.time[part], compared.rest[part], color=theme.BLUE, linewidth=0.8)
+    axes.axhline(0.0, color=theme.FAINT, linewidth=0.6)
+    axes.set_ylabel(f"residual [{compared.unit}]")
+    axes.set_xlabel("time [s]")
+    axes.grid(visible=True)
+
+
+def ladder(axes: Axes, steps: Sequence[Step], unit: str) -> None:
+    """Error on unseen logs over the number of unknowns; filled where all of them are identified.
+
+    Args:
+        axes: to draw on.
+        steps: the ladder.
+        unit: of the error.
+    """
+    finite = [step for step in steps if np.isfinite(step.error)]
+    for step in finite:
+        colour = theme.VERMILION if step.chosen else theme.BLUE
+        axes.plot(
+            step.size, step.error, "o", markersize=7 if step.chosen else 5, color=colour,
+            markerfacecolor=colour if step.identified else "white", zorder=4,
+        )  # fmt: skip
+    sizes = sorted({step.size for step in finite})
+    best = [min(step.error for step in finite if step.size <= size) for size in sizes]
+    axes.step(sizes, best, where="post", color=theme.FAINT, linewidth=0.9, zorder=2)
+    axes.set_xticks(sizes)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("unknowns (hollow: not all identified)")
+    axes.set_ylabel(f"unseen error [{unit}]")
+    axes.grid(visible=True)
+
+
+def autocorrelation(axes: Axes, compared: Compared) -> None:
+    """Autocorrelation of the residual, with the 95 % band of white noise."""
+    rest = compared.rest - compared.rest.mean()
+    power = max(float(rest @ rest), 1e-300)
+    lags = np.arange(1, min(_LAGS, len(rest) - 1))
+    each = [float(rest[lag:] @ rest[:-lag]) / power for lag in lags.tolist()]
+    band = 1.96 / np.sqrt(len(rest))
+    axes.axhspan(-band, band, color="#E4E4E4", zorder=0)
+    axes.vlines(lags, 0.0, each, color=theme.BLUE, linewidth=1.0)
+    axes.axhline(0.0, color=theme.FAINT, linewidth=0.6)
+    axes.set_xlabel("lag [rows]")
+    axes.set_ylabel("autocorrelation")
+    axes.set_ylim(-1.0, 1.0)
+    axes.grid(visible=True)
+
+
+def frequency_response(axes: Sequence[Axes], compared: Compared) -> None:
+    """Measured response with its 95 % band where the coherence allows, and the model's.
+
+    Args:
+        axes: of gain and phase.
+        compared: a log and its simulation.
+
+    Source: Bendat, Piersol, "Random Data", 4th ed., section 9.2 (random errors of estimates).
+    """
+    rate = 1.0 / float(np.median(np.diff(compared.time)))
+    length = max(64, min(512, len(compared.time) // 10))
+    given = {"fs": rate, "nperseg": length}
+    frequency, power = _signal.welch(compared.stimulus, **given)
+    _, cross = _signal.csd(compared.stimulus, compared.measured, **given)
+    _, model = _signal.csd(compared.stimulus, compared.simulated, **given)
+    _, coherence = _signal.coherence(compared.stimulus, compared.measured, **given)
+    kept = (coherence > 0.3) & (frequency > 0.0)
+    averages = max(2.0 * len(compared.time) / length - 1.0, 1.0)
+    spread = np.sqrt((1.0 - coherence) / np.maximum(coherence, 1e-9) / (2.0 * averages))
+    half = stats.norm.ppf(0.975) * spread
+    gain, phase = axes
+    floor = np.maximum(power, 1e-300)
+    measured, simulated = np.abs(cross) / floor, np.abs(model) / floor
+    turned = np.degrees(np.unwrap(np.angle(cross[kept])))
+    modelled = np.degrees(np.unwrap(np.angle(model[kept])))
+    if kept.any():
+        shift = 360.0 * np.round((modelled - turned)[0] / 360.0)
+        gain.fill_between(
+            frequency[kept], (measured * np.maximum(1.0 - half, 1e-3))[kept],
+            (measured * (1.0 + half))[kept], color="#D5D5D5", zorder=1,
+        )  # fmt: skip
+        gain.plot(frequency[kept], measured[kept], color=theme.INK, linewidth=1.2, zorder=3)
+        gain.plot(
+            frequency[kept], simulated[kept], color=theme.VERMILION, linestyle=(0, (4, 1.5)),
+            linewidth=1.1, zorder=4,
+        )  # fmt: skip
+        phase.fill_between(
+            frequency[kept], turned + shift - np.degrees(half[kept]),
+            turned + shift + np.degrees(half[kept]), color="#D5D5D5", zorder=1,
+        )  # fmt: skip
+        phase.plot(frequency[kept], turned + shift, color=theme.INK, linewidth=1.2, zorder=3)
+        phase.plot(
+            frequency[kept], modelled, color=theme.VERMILION, linestyle=(0, (4, 1.5)),
+            linewidth=1.1, zorder=4,
+        )  # fmt: skip
+        gain.set_yscale("log")
+    for panel, label in ((gain, "gain"), (phase, "phase [°]")):
+        panel.set_xscale("log")
+        panel.set_ylabel(label)
+        panel.grid(visible=True)
+    gain.tick_params(labelbottom=False)
+    phase.set_xlabel("frequency [Hz]")
+
+
+def _busiest(compared: Compared) -> slice:
+    """The rows of a log in which most happens, as many as can be seen."""
+    rows = len(compared.time)
+    if rows <= _MOST_ROWS:
+        return slice(0, rows)
+    moved = np.cumsum(np.abs(np.diff(compared.measured, prepend=compared.measured[0])))
+    gained = moved[_MOST_ROWS - 1 :] - moved[: rows - _MOST_ROWS + 1]
+    first = int(np.argmax(gained))
+    return slice(first, first + _MOST_ROWS)

@@ -1,0 +1,174 @@
+"""From synthetic logs to the drive that made them: numbers, choice of model, verdict, files."""
+
+import tomllib
+
+import jax
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from jaxact.cli.main import main
+from jaxact.errors import UserError
+from jaxact.identification import model
+from jaxact.identification.identify import identify
+from jaxact.identification.log import Log
+
+ROWS = 1500
+TICK = 1e-3
+STARLETH, HYQ = (110.0, 0.9, 2.3e-3), (800.0, 0.45, 1.4e-3)
+
+
+def _prbs(seed, hold=5):
+    generator = np.random.default_rng(seed)
+    return np.repeat(generator.choice([-1.0, 1.0], ROWS // hold + 1), hold)[:ROWS]
+
+
+def _chirp(top):
+    time = np.arange(ROWS) * TICK
+    return np.sin(np.pi * top * time**2 / time[-1])
+
+
+def _log(command, drive, seed=0, noise=0.02):
+    """A bench's log: the drive in steps of a hundredth of a tick, by the matrix exponential."""
+    wn, zeta, delay = drive
+    fine = 100
+    matrix = np.array([[0.0, 1.0, 0.0], [-(wn**2), -2.0 * zeta * wn, wn**2], [0.0, 0.0, 0.0]])
+    over = expm(matrix * TICK / fine)
+    late = round(delay / TICK * fine)
+    held = np.concatenate([np.full(late, command[0]), np.repeat(command, fine)])
+    state, forces = np.array([command[0], 0.0]), np.empty(ROWS)
+    for row in range(ROWS):
+        forces[row] = state[0]
+        for step in range(fine):
+            state = over[:2, :2] @ state + over[:2, 2] * held[row * fine + step]
+    generator = np.random.default_rng(seed + 100)
+    coloured = np.convolve(generator.normal(size=ROWS), 0.8 ** np.arange(20), "same")
+    return Log(
+        f"bench_{seed}", np.arange(ROWS) * TICK,
+        {"command": command, "force": 0.95 * forces + noise * coloured},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def starleth():
+    return identify(_log(_prbs(1), STARLETH, 1), validate=[_log(_prbs(2, hold=9), STARLETH, 2)])
+
+
+@pytest.fixture(scope="module")
+def hyq():
+    return identify(_log(_prbs(3), HYQ, 3), validate=[_log(_prbs(4, hold=9), HYQ, 4)])
+
+
+@pytest.mark.parametrize("name", ["starleth", "hyq"])
+def test_a_prbs_identifies_the_drive(name, request):
+    found, drive = request.getfixturevalue(name), {"starleth": STARLETH, "hyq": HYQ}[name]
+    assert found.chosen.rung.name == "second order with delay"
+    known = found.chosen.knowledge
+    for estimate, truth in zip((known["wn"], known["zeta"], known["delay"]), drive, strict=True):
+        assert estimate.identified and estimate.low <= truth <= estimate.high
+    assert known["wn"].value == pytest.approx(drive[0], rel=0.03)
+    assert known["zeta"].value == pytest.approx(drive[1], abs=0.03)
+    assert known["delay"].value == pytest.approx(drive[2], abs=1e-4)
+    assert known["gain"].value == pytest.approx(0.95, abs=0.02)
+    assert found.verdict.level.value == "good"
+
+
+def test_the_simulated_bench_is_the_force_loop(hyq):
+    log = _log(_prbs(3), HYQ, 3, noise=0.0)
+    numbers = {"gain": 0.95, "offset": 0.0, "force_limit": np.inf, "wn": HYQ[0], "zeta": HYQ[1],
+               "delay": HYQ[2]}  # fmt: skip
+    with jax.enable_x64(True):
+        found = model.predicted(hyq.ladder.family, log, numbers)
+    # Until the drive has forgotten where it began.
+    np.testing.assert_allclose(found[50:], log["force"][50:], atol=1e-6)
+
+
+def test_coloured_residuals_have_wider_intervals_than_independent_ones(starleth):
+    assert max(estimate.wider for estimate in starleth.chosen.knowledge.estimates) > 1.2
+
+
+def test_a_slow_chirp_identifies_only_the_sum():
+    found = identify(_log(_chirp(10.0), HYQ, 5), validate=[_log(_chirp(10.0), HYQ, 6)])
+    last = next(c for c in found.ladder.candidates if c.rung.name == "second order with delay")
+    assert not last.knowledge.identified
+    value, deviation = found.chosen.knowledge.lag
+    truth = HYQ[2] + 2.0 * HYQ[1] / HYQ[0]
+    assert value == pytest.approx(truth, abs=max(3.0 * deviation, 2e-4))
+
+
+def test_what_was_found_is_a_loop_and_an_ensemble(starleth):
+    loop = starleth.loop
+    assert loop.wn == pytest.approx(110.0, rel=0.03) and loop.control_rate == pytest.approx(1000.0)
+    many = starleth.samples(40)
+    assert many.shape == (40,)
+    spread = np.std(np.log(many.wn))
+    names = starleth.chosen.knowledge.names
+    expected = np.sqrt(np.diag(starleth.chosen.knowledge.covariance))[names.index("wn")]
+    assert spread == pytest.approx(expected, rel=0.5)
+
+
+def test_a_log_that_does_not_carry_over_is_not_good():
+    other = _log(_prbs(8), (60.0, 0.3, 6e-3), 8)
+    found = identify(_log(_prbs(7), STARLETH, 7), validate=[other])
+    assert found.verdict.level.value != "good"
+    assert any("carry over" in reason for reason in found.verdict.reasons)
+
+
+def test_one_log_alone_is_not_called_good():
+    found = identify(_log(_prbs(9), STARLETH, 9))
+    assert found.ladder.kept_apart and found.verdict.level.value != "good"
+
+
+def test_gains_that_contradict_the_command_are_refused():
+    command, log = _prbs(10), _log(_prbs(10), STARLETH, 10)
+    position = np.cumsum(np.cumsum(command)) * 1e-6
+    setpoint = position + command / 50.0
+    signals = {**log.signals, "command": command, "position": position, "setpoint": setpoint}
+    wrong = Log("closed", log.time, signals, gains=(100.0, 0.0))
+    with pytest.raises(UserError, match="contradicts the command, which follows from kp = 50"):
+        identify(wrong)
+
+
+def _csv(path, log):
+    rows = np.stack([log.time, log["command"], log["force"]], axis=1)
+    np.savetxt(path, rows, delimiter=",", header="time,command,force", comments="", fmt="%.9g")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    for seed in (1, 2):
+        _csv(folder / f"bench_{seed}.csv", _log(_prbs(seed), STARLETH, seed))
+    return folder
+
+
+def test_the_command_writes_the_drive_and_a_picture(files, tmp_path, capsys):
+    out = tmp_path / "drive.toml"
+    given = [str(files / "bench_1.csv"), "--validate", str(files / "bench_2.csv")]
+    assert main(["identify", *given, "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "chosen: second order with delay" in said and "verdict: good" in said
+    document = tomllib.loads(out.read_text())
+    assert document["drive"]["wn"] == pytest.approx(110.0, rel=0.03)
+    assert document["estimates"]["delay"]["identified"] is True
+    assert (tmp_path / "drive.png").stat().st_size > 10_000
+    assert main(["identify", *given, "--out", str(out)]) == 2
+    assert "exists; give another --out, or --overwrite" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--plant", "car"], "plant = 'car'"),
+        (["--loss", "cubic"], "loss = 'cubic'"),
+        (["--plant", "mass"], "has no position; a mass needs one"),
+        (["--joint", "elbow"], "joint 'elbow' is not in the map"),
+        (["--control-rate", "0"], "--control-rate = 0 is out of range"),
+    ],
+)
+def test_what_does_not_fit_is_one_line_and_writes_nothing(files, tmp_path, capsys, options, said):
+    out = tmp_path / "drive.toml"
+    assert main(["identify", str(files / "bench_1.csv"), "--out", str(out), *options]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,83 @@
+"""Intervals of fits whose residuals hang together cover the truth as often as they say."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from jaxact.identification import uncertainty
+from jaxact.identification.fitting import Unknown
+
+ROWS = 1500
+SEEDS = 200
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """What of a problem the intervals look at."""
+
+    unknowns: tuple
+    lengths: tuple
+
+
+@dataclass(frozen=True)
+class _Solved:
+    problem: _Linear
+    point: np.ndarray
+    residuals: np.ndarray
+    slopes: np.ndarray
+    at_bounds: tuple = field(default=())
+
+    @property
+    def square_sum(self):
+        return float(self.residuals @ self.residuals)
+
+
+def _coloured(generator, rows, pole):
+    noise = generator.normal(size=rows)
+    for at in range(1, rows):
+        noise[at] += pole * noise[at - 1]
+    return noise
+
+
+def _regression(seed, pole, logs=1):
+    """Least squares of known truth with coloured noise and coloured regressors."""
+    generator = np.random.default_rng(seed)
+    each = [
+        np.stack([np.ones(ROWS // logs), _coloured(generator, ROWS // logs, 0.9)], axis=1)
+        for _ in range(logs)
+    ]
+    slopes = np.concatenate(each)
+    noise = np.concatenate([_coloured(generator, ROWS // logs, pole) for _ in range(logs)])
+    truth = np.array([0.3, -1.2])
+    point = np.linalg.lstsq(slopes, slopes @ truth + noise, rcond=None)[0]
+    unknowns = tuple(Unknown(name, "1", -9.0, 9.0, (0.0,)) for name in ("a", "b"))
+    problem = _Linear(unknowns, (ROWS // logs,) * logs)
+    rest = slopes @ (point - truth) - noise
+    return _Solved(problem, point, rest, slopes), truth
+
+
+@pytest.mark.parametrize(("pole", "logs"), [(0.0, 1), (0.8, 1), (0.9, 1), (0.8, 8)])
+def test_ninety_five_percent_intervals_cover_the_truth(pole, logs):
+    inside, naive = np.zeros(2), np.zeros(2)
+    for seed in range(SEEDS):
+        fit, truth = _regression(seed, pole, logs)
+        half = uncertainty.critical(fit) * np.sqrt(np.diag(uncertainty.robust(fit)))
+        inside += np.abs(fit.point - truth) <= half
+        plain = 1.96 * np.sqrt(np.diag(uncertainty.naive(fit)))
+        naive += np.abs(fit.point - truth) <= plain
+    assert np.all(inside / SEEDS >= 0.90) and np.all(inside / SEEDS <= 0.99)
+    if pole >= 0.8:
+        assert naive.min() / SEEDS < 0.75  # what independent residuals would have said
+
+
+def test_resampled_blocks_agree_with_the_kernel():
+    fit, _ = _regression(4, 0.8)
+    both = [np.sqrt(np.diag(c)) for c in (uncertainty.robust(fit), uncertainty.bootstrap(fit))]
+    np.testing.assert_allclose(both[1], both[0], rtol=0.35)
+
+
+def test_independent_residuals_have_the_naive_intervals():
+    fit, _ = _regression(5, 0.0)
+    both = [np.sqrt(np.diag(c)) for c in (uncertainty.robust(fit), uncertainty.naive(fit))]
+    np.testing.assert_allclose(both[0], both[1], rtol=0.25)
