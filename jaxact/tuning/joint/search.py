@@ -12,7 +12,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import jax
 import numpy as np
@@ -21,22 +20,18 @@ from jaxact.errors import UserError
 from jaxact.tuning.box import KNOWN, Box, Points, ascend, spread
 from jaxact.tuning.certificate import Effort, Metrics, beyond
 from jaxact.tuning.goal import Goal, check, peaks
-from jaxact.tuning.joint import brute
+from jaxact.tuning.joint import brute, descent
 from jaxact.tuning.joint import problem as joint
 from jaxact.tuning.joint.ensemble import Ensemble, Uncertain, chosen, joined, uncertain
 from jaxact.tuning.joint.problem import Case
-from jaxact.tuning.joint.rescue import SLOWER, rescue
+from jaxact.tuning.joint.rescue import SLOWER
 from jaxact.tuning.joint.response import timed as timed_of
-from jaxact.tuning.optimise import Descended, Descent, descend
+from jaxact.tuning.optimise import Descent, descend
 from jaxact.tuning.phases import Phase, silent
-from jaxact.tuning.polish import MET, Polished, better, polish
+from jaxact.tuning.polish import MET, polish
 from jaxact.tuning.result import Outcome, Tuned, judged
 
 STARTS, SAMPLES, STEPS = 8, 32, 150
-# A smooth violation up to this is the smoothing's own.
-_SMOOTH = 0.01
-# Starts that ended this near are one optimum [-].
-_SAME, _WORTH = 0.03, 0.03
 # How often the worst interior point may join the members, and from where it is looked for.
 _EXCHANGES, _ASCENTS = 6, 24
 
@@ -148,21 +143,21 @@ def _searched(
         if given is None
         else np.clip(np.log(np.asarray(given, float)), bounds[:, 0], bounds[:, 1])
     )
-    rescued, rescues = (None, 0) if own is None else _rescued(cases, own, bounds)
+    back, rescues = (None, 0) if own is None else descent.rescued(cases, own, bounds)
     first = np.stack([joint.starts(case, starts) for case in cases])
-    if rescued is not None:
-        first = np.concatenate([first, rescued[:, None]], axis=1)
+    if back is not None:
+        first = np.concatenate([first, back[:, None]], axis=1)
     smooth = joint.JointSurrogate(joint.family(cases[0].goal), timed)
     slower = np.asarray(SLOWER, np.float32)
     phase(f"descending from {first.shape[1]} starts")
     paths = descend(smooth, joint.table(cases), np.asarray(first, np.float32), slower, how)
     paths = jax.tree.map(np.asarray, paths)
     phase("polishing")
-    found, polishing = _polished(cases, paths, bounds, timed)
+    found, polishing = descent.polished(cases, paths, bounds, timed)
     lost = ~found.feasible
     if lost.any():
         phase("looking for the closest gains")
-    closest = _closest(cases, paths, bounds, timed, found) if lost.any() else found
+    closest = descent.closest(cases, paths, bounds, timed, found) if lost.any() else found
     steps = how.steps + how.polish + polishing + rescues
     number = first.shape[1] * (how.steps + how.polish) + polishing + rescues
     effort = Effort(first.shape[1], brute.GRID**2)
@@ -306,91 +301,3 @@ def _check(cases: Sequence[Case], given: Sequence[tuple[float, float]] | None, s
     for kp, kd in given or ():
         if not (0 < kp < np.inf and 0 < kd < np.inf):
             raise UserError(f"start kp {kp:g}, kd {kd:g}: both must be positive and finite")
-
-
-def _rescued(cases: Sequence[Case], x: np.ndarray, bounds: np.ndarray) -> tuple[np.ndarray, int]:
-    """The given starts, brought to where every member is stable."""
-
-    def distance(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the worst member of every start: how far from its boundary, and the gradient."""
-        found = joint.exact(cases, x)
-        value = np.where(found.stable, np.abs(found.log["log_gain_to_boundary"]),
-                         found.log["log_gain_to_boundary"])  # fmt: skip
-        worst = np.argmin(value, axis=1)[:, None]
-        slope = found.gain_slope["log_gain_to_boundary"]
-        chosen_slope = np.take_along_axis(slope, worst[..., None], axis=1)[:, 0]
-        return np.take_along_axis(value, worst, axis=1)[:, 0], chosen_slope
-
-    there, steps = rescue(distance, x, SLOWER, bounds[:, 0], bounds[:, 1])
-    return there, int(steps.max(initial=0))
-
-
-def candidates(case: int, paths: Descended) -> list[np.ndarray]:
-    """Where to polish: the best end, and others that are as good but elsewhere."""
-    value, violation = paths.value[case], paths.violation[case]
-    met = violation <= _SMOOTH
-    score = np.where(met, value, -1e3 - violation) if met.any() else -violation
-    score = np.where(np.isfinite(score), score, -np.inf)
-    kept: list[np.ndarray] = []
-    for index in np.argsort(-score):
-        x = np.asarray(paths.gains[case, index], float)
-        near = any(np.max(np.abs(x - other)) < _SAME for other in kept)
-        if np.isfinite(score[index]) and score[index] >= score.max() - _WORTH and not near:
-            kept.append(x)
-    return kept[:3] or [np.asarray(paths.gains[case, 0], float)]
-
-
-def _polished(
-    cases: Sequence[Case], paths: Descended, bounds: np.ndarray, timed: Any
-) -> tuple[Polished, int]:
-    """The best of all candidates of each case, polished side by side."""
-    owner, points = [], []
-    for i in range(len(cases)):
-        for x in candidates(i, paths):
-            owner.append(i)
-            points.append(x)
-    problem = joint.problem([cases[i] for i in owner], timed)
-    found = polish(problem, np.array(points), bounds[owner, 0], bounds[owner, 1])
-    return _best_of(found, np.array(owner), len(cases)), found.evaluations
-
-
-def _best_of(found: Polished, owner: np.ndarray, number: int) -> Polished:
-    pick = []
-    for i in range(number):
-        best, *rest = np.flatnonzero(owner == i)
-        for other in rest:
-            if better(found.value[other], found.violation[other],
-                      found.value[best], found.violation[best]):  # fmt: skip
-                best = other
-        pick.append(best)
-    return Polished(found.x[pick], found.value[pick], found.violation[pick], found.evaluations)
-
-
-def _closest(
-    cases: Sequence[Case], paths: Descended, bounds: np.ndarray, timed: Any, found: Polished
-) -> Polished:
-    """The points where the worst violation is smallest; the objective does not count."""
-    problem = joint.problem(cases, timed, aim=False)
-    nearest = polish(problem, found.x, bounds[:, 0], bounds[:, 1])
-    over_plane = np.array([
-        found.x[i] if met else brute.nearest(case, timed).x
-        for i, (case, met) in enumerate(zip(cases, found.feasible, strict=True))
-    ])  # fmt: skip
-    others = [over_plane, *_least_violating(paths)]
-    for start in others:
-        again = polish(problem, start, bounds[:, 0], bounds[:, 1])
-        closer = again.violation < nearest.violation
-        nearest = Polished(
-            np.where(closer[:, None], again.x, nearest.x), nearest.value,
-            np.where(closer, again.violation, nearest.violation), nearest.evaluations,
-        )  # fmt: skip
-    return nearest
-
-
-def _least_violating(paths: Descended) -> list[np.ndarray]:
-    """The three ends of every case that violate its constraints least, shape (cases, 2) each."""
-    places = np.argsort(paths.violation, axis=1)[:, :3].T
-    return [
-        np.take_along_axis(paths.gains, place[:, None, None], axis=1)[:, 0].astype(float)
-        for place in places
-    ]

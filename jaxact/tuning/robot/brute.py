@@ -14,9 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.tuning.polish import MET
 from jaxact.tuning.robot import smooth
-from jaxact.tuning.robot.rows import Found, RobotCase, excess, rows
+from jaxact.tuning.robot.rows import Found, RobotCase, excess, seen
 
 MOST_GROUPS = 2
 # Points along each unknown, for two and for four of them.
@@ -50,9 +49,8 @@ def brute_force(case: RobotCase, centre: np.ndarray) -> Found:
         # Exact metrics take long: no more points than it takes to find one that is fine.
         order = np.argsort(-np.where(violation <= _SLACK, value, -np.inf))[:_EXACTLY]
         for x in grid[order]:
-            known = rows(case, x)
-            here = Found(x, float(known.worst_value[0]), float(known.violation[0]), 0, 0)
-            if here.violation <= MET and here.value > best.value:
+            here = seen(case, x)
+            if here.met and here.value > best.value:
                 best = here
                 break
         middle = best.x if np.isfinite(best.value) else grid[order[0]]

@@ -17,7 +17,7 @@ from jaxact.tuning.phases import Phase, silent
 from jaxact.tuning.polish import MET
 from jaxact.tuning.robot import smooth
 from jaxact.tuning.robot.loops import Situation
-from jaxact.tuning.robot.rows import Found, RobotCase, excess, part, polished, rescued, rows
+from jaxact.tuning.robot.rows import Found, RobotCase, excess, part, polished, rescued, seen
 from jaxact.tuning.robot.starts import closer
 
 # Log-gains stay this near to where the search begins.
@@ -99,7 +99,7 @@ def descended(case: RobotCase, first: np.ndarray, how: Descent) -> Descended:
     return jax.tree.map(lambda leaf: np.asarray(leaf[0]), found)
 
 
-def best_of(case: RobotCase, near: Found, paths: Descended, others: np.ndarray,
+def best_of(case: RobotCase, near: Found, paths: Descended, others: Sequence[np.ndarray],
             phase: Phase = silent) -> Found:  # fmt: skip
     """The best of all that is known, polished: ends of the descent, and where it began.
 
@@ -114,9 +114,9 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: np.ndarray,
         *others,
         *(np.clip(end, case.low, case.high) for end in ends if end is not None),
     ]
-    seen = sorted((_seen(case, x) for x in points), key=_rank)
+    known = sorted((seen(case, x) for x in points), key=Found.rank)
     kept: list[Found] = []
-    for one in seen:
+    for one in known:
         if len(kept) < _POLISHED and all(np.abs(one.x - k.x).max() > _SAME for k in kept):
             kept.append(one)
     # Roughly first: the last digits of what loses take longest.
@@ -124,15 +124,15 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: np.ndarray,
     for number, one in enumerate(kept, 1):
         phase(f"polishing end {number} of {len(kept)}")
         rough.append(polished(case, one.x, fine=False))
-    rough.sort(key=_rank)
+    rough.sort(key=Found.rank)
     phase("polishing the best")
     last = [polished(case, one.x) for one in rough[: 1 if rough[0].met else _CLOSEST]]
-    best = min([*rough, *last], key=_rank)
+    best = min([*rough, *last], key=Found.rank)
     if not best.met:
         phase("looking around what comes nearest")
         last.append(polished(case, closer(case, best.x)))
-        best = min(best, last[-1], key=_rank)
-    spent = [*seen, *rough, *last]
+        best = min(best, last[-1], key=Found.rank)
+    spent = [*known, *rough, *last]
     return replace(
         best,
         evaluations=sum(one.evaluations for one in spent),
@@ -152,15 +152,3 @@ def _stable_end(case: RobotCase, paths: Descended, start: int) -> np.ndarray | N
         if np.isfinite(x).all() and case.stable(x):
             return x
     return None
-
-
-def _seen(case: RobotCase, x: np.ndarray) -> Found:
-    """What is known of a point."""
-    known = rows(case, x)
-    number = len(case.table.loops)
-    return Found(x, float(known.worst_value[0]), float(known.violation[0]), number, 1)
-
-
-def _rank(one: Found) -> tuple[bool, float]:
-    """Smaller is better: what meets the bounds by its value, then what exceeds them least."""
-    return not one.met, -one.value if one.met else one.violation

@@ -155,6 +155,17 @@ class Found:
         """Whether all bounds hold."""
         return self.violation <= MET
 
+    def rank(self) -> tuple[bool, float]:
+        """Smaller is better: what meets the bounds by its value, then what exceeds them least."""
+        return not self.met, -self.value if self.met else self.violation
+
+
+def seen(case: RobotCase, x: np.ndarray) -> Found:
+    """What is known of log-gains."""
+    known = rows(case, x)
+    number = len(case.table.loops)
+    return Found(x, float(known.worst_value[0]), float(known.violation[0]), number, 1)
+
 
 def more(found: Found, evaluations: int, steps: int = 0) -> Found:
     """The same, with what else it took."""

@@ -38,7 +38,7 @@ from jaxact.tuning.robot.exchange import Candidate, exchanged, inside_worse
 from jaxact.tuning.robot.loops import Situation, open_loops
 from jaxact.tuning.robot.peaks import tabulate
 from jaxact.tuning.robot.rows import Found, RobotCase, more, polished
-from jaxact.tuning.robot.starts import Screened, apart, screened
+from jaxact.tuning.robot.starts import apart, screened
 from jaxact.tuning.rollouts import tracking
 
 STARTS, SAMPLES, STEPS = 8, 8, 80
@@ -86,10 +86,10 @@ def tune(
     mode = tracking.check(tracking_weight, derivative, len(groups))
     _check_verify(len(groups), verify=verify, weighed=tracking_weight > 0.0)
     phase("screening gains over orders of magnitude")
-    case, x, known = _begun(situations, goal, groups, start, number, seed)
+    case, x, known, tried = _begun(situations, goal, groups, start, number, seed)
     if not case.stable(x):
-        nowhere = Candidate(case, Found(x, -np.inf, np.inf, known.tried, 0), None, None)
-        effort = Effort(0, known.tried)
+        nowhere = Candidate(case, Found(x, -np.inf, np.inf, tried, 0), None, None)
+        effort = Effort(0, tried)
         return judge(situations, nowhere, seed, begun=begun, effort=effort, start=start)
     paths, found = _searched(case, x, known, starts, steps, phase)
     phase("certifying")
@@ -101,8 +101,8 @@ def tune(
     if verify and best.found.met:
         phase("comparing with brute force")
         best, gap = _verified(best)
-    best = replace(best, found=more(best.found, known.tried, steps))
-    effort = Effort(starts, known.tried)
+    best = replace(best, found=more(best.found, tried, steps))
+    effort = Effort(starts, tried)
     return judge(
         situations, best, seed, paths=paths, begun=begun, effort=effort, start=start, gap=gap,
         aside=aside,
@@ -177,7 +177,7 @@ def _begun(
     start: Gains | None,
     number: int,
     seed: int,
-) -> tuple[RobotCase, np.ndarray, Screened]:
+) -> tuple[RobotCase, np.ndarray, list[Found], int]:
     """All loops of the box, log-gains near the start, and those with which all loops are stable."""
     members = situations[0].box.members(number, seed)
     plain = usual(situations, groups)
@@ -186,23 +186,21 @@ def _begun(
     case = RobotCase(tabulate(open_loops(situations, members)), groups, goal, low, high)
     x = np.clip(x, low, high)
     inertia = np.min([one.inertias for one in situations], axis=0)
-    known = screened(case, x, inertia, max(one.lag for one in situations), seed)
-    stable = np.array([case.stable(x) for x in known.x], bool)
-    known = replace(known, x=known.x[stable], value=known.value[stable],
-                    violation=known.violation[stable])  # fmt: skip
+    known, number = screened(case, x, inertia, max(one.lag for one in situations), seed)
+    known = [one for one in known if case.stable(one.x)]
     there, tried = (x, 0) if case.stable(x) else stabilised(case, situations, x)
-    if not case.stable(there):
-        there = known.x[0] if len(known.x) else there
-    return case, there, replace(known, tried=known.tried + tried)
+    if known and not case.stable(there):
+        there = known[0].x
+    return case, there, known, number + tried
 
 
 def _searched(
-    case: RobotCase, x: np.ndarray, known: Screened, starts: int, steps: int, phase: Phase
+    case: RobotCase, x: np.ndarray, known: list[Found], starts: int, steps: int, phase: Phase
 ) -> tuple[Descended, Found]:
     """The paths of a descent from many gains, and the best of their ends, polished."""
     near = approached(case, x)
     others = apart(known, starts)[: starts - 1]
-    first = np.concatenate([near.x[None], others])
+    first = np.stack([near.x, *others])
     first = first[np.arange(starts) % len(first)]
     small = hardest(case, near.x)
     phase(f"descending from {starts} starts")

@@ -11,13 +11,11 @@ the spectrum of one loop.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 
-from jaxact.tuning.polish import MET
 from jaxact.tuning.robot.peaks import growth_rates, highest
-from jaxact.tuning.robot.rows import RobotCase, excess, part
+from jaxact.tuning.robot.rows import Found, RobotCase, excess, part
 
 # Factors on kp [ln], and, beside their square roots, on kd.
 _SCALES, _RATIOS = np.linspace(-7.0, 2.4, 9), np.linspace(-2.4, 2.4, 5)
@@ -33,26 +31,9 @@ _CLOUDS, _POINTS = (1.0, 0.5, 0.2, 0.1, 0.04, 0.015, 0.005), 64
 _SAME = 0.5
 
 
-@dataclass(frozen=True)
-class Screened:
-    """Log-gains at which all loops that were looked at are stable, the best first; k of them.
-
-    Attributes:
-        x: shape (k, 2 g).
-        value: of the objective, ln, signed so that larger is better [-], shape (k,).
-        violation: largest excess over the bounds [-], shape (k,).
-        tried: gains looked at, stable or not.
-    """
-
-    x: np.ndarray
-    value: np.ndarray
-    violation: np.ndarray
-    tried: int
-
-
 def screened(
     case: RobotCase, x: np.ndarray, inertia: np.ndarray, lag: float, seed: int
-) -> Screened:
+) -> tuple[list[Found], int]:
     """Gains over orders of magnitude, judged at the loops that say most.
 
     Args:
@@ -60,6 +41,9 @@ def screened(
         inertia: that forces on the joints move [kg or kg m^2], shape (joints,).
         lag: of the slowest drive [s].
         seed: of the points around the best ones.
+
+    Returns:
+        Those at which these loops are stable, the best first; and how many were tried.
     """
     from scipy.stats import qmc
 
@@ -71,10 +55,11 @@ def screened(
     reach = np.repeat(_REACH, size // 2)
     points = qmc.Sobol(size, scramble=True, rng=seed).random_base2(_AROUND.bit_length())
     offsets = (2.0 * points[:_AROUND] - 1.0) * reach
-    more = np.array([centre + offset for centre in centres for offset in offsets])
-    if not more.size:
-        return found
-    return _ranked(found, _judged(few, _distinct(case, more)))
+    around = [centre + offset for centre in centres for offset in offsets]
+    if not around:
+        return found, len(first)
+    more = _distinct(case, np.array(around))
+    return sorted([*found, *_judged(few, more)], key=Found.rank), len(first) + len(more)
 
 
 def closer(case: RobotCase, x: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -87,8 +72,8 @@ def closer(case: RobotCase, x: np.ndarray, seed: int = 0) -> np.ndarray:
     for width in _CLOUDS:
         offsets = generator.uniform(-1.0, 1.0, (_POINTS, len(x)))
         points = np.concatenate([x[None], x + width * offsets])
-        found = _judged(few, _distinct(case, points)).x
-        x = next((there for there in found if case.stable(there)), x)
+        found = _judged(few, _distinct(case, points))
+        x = next((one.x for one in found if case.stable(one.x)), x)
     return x
 
 
@@ -111,13 +96,13 @@ def lattice(case: RobotCase, x: np.ndarray, inertia: np.ndarray, lag: float) -> 
     return np.array(found + scaled(*level, _SCALES, _RATIOS))
 
 
-def apart(found: Screened, number: int) -> np.ndarray:
-    """The best of them that are not beside a better one, at most that many; shape (., 2 g)."""
+def apart(found: list[Found], number: int) -> list[np.ndarray]:
+    """Log-gains of the best of them that are not beside a better one, at most that many."""
     kept: list[np.ndarray] = []
-    for x in found.x:
-        if len(kept) < number and all(np.abs(x - other).max() > _SAME for other in kept):
-            kept.append(x)
-    return np.array(kept).reshape(-1, found.x.shape[1])
+    for one in found:
+        if len(kept) < number and all(np.abs(one.x - other).max() > _SAME for other in kept):
+            kept.append(one.x)
+    return kept
 
 
 def _telling(case: RobotCase, x: np.ndarray) -> np.ndarray:
@@ -137,10 +122,10 @@ def _distinct(case: RobotCase, x: np.ndarray) -> np.ndarray:
     return x[np.sort(first)]
 
 
-def _judged(case: RobotCase, x: np.ndarray) -> Screened:
-    """Those of the points that are stable, ranked."""
+def _judged(case: RobotCase, x: np.ndarray) -> list[Found]:
+    """Those of the points that are stable, the best first."""
     order = list(range(len(case.table.loops)))
-    kept, value, violation = [], [], []
+    kept = []
     for point in x:
         lost = _unstable(case, point, order)
         if lost is not None:
@@ -148,13 +133,8 @@ def _judged(case: RobotCase, x: np.ndarray) -> Screened:
             order.remove(lost)
             order.insert(0, lost)
             continue
-        kept.append(point)
-        one = _roughly(case, point)
-        value.append(one[0])
-        violation.append(one[1])
-    shape = np.array(kept).reshape(-1, x.shape[1])
-    alone = Screened(shape, np.array(value), np.array(violation), len(x))
-    return _ranked(alone, Screened(shape[:0], np.empty(0), np.empty(0), 0))
+        kept.append(Found(point, *_roughly(case, point), 0, 0))
+    return sorted(kept, key=Found.rank)
 
 
 def _unstable(case: RobotCase, x: np.ndarray, order: list[int]) -> int | None:
@@ -174,13 +154,3 @@ def _roughly(case: RobotCase, x: np.ndarray) -> tuple[float, float]:
     over = [found[metric].max() - sign * np.log(bound) for _, metric, sign, bound in goal.rows]
     own = x[: len(x) // 2] @ case.groups.share if goal.metric == "kp" else -found[goal.metric].max()
     return float(own), float(max(over, default=-np.inf))
-
-
-def _ranked(one: Screened, other: Screened) -> Screened:
-    """Both together: what meets the bounds by its value, then the others by their excess."""
-    x = np.concatenate([one.x, other.x])
-    value = np.concatenate([one.value, other.value])
-    violation = np.concatenate([one.violation, other.violation])
-    met = violation <= MET
-    order = np.lexsort((np.where(met, -value, violation), ~met))
-    return Screened(x[order], value[order], violation[order], one.tried + other.tried)
