@@ -392,22 +392,10 @@ def test_parameters_lists_units_and_defaults():
 )
 def test_the_users_own_xla_flags_are_respected(given, expected, monkeypatch):
     monkeypatch.setattr(_xla, "_has_wide_vectors", lambda: True)
-    monkeypatch.setattr(_xla, "_takes_loops_apart", lambda: False)
     monkeypatch.setenv("XLA_FLAGS", given)
     monkeypatch.setenv(_xla.DEVICE_COUNT, "7")
     _xla.prepare(all_cores=True)
     assert os.environ["XLA_FLAGS"] == expected and os.environ[_xla.DEVICE_COUNT] == "7"
-
-
-@pytest.mark.parametrize("given", ["", "--xla_backend_extra_options=xla_cpu_x=1"])
-def test_an_older_xla_is_told_to_compile_loops_whole(given, monkeypatch):
-    monkeypatch.setattr(_xla, "_has_wide_vectors", lambda: False)
-    monkeypatch.setattr(_xla, "_takes_loops_apart", lambda: True)
-    monkeypatch.setenv("XLA_FLAGS", given)
-    monkeypatch.setenv(_xla.DEVICE_COUNT, "7")
-    _xla.prepare()
-    whole = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
-    assert os.environ["XLA_FLAGS"] == (given or whole)
 
 
 @pytest.mark.parametrize(
@@ -422,7 +410,6 @@ def test_openblas_gets_one_thread_unless_the_user_says_otherwise(given, expected
 
 def test_a_sweep_gets_a_device_for_every_core(monkeypatch):
     monkeypatch.setattr(_xla, "_has_wide_vectors", lambda: False)
-    monkeypatch.setattr(_xla, "_takes_loops_apart", lambda: False)
     monkeypatch.setenv("XLA_FLAGS", "")
     monkeypatch.delenv(_xla.DEVICE_COUNT, raising=False)
     monkeypatch.setenv("JAX_NUM_CPU_DEVICES", "")

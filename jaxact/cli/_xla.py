@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import os
 from importlib import metadata
 from pathlib import Path
@@ -12,14 +11,11 @@ if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
 
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
-EXTRA = "--xla_backend_extra_options"
 POOL = "NPROC"
 THREADS = "OPENBLAS_NUM_THREADS"
 _OTHER_THREADS = ("OMP_NUM_THREADS", "GOTO_NUM_THREADS")  # which OpenBLAS reads too
 DEVICE_COUNT = "JAX_NUM_CPU_DEVICES"
 _OLD_DEVICE_COUNT = "--xla_force_host_platform_device_count"
-# Bytes that a loop may touch and still be compiled into one kernel: any number that occurs.
-_WHOLE_LOOPS = "xla_cpu_small_while_loop_byte_threshold=1000000000"
 
 
 def prepare(*, all_cores: bool = False) -> None:
@@ -28,8 +24,7 @@ def prepare(*, all_cores: bool = False) -> None:
     all_cores: one CPU device for each core this process may use, so that a sweep uses them all
 
     XLA prefers 256-bit vectors by itself even where the CPU has 512-bit ones, which costs a sweep
-    of the mass plant up to half its speed. Before JAX 0.12, it starts the operations of a loop one
-    by one, unless the loop touches next to nothing, which costs a sweep four fifths of its speed.
+    of the mass plant up to half its speed.
 
     OpenBLAS, which NumPy and SciPy bring along, would start a thread for each core. They wait by
     spinning, on cores that JAX could use, and a robot's matrices are too small for several.
@@ -37,8 +32,6 @@ def prepare(*, all_cores: bool = False) -> None:
     flags = given = os.environ.get("XLA_FLAGS", "")
     if VECTOR_WIDTH not in given and _has_wide_vectors():
         flags = f"{flags} {VECTOR_WIDTH}=512"
-    if EXTRA not in given and _takes_loops_apart():
-        flags = f"{flags} {EXTRA}={_WHOLE_LOOPS}"
     if flags != given:
         os.environ["XLA_FLAGS"] = flags.strip()
     enlarge_pool()
@@ -72,17 +65,8 @@ def call_at_once(specification: Specification) -> None:
 
 
 def _may_run_dry() -> bool:
-    return _version_of_jax().startswith("0.10.") and cores() < 8
-
-
-def _takes_loops_apart() -> bool:
-    return _version_of_jax().startswith(("0.10.", "0.11."))
-
-
-@functools.cache
-def _version_of_jax() -> str:
-    """Without importing it."""
-    return metadata.version("jax")
+    """By the version of JAX, which is not imported."""
+    return metadata.version("jax").startswith("0.10.") and cores() < 8
 
 
 def cores() -> int:

@@ -2,8 +2,7 @@
 
 On the CPU, XLA starts the operations of a program one by one, some of them on other threads, which
 takes a microsecond or more each. What is inside a loop it compiles as a whole: a drive's control
-period takes 25 instead of 150 microseconds that way. Releases before JAX 0.12 do so where XLA is
-told to, as the command line does.
+period takes 25 instead of 150 microseconds that way. Releases before JAX 0.12 do not.
 """
 
 from __future__ import annotations

@@ -30,9 +30,6 @@ from jaxact.simulation.rollout import RolloutOptions
 
 # Control periods of the mass plant in one iteration of the compiled loop.
 _UNROLL = 4
-# The same with JAX 0.10, which fuses several of them in spite of the stages between, and computes
-# the same numbers over and over.
-_OLD_UNROLL = 1
 
 # A robot has many slow modes (contacts that creep), which only blocks of many periods tell apart; a
 # start that has settled for long holds too few of them.
@@ -188,7 +185,6 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
     )
     if engine.exact and jax.default_backend() == "cpu":
         options = replace(options, staged=True)
-    unroll = _OLD_UNROLL if engines.old_jax() else _UNROLL
     ticks = _rollout.whole_ticks(specification.duration, 1.0 / fastest)
     varied = {base(axis.name) for axis in specification.axes}
     varied |= {base(name) for name in specification.parameters}
@@ -203,7 +199,7 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
         drive=options,
         rollout=RolloutOptions(
             ticks=ticks,
-            unroll=unroll if engine.exact else 1,
+            unroll=_UNROLL if engine.exact else 1,
             linear_plant=not engine.robot,
             stops=engine.in_jax,
         ),
