@@ -14,7 +14,7 @@ from study import CONTROL_RATE, KD, KP, MASS, Cases
 
 from jaxact.analysis.joint.frequency import JointLoop, sensitivity
 from jaxact.analysis.joint.margins import margins
-from jaxact.analysis.sampled.margins import sampled_margins
+from jaxact.analysis.sampled import margins as sampled
 from jaxact.analysis.sampled.period_map import SampledLoop, delay_steps
 from jaxact.analysis.sampled.search import sampled_response
 from jaxact.compilation.programs import Program
@@ -22,84 +22,100 @@ from jaxact.compilation.programs import Program
 # The margins work through their batch in tiles of so many; a rest would be compiled on its own.
 _TILE = 64
 
+Values = float | np.ndarray
 
-def continuous_margins(cases: Cases) -> dict[str, np.ndarray]:
-    """The fields of `jaxact.analysis.joint.margins.Margins` by name, each of the cases' shape.
+_margins = Program(margins)
+_sampled_margins = Program(sampled.sampled_margins)
 
-    cases: at the nominal gains
+
+@Program
+def _responses(loops: SampledLoop, w: jax.Array) -> jax.Array:
+    return jax.vmap(sampled_response, in_axes=(0, None))(loops, w)
+
+
+def continuous_margins(
+    cases: Cases, kp: Values = KP, kd: Values = KD, mass: Values = MASS
+) -> dict[str, np.ndarray]:
+    """Margins in continuous time.
+
+    Args:
+        cases: of any shape.
+        kp, kd, mass: the study's, or others [N/m], [N s/m], [kg], broadcast to the cases' shape.
+
+    Returns:
+        The fields of `jaxact.analysis.joint.margins.Margins` by name, each of the cases' shape.
     """
-    return _arrays(Program(lambda: margins, "margins"), _joint_loop, cases)
+    return _arrays(_margins, JointLoop, _columns(cases, kp, kd, mass))
 
 
-def sampled_at_1_khz(cases: Cases) -> dict[str, np.ndarray]:
-    """The fields of `jaxact.analysis.sampled.margins.SampledMargins` by name, each of the cases'
-    shape.
+def sampled_margins(cases: Cases, control_rate: Values = CONTROL_RATE) -> dict[str, np.ndarray]:
+    """Margins of the sampled loop, with sampled velocity, at the nominal gains.
 
-    cases: at the nominal gains, control at CONTROL_RATE, sampled velocity
+    Args:
+        cases: of any shape.
+        control_rate: [Hz], broadcast to the cases' shape.
+
+    Returns:
+        The fields of `jaxact.analysis.sampled.margins.SampledMargins` by name, each of the cases'
+        shape.
     """
-    steps = delay_steps(np.asarray(cases.delay), 1.0 / CONTROL_RATE)
-    function = functools.partial(sampled_margins, max_delay_steps=steps)
-    return _arrays(Program(lambda: function, ("sampled margins", steps)), _sampled_loop, cases)
+    columns = _sampled_columns(cases, control_rate)
+    steps = delay_steps(columns["delay"], columns["control_period"])
+    function = functools.partial(_sampled_margins, max_delay_steps=steps)
+    return _arrays(function, SampledLoop, columns)
 
 
 def continuous_sensitivity(cases: Cases, w: np.ndarray) -> np.ndarray:
-    """|S(jw)| [-], shape (*cases.shape, k).
-
-    cases: at the nominal gains
-    w: frequency [rad/s], shape (k,)
-    """
+    """S(jw) [-], complex, at the nominal gains; w: [rad/s], shape (k,); (*cases.shape, k)."""
     with jax.enable_x64(True):
-        loop = jax.tree.map(lambda a: a[:, None], _joint_loop(cases.flat()))
-        found = np.abs(np.asarray(sensitivity(loop, jnp.asarray(w)[None])))
-    return found.reshape((*cases.shape, len(w)))
+        columns = {name: jnp.asarray(a.reshape((-1, 1))) for name, a in _columns(cases).items()}
+        found = sensitivity(JointLoop(**columns), jnp.asarray(w)[None])
+    return np.asarray(found).reshape((*cases.shape, len(w)))
 
 
 def sampled_sensitivity(cases: Cases, w: np.ndarray) -> np.ndarray:
-    """|S(exp(jwT))| [-] of the sampled loop, shape (*cases.shape, k).
+    """S(exp(jwT)) [-], complex, of the loop sampled at CONTROL_RATE; as `continuous_sensitivity`.
 
-    cases: at the nominal gains
-    w: frequency [rad/s], up to pi CONTROL_RATE, shape (k,)
+    Args:
+        cases: at the nominal gains.
+        w: up to pi CONTROL_RATE [rad/s], shape (k,).
     """
     with jax.enable_x64(True):
-        loops = _sampled_loop(cases.flat())
-        one = Program(lambda: jax.vmap(sampled_response, in_axes=(0, None)), "sampled responses")
-        found = np.abs(1.0 / (1.0 + np.asarray(one(loops, jnp.asarray(w)))))
+        columns = _sampled_columns(cases, CONTROL_RATE)
+        loops = SampledLoop(**{name: jnp.asarray(a.reshape(-1)) for name, a in columns.items()})
+        found = 1.0 / (1.0 + np.asarray(_responses(loops, jnp.asarray(w))))
     return found.reshape((*cases.shape, len(w)))
 
 
 def _arrays(
-    function: Callable[[Any], Any], build: Callable[[Cases], Any], cases: Cases
+    function: Callable[[Any], Any], kind: type, columns: dict[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    row = cases.flat()
-    count = row.shape[0]
+    """What a function finds of the loops of these columns; in tiles of one size, compiled once."""
+    shape = columns["kp"].shape
+    count = columns["kp"].size
     with jax.enable_x64(True):
-        found = function(build(row.padded(-count % _TILE)))
+        rows = {name: np.pad(array.reshape(-1), (0, -count % _TILE), mode="edge")
+                for name, array in columns.items()}  # fmt: skip
+        found = function(kind(**{name: jnp.asarray(row) for name, row in rows.items()}))
         return {
-            field.name: np.asarray(getattr(found, field.name))[:count].reshape(cases.shape)
+            field.name: np.asarray(getattr(found, field.name))[:count].reshape(shape)
             for field in fields(found)
+            if getattr(found, field.name) is not None
         }
 
 
-def _columns(cases: Cases) -> dict[str, Any]:
-    """The fields that both kinds of loop share; to be called where float64 is on."""
-    wn = jnp.asarray(cases.natural_frequency)
+def _columns(
+    cases: Cases, kp: Values = KP, kd: Values = KD, mass: Values = MASS
+) -> dict[str, np.ndarray]:
+    """The fields that both kinds of loop share, each of the cases' shape."""
+    names = ("kp", "kd", "mass", "natural_frequency", "damping_ratio", "delay")
     return {
-        "kp": jnp.full_like(wn, KP),
-        "kd": jnp.full_like(wn, KD),
-        "mass": jnp.full_like(wn, MASS),
-        "natural_frequency": wn,
-        "damping_ratio": jnp.asarray(cases.damping_ratio),
-        "delay": jnp.asarray(cases.delay),
+        name: np.broadcast_to(np.asarray(value, float), cases.shape)
+        for name, value in zip(names, (kp, kd, mass, *cases.columns), strict=True)
     }
 
 
-def _joint_loop(cases: Cases) -> JointLoop:
-    return JointLoop(**_columns(cases))
-
-
-def _sampled_loop(cases: Cases) -> SampledLoop:
-    columns = _columns(cases)
-    ones = jnp.ones_like(columns["kp"])
-    return SampledLoop(
-        **columns, control_period=ones / CONTROL_RATE, velocity_filter=jnp.inf * ones
-    )
+def _sampled_columns(cases: Cases, control_rate: Values) -> dict[str, np.ndarray]:
+    period = np.broadcast_to(1.0 / np.asarray(control_rate, float), cases.shape)
+    unfiltered = np.full(cases.shape, np.inf)
+    return {**_columns(cases), "control_period": period, "velocity_filter": unfiltered}

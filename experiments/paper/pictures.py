@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import study
+from claims_on_motion import actuator_step
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -26,6 +27,7 @@ _DASHES: tuple[Any, ...] = ((0, (5, 1.8)), "-")
 _MARKS = ("o", "s")
 _ROBOT_MARKS = {"hyq": "*", "starleth": "P"}
 _SHADES = ("#0B3C7D", "#2A7FB8", "#3FA66B", "#D98B1F", "#A8321A")
+_BARE: dict[str, Any] = {"color": theme.BLACK, "linestyle": "--", "linewidth": 1.0}
 _COLUMNS = {
     "continuous": "continuous time, exact",
     "sampled": "control at 1 kHz: exact (lines), simulated (marks)",
@@ -34,54 +36,78 @@ _GAINS = f"kp {study.KP:g} N/m, kd {study.KD:g} N s/m, mass {study.MASS:g} kg"
 _STUDY = "Neunert, Boaventura, Buchli, figure"
 
 
-def gain_margin(results: Results) -> Figure:
-    """Figure 2: gain margin over the actuator's natural frequency.
+def steps(results: Results) -> Figure:
+    """Figure 2: steps of the actuator's force and of the joint.
 
-    results: from `results.compute`
+    Args:
+        results: from `results.compute`.
     """
     with theme.applied():
-        paper, grid = _sheet(
-            1, 3.7, "Gain margin over the actuator's natural frequency",
-            f"{_STUDY} 2. {_GAINS}; factor on both gains at which the loop turns unstable. Marks: "
-            "bisected on the growth rate of simulated loops. Thin lines at the right: no actuator "
-            "dynamics (without delay ∞ in continuous time).",
+        handles = [
+            *(_shade(colour, wn) for colour, wn in zip(_SHADES, study.SHOWN, strict=True)),
+            Line2D([], [], color=theme.BLACK, linestyle="--", label="no dynamics, no delay"),
+        ]
+        late = study.DELAYS[study.NOMINAL_DELAY]
+        paper = page(
+            8.6, 5.4, title="Steps of the actuator's force, and of the joint",
+            entries=len(handles), entry_width=2.2,
+            footer=f"{_STUDY} 2. {_GAINS}; {wording.quantity(late, 's')} of delay. Force: exact, "
+            "after a step of its command. Joint: simulated, control at 1 kHz, after a step of the "
+            "setpoint.",
         )  # fmt: skip
-        for axes, kind in zip(grid[0], _COLUMNS, strict=True):
-            _families(axes, results, kind, "gain_margin", at_boundary=1.0)
-            _ideal(axes, results, kind, "gain_margin")
-            if kind == "sampled":
-                _simulated(axes, results, "gain_margin")
-            _log_axis(axes, 1.0, 90.0, (1, 2, 3, 5, 10, 20, 30, 50))
-        grid[0, 0].set_ylabel("gain margin [-]")
-        paper.legend(_legend())
+        grid = paper.figure.subplots(len(study.DAMPING_RATIOS), 2, sharex="col", squeeze=False)
+        since = np.linspace(0.0, 0.08, 801)
+        for z, zeta in enumerate(study.DAMPING_RATIOS):
+            force, joint = grid[z]
+            for s, colour in enumerate(_SHADES):
+                acting = actuator_step(study.SHOWN[s], zeta, since - late)
+                force.plot(1e3 * since, acting, color=colour)
+                joint.plot(_since(results.shown_steps), results.shown_steps[z, s], color=colour)
+            force.plot([0.0, 0.0, 80.0], [0.0, 1.0, 1.0], **_BARE)
+            joint.plot(_since(results.robot_steps), results.robot_steps[0, 0], **_BARE)
+            for axes, what in ((force, "force"), (joint, "position")):
+                axes.set_title(f"ζ {zeta:g}")
+                axes.set_ylabel(f"{what} / step [-]")
+                axes.grid(visible=True)
+            joint.set_xlim(0.0, 0.4)
+            joint.set_ylim(0.0, 1.7)
+        grid[-1, 0].set_xlabel("time [ms]")
+        grid[-1, 1].set_xlabel("time [s]")
+        paper.legend(handles)
     return paper.figure
 
 
-def phase_and_delay_margin(results: Results) -> Figure:
-    """Figure 3: the phase margin, which the study calls delay margin, and the real delay margin.
+def margins(results: Results) -> Figure:
+    """Figure 3: gain margin, the phase margin that the study calls delay margin, the delay margin.
 
-    results: from `results.compute`
+    Args:
+        results: from `results.compute`.
     """
     with theme.applied():
         paper, grid = _sheet(
-            2, 5.9, "Phase margin and delay margin over the actuator's natural frequency",
-            f"{_STUDY} 3. {_GAINS}. Above: what the study calls delay margin is a phase margin, in "
-            "degrees. Below: the delay that can be added before the loop turns unstable. Marks: "
-            "bisected on the growth rate of simulated loops. Thin lines at the right: no actuator "
-            "dynamics.",
+            3, 8.4, "Margins over the actuator's natural frequency",
+            f"{_STUDY} 3. {_GAINS}. Gain margin: factor on both gains at which the loop turns "
+            "unstable. What the study calls delay margin is a phase margin, in degrees; the delay "
+            "margin is the delay that can be added. Marks: bisected on the growth rate of "
+            "simulated loops. Thin lines at the right: no actuator dynamics (gain margin without "
+            "delay ∞ in continuous time).",
         )  # fmt: skip
-        for column, kind in enumerate(_COLUMNS):
-            upper, lower = grid[:, column]
-            _families(upper, results, kind, "phase_margin", at_boundary=0.0, scale=np.degrees)
-            _ideal(upper, results, kind, "phase_margin", np.degrees)
-            upper.set_ylim(0.0, 62.0)
-            _families(lower, results, kind, "delay_margin", at_boundary=0.0, scale=_milli)
-            _ideal(lower, results, kind, "delay_margin", _milli)
-            if kind == "sampled":
-                _simulated(lower, results, "delay_margin", _milli)
-            lower.set_ylim(0.0, 32.0)
-        grid[0, 0].set_ylabel("phase margin [deg]")
-        grid[1, 0].set_ylabel("delay margin [ms]")
+        rows = (
+            ("gain_margin", "gain margin [-]", 1.0, _same),
+            ("phase_margin", "phase margin [deg]", 0.0, np.degrees),
+            ("delay_margin", "delay margin [ms]", 0.0, _milli),
+        )
+        for (name, label, least, scale), panels in zip(rows, grid, strict=True):
+            for axes, kind in zip(panels, _COLUMNS, strict=True):
+                _families(axes, results, kind, name, at_boundary=least, scale=scale)
+                _ideal(axes, results, kind, name, scale)
+                if kind == "sampled" and name in results.simulated_curves:
+                    _simulated(axes, results, name, scale)
+            panels[0].set_ylabel(label)
+        for axes in grid[0]:
+            _log_axis(axes, 1.0, 90.0, (1, 2, 3, 5, 10, 20, 30, 50))
+        grid[1, 0].set_ylim(0.0, 62.0)
+        grid[2, 0].set_ylim(0.0, 32.0)
         paper.legend(_legend())
     return paper.figure
 
@@ -170,6 +196,15 @@ def _log_axis(axes: Axes, low: float, high: float, ticks: Sequence[float]) -> No
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_minor_locator(NullLocator())
+
+
+def _since(positions: np.ndarray) -> np.ndarray:
+    """Time of the control ticks [s]."""
+    return np.arange(positions.shape[-1]) / study.CONTROL_RATE
+
+
+def _shade(colour: str, wn: float) -> Line2D:
+    return Line2D([], [], color=colour, label=f"ωn {wn:g} rad/s")
 
 
 def _milli(seconds: np.ndarray) -> np.ndarray:
@@ -294,10 +329,7 @@ def _sensitivities(axes: Axes, results: Results, z: int, d: int) -> None:
 
 def _sensitivity_legend() -> list[Artist]:
     """Natural frequencies in the upper row, the three kinds below them: filled column by column."""
-    upper = [
-        Line2D([], [], color=colour, label=f"ωn {wn:g} rad/s")
-        for colour, wn in zip(_SHADES, study.SHOWN, strict=True)
-    ]
+    upper = [_shade(colour, wn) for colour, wn in zip(_SHADES, study.SHOWN, strict=True)]
     lower = [
         Line2D([], [], color=theme.INK, ls=(0, (4, 1.6)), lw=1.0, label="continuous time"),
         Line2D([], [], color=theme.INK, lw=1.3, label="sampled at 1 kHz"),
@@ -311,8 +343,8 @@ def _sensitivity_legend() -> list[Artist]:
 
 
 PICTURES: dict[str, Callable[[Results], Figure]] = {
-    "figure_2_gain_margin": gain_margin,
-    "figure_3_phase_and_delay_margin": phase_and_delay_margin,
+    "figure_2_steps": steps,
+    "figure_3_margins": margins,
     "figure_4_sensitivity": sensitivity,
     "figure_4_sensitivity_peak": sensitivity_peak,
 }

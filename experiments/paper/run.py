@@ -2,10 +2,10 @@
 
     python experiments/paper/run.py
 
-Gain margin, phase and delay margin, and sensitivity against the actuator's natural frequency
+Steps, gain, phase and delay margin, and sensitivity against the actuator's natural frequency
 [rad/s], for two damping ratios and three delays: exact in continuous time, exact when sampled at
-1 kHz, and as simulated. claims.md says of every claim what is exactly true, and for which cases it
-holds. Writes results/paper/; takes about a minute.
+1 kHz, and as simulated. claims.md says of every claim first whether it holds, then what is exactly
+true. Writes results/paper/; takes about two minutes.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def write(results: Results, folder: Path, kind: str = "png") -> None:
         theme.write(picture(results), folder / f"{name}.{kind}", title=name.replace("_", " "))
     (folder / CLAIMS).write_text(report(results), encoding="utf-8")
     for claim in claims(results):
-        print(f"{claim.holds}: {claim.says}")
+        print(f"{claim.verdict}: {claim.section}: {claim.quote}")
     print(f"wrote {folder}")
 
 

@@ -1,14 +1,13 @@
 """The same figures found by simulating the loops, without any of the exact formulas.
 
 Margins come from bisection on the sign of simulated growth rates. The sensitivity comes from one
-step response: the command answers the setpoint r with u = kp S r, so that for a step of height r
+step response: the command answers the setpoint r with u = kp S r, so that for a step of height 1
 
-    S(exp(jwT)) = sum_k (u_k - u_{k-1}) exp(-jwTk) / (kp r).
+    S(exp(jwT)) = sum_k (u_k - u_{k-1}) exp(-jwTk) / kp.
 """
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 
 import jax
@@ -16,10 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from study import CONTROL_RATE, DELAYS, KD, KP, MASS, Cases
 
-from jaxact.compilation.programs import Program
+from jaxact.compilation.programs import building
 from jaxact.drive import step as _drive
 from jaxact.drive.actuator import Actuator
 from jaxact.drive.controller import Controller, Setpoint
+from jaxact.drive.options import DriveOptions
 from jaxact.drive.step import Drive
 from jaxact.loops import loop as _loop
 from jaxact.loops.loop import Loop
@@ -31,7 +31,6 @@ LARGEST_GAIN = 200.0  # no margin of the sampled loops is larger [-]
 LONGEST_DELAY = 0.040  # nor any delay margin [s]
 _RUNGS, _ROUNDS = 33, 3
 _TILE = 1024
-_STEP = 0.1  # [m]
 _DURATION = 20.0  # of the step response [s]
 
 
@@ -71,24 +70,47 @@ def delay_margins(cases: Cases) -> np.ndarray:
 def sensitivity(cases: Cases, w: np.ndarray) -> np.ndarray:
     """|S(exp(jwT))| [-] measured from simulated step responses, shape (*cases.shape, k).
 
-    cases: at the nominal gains, stable
-    w: frequency [rad/s], up to pi CONTROL_RATE, shape (k,)
+    Args:
+        cases: at the nominal gains, stable.
+        w: frequency [rad/s], up to pi CONTROL_RATE, shape (k,).
     """
-    ticks = round(_DURATION * CONTROL_RATE)
+    commands = step_responses(cases, _DURATION)[1]
+    changes = np.diff(commands, axis=-1, prepend=0.0)
+    turned = np.exp(-1j * np.outer(np.arange(commands.shape[-1]), w) / CONTROL_RATE)
+    return np.abs(changes @ turned / KP)
+
+
+def step_responses(cases: Cases, duration: float) -> tuple[np.ndarray, np.ndarray]:
+    """Position [m] and command [N] at every control tick after a setpoint step of 1 m.
+
+    Args:
+        cases: at the nominal gains.
+        duration: [s].
+
+    Returns:
+        Both of shape (*cases.shape, ticks).
+    """
+    ticks = round(duration * CONTROL_RATE)
     row = cases.flat()
     with jax.enable_x64(True):
         options = _drive.options(_drive_of(row, 1.0, 0.0))
 
-        def command(wn: jax.Array, zeta: jax.Array, delay: jax.Array) -> jax.Array:
-            loop = Loop(Mass(jnp.asarray(MASS)), _drive_of(Cases(wn, zeta, delay), 1.0, 0.0))
-            run = rollout.trajectory(loop, options, ticks, Setpoint(jnp.asarray(_STEP)))
-            return run.command.reshape(ticks)
+        columns = map(jnp.asarray, row.columns)
+        position, command = _steps(*columns, options=options, ticks=ticks)
+    shape = (*cases.shape, ticks)
+    return np.asarray(position).reshape(shape), np.asarray(command).reshape(shape)
 
-        program = Program(lambda: jax.vmap(command), ("commands", options, ticks))
-        commands = np.asarray(program(*map(jnp.asarray, row.columns)))
-    changes = np.diff(commands, axis=-1, prepend=0.0)
-    turned = np.exp(-1j * np.outer(np.arange(ticks), w) / CONTROL_RATE)
-    return np.abs(changes @ turned / (KP * _STEP)).reshape((*cases.shape, len(w)))
+
+@building
+def _steps(options: DriveOptions, ticks: int) -> Callable:
+    """Positions and commands of loops at every tick, from their actuators' parameters."""
+
+    def one(wn: jax.Array, zeta: jax.Array, delay: jax.Array) -> tuple[jax.Array, jax.Array]:
+        loop = Loop(Mass(jnp.asarray(MASS)), _drive_of(Cases(wn, zeta, delay), 1.0, 0.0))
+        run = rollout.trajectory(loop, options, ticks, Setpoint(jnp.asarray(1.0)))
+        return run.position.reshape(ticks), run.command.reshape(ticks)
+
+    return jax.vmap(one)
 
 
 def _drive_of(cases: Cases, factor: jax.Array | float, added_delay: jax.Array | float) -> Drive:
@@ -105,20 +127,22 @@ def _growth(cases: Cases, factor: np.ndarray, added_delay: np.ndarray) -> np.nda
     columns = (*row.columns, factor.reshape(-1), added_delay.reshape(-1))
     count = factor.size
     padded = [np.pad(column, (0, -count % _TILE), mode="edge") for column in columns]
+    longest = max(DELAYS) + LONGEST_DELAY
+    every_part = Cases(np.array([1.0]), np.array([1.0]), np.array([longest]))
     with jax.enable_x64(True):
+        options = _drive.options(_drive_of(every_part, 1.0, 0.0))
         tiles = [
-            _growth_kernel()(*(jnp.asarray(column[first : first + _TILE]) for column in padded))
+            _growth_rates(
+                *(jnp.asarray(column[first : first + _TILE]) for column in padded), options=options
+            )
             for first in range(0, count, _TILE)
         ]
         return np.concatenate(tiles)[:count].reshape(cases.shape)
 
 
-@functools.cache
-def _growth_kernel() -> Program:
-    """Growth rates of a tile of loops, whose delays reach up to the longest that is asked for."""
-    longest = max(DELAYS) + LONGEST_DELAY
-    every_part = Cases(np.array([1.0]), np.array([1.0]), np.array([longest]))
-    options = _drive.options(_drive_of(every_part, 1.0, 0.0))
+@building
+def _growth_rates(options: DriveOptions) -> Callable:
+    """Growth rates of a tile of loops."""
 
     def growth(
         wn: jax.Array, zeta: jax.Array, delay: jax.Array, factor: jax.Array, added: jax.Array
@@ -129,7 +153,7 @@ def _growth_kernel() -> Program:
         state = _loop.init(prepared, options, still, still)
         return growth_rate(prepared, options, state, Setpoint(still))
 
-    return Program(lambda: jax.vmap(growth), ("growth rates", options))
+    return jax.vmap(growth)
 
 
 def _first_growing(

@@ -31,16 +31,17 @@ ROBOTS = ("ideal", "hyq", "starleth")
 LOWEST, HIGHEST, POINTS = 50.0, 800.0, 65
 # Every so many of them is simulated, and marked.
 MARKED_EVERY = 4
-# Natural frequencies whose sensitivity is drawn over frequency [rad/s].
+# Natural frequencies whose steps and sensitivities are drawn [rad/s].
 SHOWN = (70.0, 110.0, 200.0, 400.0, 800.0)
+NOMINAL_DELAY = DELAYS.index(1e-3)  # "we decided to consider a more ideal time delay of 1 ms"
 
 ASSUMED = (
-    "The text and the drawings of the study were not available when this was made; its claims are "
-    "paraphrased, and its figures are redrawn from a description of what they show.",
-    f"Figures 2 to 4 are over the actuator's natural frequency, {LOWEST:g} to {HIGHEST:g} rad/s, "
-    "one curve for each damping ratio (0.45, 0.9) and delay (0, 1, 5 ms), at the nominal gains; "
-    "figure 4 is also drawn over frequency for selected natural frequencies.",
-    "Logarithmic axes, except where a quantity passes through zero.",
+    "The study's text is at hand, its drawings are not: what its figures have on their axes is "
+    "read from the text. They are redrawn over the actuator's natural frequency, "
+    f"{LOWEST:g} to {HIGHEST:g} rad/s, one curve for each damping ratio (those of HyQ and "
+    "StarLETH, 0.45 and 0.9) and delay (0, 1, 5 ms), at the nominal gains.",
+    "The text names no numerical method. Continuous: the delay is exact. What Padé approximations "
+    "of first and second order would have given stands beside the gain margins.",
     "Gain margins are factors on both gains together; the delay is in series with the actuator.",
     "The simulated joint is an exact mass without friction, controlled at 1 kHz with held commands "
     "and sampled velocity; no quantisation, noise or saturation.",
@@ -69,14 +70,24 @@ class Cases:
         """The same loops in one row."""
         return Cases(*(np.asarray(array).reshape(-1) for array in self.columns))
 
-    def padded(self, count: int) -> Cases:
-        """One row of loops and `count` copies of the last one."""
-        return Cases(*(np.pad(array, (0, count), mode="edge") for array in self.columns))
+    def along(self, count: int) -> Cases:
+        """The same loops `count` times, along a new last axis."""
+        return Cases(*(np.repeat(array[..., None], count, axis=-1) for array in self.columns))
+
+    def at_delay(self, place: int) -> Cases:
+        """Those of one delay, of loops of shape (_, delays, ...)."""
+        return Cases(*(array[:, place] for array in self.columns))
 
     @property
     def columns(self) -> tuple[np.ndarray | jax.Array, ...]:
         """The fields in order."""
         return self.natural_frequency, self.damping_ratio, self.delay
+
+
+def joined(*parts: Cases) -> Cases:
+    """One row of all loops."""
+    rows = zip(*(part.flat().columns for part in parts), strict=True)
+    return Cases(*(np.concatenate(columns) for columns in rows))
 
 
 def frequencies() -> np.ndarray:
