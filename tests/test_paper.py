@@ -218,8 +218,9 @@ def test_claims_follow_the_numbers(found):
         robots[kind]["sensitivity_peak_frequency"] = np.full((3, 3), 99.0)
     rates = {"nominal": found.growth_rate["nominal"], "tripled": -np.ones((3, 3))}
     other = replace(
-        found, robots=robots, growth_rate=rates, rates=found.rates[..., ::-1], speeds=0.0 * found.speeds,
-        robot_steps=np.cumsum(found.robot_steps, axis=0), steps=3.0 * found.steps,
+        found, robots=robots, growth_rate=rates, rates=found.rates[..., ::-1],
+        speeds=0.0 * found.speeds, steps=3.0 * found.steps,
+        robot_steps=np.cumsum(found.robot_steps, axis=0),
         robot_sensitivity=np.cumsum(found.robot_sensitivity, axis=0),
         faster=found.curves["continuous"] | {"delay_margin": np.ones((2, 3, 6))},
     )  # fmt: skip

@@ -21,10 +21,11 @@ from study import KD, KP, MASS, Cases
 def gain_margins(cases: Cases, order: int) -> np.ndarray:
     """Smallest factor above 1 on both gains that makes the approximated loop unstable [-].
 
-    cases: at the nominal gains
-    order: of the Padé approximation
-
     Infinite where there is none; the cases' shape.
+
+    Args:
+        cases: at the nominal gains.
+        order: of the Padé approximation.
     """
     found = [
         _gain_margin(*map(float, case), order) for case in zip(*cases.flat().columns, strict=True)

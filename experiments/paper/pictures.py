@@ -115,7 +115,8 @@ def margins(results: Results) -> Figure:
 def sensitivity_peak(results: Results) -> Figure:
     """Figure 4, over the natural frequency: the peak of |S|, and the frequency where it lies.
 
-    results: from `results.compute`
+    Args:
+        results: from `results.compute`.
     """
     with theme.applied():
         paper, grid = _sheet(
@@ -144,7 +145,8 @@ def sensitivity_peak(results: Results) -> Figure:
 def sensitivity(results: Results) -> Figure:
     """Figure 4, over frequency: |S| for several natural frequencies.
 
-    results: from `results.compute`
+    Args:
+        results: from `results.compute`.
     """
     with theme.applied():
         handles = _sensitivity_legend()
@@ -230,8 +232,9 @@ def _families(
 ) -> None:
     """One curve for each damping ratio and delay, and the robots.
 
-    at_boundary: value where the loop is about to become unstable, None where it has no limit
-    jumps: interrupt the curves where they jump
+    Args:
+        at_boundary: value where the loop is about to become unstable, None where it has no limit.
+        jumps: interrupt the curves where they jump.
     """
     for z in range(len(study.DAMPING_RATIOS)):
         for d in range(len(study.DELAYS)):

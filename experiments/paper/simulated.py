@@ -37,8 +37,9 @@ _DURATION = 20.0  # of the step response [s]
 def growth_rates(cases: Cases, factor: float = 1.0) -> np.ndarray:
     """Growth rate of a perturbation of the simulated loops [1/s]; the cases' shape.
 
-    cases: with delays up to those of the study
-    factor: on both nominal gains [-]
+    Args:
+        cases: with delays up to those of the study.
+        factor: on both nominal gains [-].
     """
     return _growth(cases, np.full(cases.shape, factor), np.zeros(cases.shape))
 
@@ -46,10 +47,11 @@ def growth_rates(cases: Cases, factor: float = 1.0) -> np.ndarray:
 def gain_margins(cases: Cases) -> np.ndarray:
     """Smallest factor above 1 on both gains that makes the simulated loop grow [-].
 
-    cases: delays up to those of the study; NaN where a loop grows already, inf where
-        none does up to LARGEST_GAIN
-
     Bisected to 3e-6 of its value.
+
+    Args:
+        cases: delays up to those of the study; NaN where a loop grows already, inf where none does
+            up to LARGEST_GAIN.
     """
     ladder = np.geomspace(1.0, LARGEST_GAIN, _RUNGS)
     return _first_growing(lambda wide, rung: _growth(wide, rung, 0.0 * rung), cases, ladder)
@@ -58,10 +60,11 @@ def gain_margins(cases: Cases) -> np.ndarray:
 def delay_margins(cases: Cases) -> np.ndarray:
     """Smallest added delay that makes the simulated loop grow [s].
 
-    cases: delays up to those of the study; NaN where a loop grows already, inf where
-        none does up to LONGEST_DELAY
-
     Bisected to 0.02 microseconds.
+
+    Args:
+        cases: delays up to those of the study; NaN where a loop grows already, inf where none does
+            up to LONGEST_DELAY.
     """
     ladder = np.linspace(0.0, LONGEST_DELAY, _RUNGS)
     return _first_growing(lambda wide, rung: _growth(wide, 1.0 + 0.0 * rung, rung), cases, ladder)
@@ -161,7 +164,8 @@ def _first_growing(
 ) -> np.ndarray:
     """Where along a rising ladder the growth rate first turns positive; the cases' shape.
 
-    measure: growth rates of cases with an axis of rungs added, at values of the same shape
+    Args:
+        measure: growth rates of cases with an axis of rungs added, at values of the same shape.
     """
     row = cases.flat()
     rungs = np.broadcast_to(ladder, (*row.shape, len(ladder)))

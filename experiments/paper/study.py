@@ -52,9 +52,10 @@ ASSUMED = (
 class Cases:
     """Loops that differ in their actuator; arrays of one common shape.
 
-    natural_frequency: wn [rad/s], inf = ideal
-    damping_ratio: zeta [-]
-    delay: [s]
+    Attributes:
+        natural_frequency: wn [rad/s], inf = ideal.
+        damping_ratio: zeta [-].
+        delay: [s].
     """
 
     natural_frequency: np.ndarray | jax.Array
@@ -98,7 +99,8 @@ def frequencies() -> np.ndarray:
 def curves(natural_frequency: np.ndarray) -> Cases:
     """Families of the figures: shape (damping ratios, delays, natural frequencies).
 
-    natural_frequency: [rad/s], shape (n,)
+    Args:
+        natural_frequency: [rad/s], shape (n,).
     """
     zeta, delay, wn = np.meshgrid(DAMPING_RATIOS, DELAYS, natural_frequency, indexing="ij")
     return Cases(wn, zeta, delay)

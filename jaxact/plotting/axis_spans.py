@@ -24,9 +24,10 @@ _NO_FORCE, _WITHOUT_FORCE = 1e-9, 0.1
 class Spans:
     """What the axes of a motion show at least.
 
-    position: [m or rad]
-    velocity: [m/s or rad/s]
-    force: [N or N m]
+    Attributes:
+        position: [m or rad].
+        velocity: [m/s or rad/s].
+        force: [N or N m].
     """
 
     position: float
@@ -45,11 +46,12 @@ def spans(
 ) -> Spans:
     """The least that the axes show of some motions that begin at the same place.
 
-    time: [s], shape (steps,)
-    positions, setpoint: [m or rad], shape (steps,) each
-    forces: that act or are commanded [N or N m], shape (steps,) each
-    unit: of the position, "m" or "rad"
-    resolution: of its encoder, 0 where it is not known [m or rad]
+    Args:
+        time: [s], shape (steps,).
+        positions, setpoint: [m or rad], shape (steps,) each.
+        forces: that act or are commanded [N or N m], shape (steps,) each.
+        unit: of the position, "m" or "rad".
+        resolution: of its encoder, 0 where it is not known [m or rad].
     """
     start = float(positions[0][0])
     step = float(np.max(np.abs(setpoint - start)))

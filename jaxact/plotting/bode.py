@@ -20,8 +20,9 @@ LOWEST_PHASE = -450.0
 def bode(responses: Sequence[LoopResponse], *, title: str = "", footer: str = "") -> Figure:
     """Magnitude [dB] and phase [deg] of L(jw); margins as bars from the curve to 0 dB and -180 deg.
 
-    responses: at least one loop
-    title, footer: above and below
+    Args:
+        responses: at least one loop.
+        title, footer: above and below.
     """
     with theme.applied():
         labels = column([_described(response) for response in responses], 7.4)
@@ -35,9 +36,10 @@ def bode(responses: Sequence[LoopResponse], *, title: str = "", footer: str = ""
 def draw(axes: Sequence[Axes], responses: Sequence[LoopResponse], labels: Sequence[str]) -> None:
     """The same on given axes, without a legend.
 
-    axes: of the magnitude and of the phase
-    responses: at least one loop
-    labels: what each is called in a legend
+    Args:
+        axes: of the magnitude and of the phase.
+        responses: at least one loop.
+        labels: what each is called in a legend.
     """
     magnitude, phase = axes
     for response, label, line in zip(responses, labels, curve_styles(responses), strict=True):

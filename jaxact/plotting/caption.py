@@ -34,7 +34,8 @@ _NONLINEAR = {
 def simulated(results: xr.Dataset) -> str:
     """What was simulated: engine, control rate, velocity, duration, precision, number of loops.
 
-    results: a sweep store
+    Args:
+        results: a sweep store.
     """
     specification = json.loads(results.attrs["specification"])
     engine = _engine(specification["engine"])
@@ -65,7 +66,8 @@ def _engine(name: str) -> str:
 def exact(results: xr.Dataset) -> str:
     """What a store of margins is of: the kind of loop, its velocity and filter, how many loops.
 
-    results: from `jaxact.sweeping.margins_store`
+    Args:
+        results: from `jaxact.sweeping.margins_store`.
     """
     specification = json.loads(results.attrs["specification"])
     words = [f"Exact margins, {results.attrs['margins']}"]
@@ -123,10 +125,11 @@ def loop(
 ) -> str:
     """Of one loop: its gains and mass, how it was simulated, and what came out.
 
-    values: parameters by short name
-    results: figures by the names of a sweep's variables
-    static: options of a specification by name
-    unit: of the joint's position
+    Args:
+        values: parameters by short name.
+        results: figures by the names of a sweep's variables.
+        static: options of a specification by name.
+        unit: of the joint's position.
     """
     engine = _engine(str(static["engine"]))
     rate = wording.quantity(values["control_rate"], "Hz")

@@ -29,9 +29,10 @@ _FLAT = 1.1
 class UnmetBound:
     """What a tuning did not reach.
 
-    words: a short sentence
-    ratio: of the figure that is missed most to its bound, at the best gains that were found;
-        inf where none were found that are stable [-]
+    Attributes:
+        words: a short sentence.
+        ratio: of the figure that is missed most to its bound, at the best gains that were found;
+            inf where none were found that are stable [-].
     """
 
     words: str
@@ -51,14 +52,15 @@ def convergence(
 ) -> Figure:
     """The objective of every start along the descent, and by how much its constraints are missed.
 
-    values: of the objective in its unit, shape (starts, steps)
-    violations: largest ratio of a figure to its bound [-], 1 where it is met, same shape
-    label: of the objective, with unit
-    given: the last start is the user's own
-    stable: starts that came to stable gains, shape (starts,), None for all; figures of unstable
-        loops say nothing, and are not compared with the bounds
-    missed: what was not reached, None where everything was
-    title, footer: above and below
+    Args:
+        values: of the objective in its unit, shape (starts, steps).
+        violations: largest ratio of a figure to its bound [-], 1 where it is met, same shape.
+        label: of the objective, with unit.
+        given: the last start is the user's own.
+        stable: starts that came to stable gains, shape (starts,), None for all; figures of unstable
+            loops say nothing, and are not compared with the bounds.
+        missed: what was not reached, None where everything was.
+        title, footer: above and below.
     """
     stable = np.ones(len(values), bool) if stable is None else np.asarray(stable)
     with theme.applied():

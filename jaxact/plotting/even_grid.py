@@ -20,10 +20,12 @@ def refined(results: xr.Dataset) -> bool:
 def resampled(results: xr.Dataset) -> xr.Dataset:
     """An even grid over the refined axes, in which every cell shows the sample nearest to it.
 
-    results: of an adaptive sweep, in memory; all along `sample`
+    Args:
+        results: of an adaptive sweep, in memory; all along `sample`.
 
-    Returns a dataset with a dimension for every axis of the specification, in its order. Near is
-    meant on the axes as they are spaced, each as long as the others.
+    Returns:
+        A dataset with a dimension for every axis of the specification, in its order. Near is meant
+        on the axes as they are spaced, each as long as the others.
     """
     said = json.loads(results.attrs["adaptive"])
     axes = json.loads(results.attrs["specification"])["axes"]

@@ -42,12 +42,13 @@ OF_LIMIT_CYCLES = ("limit_cycle_amplitude", "limit_cycle_frequency")
 class Field:
     """How one variable is coloured.
 
-    variable: its name in the store
-    label: text of the colour bar, with unit
-    colors: colour map
-    norm: value -> [0, 1]
-    ticks: colour-bar ticks, None for matplotlib's own
-    extend: arrows of the colour bar where values lie beyond it
+    Attributes:
+        variable: its name in the store.
+        label: text of the colour bar, with unit.
+        colors: colour map.
+        norm: value -> [0, 1].
+        ticks: colour-bar ticks, None for matplotlib's own.
+        extend: arrows of the colour bar where values lie beyond it.
     """
 
     variable: str
@@ -76,7 +77,8 @@ def usual(dataset: xr.Dataset) -> str:
 def field(dataset: xr.Dataset, variable: str) -> Field:
     """Colours of a variable over the whole sweep, so that all panels share them.
 
-    Raises UserError for a name that is not in the store, and one without a finite value.
+    Raises:
+        UserError: a name that is not in the store, and one without a finite value.
     """
     known = variables(dataset)
     if variable not in known:

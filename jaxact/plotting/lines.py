@@ -39,11 +39,12 @@ def lines(
 ) -> Figure:
     """A variable along one parameter.
 
-    dataset: the whole sweep (the value axis is shared by all panels)
-    arrangement: kind "lines", see `jaxact.plotting.panels.arrange`
-    variable: along the value axis; the growth rate on a symmetric-log one with zero drawn
-    nominal: x of the point to mark with a vertical line
-    title, footer: above and below
+    Args:
+        dataset: the whole sweep (the value axis is shared by all panels).
+        arrangement: kind "lines", see `jaxact.plotting.panels.arrange`.
+        variable: along the value axis; the growth rate on a symmetric-log one with zero drawn.
+        nominal: x of the point to mark with a vertical line.
+        title, footer: above and below.
     """
     field(dataset, variable)  # refuses unknown names and empty variables
     with theme.applied():

@@ -29,13 +29,14 @@ def nyquist(
 ) -> Figure:
     """L(jw) in the complex plane near the critical point -1.
 
-    responses: at least one loop
-    title, footer: above and below
-    reach: how far the picture extends to the left of the origin [-]
-
     The shaded disk of a stable loop has its diameter from -(2 + a)/(2 - a) to -(2 - a)/(2 + a),
     with a the balanced disk margin: L stays outside and touches it (Seiler, Packard and Gahinet,
     "An introduction to disk margins", 2020).
+
+    Args:
+        responses: at least one loop.
+        title, footer: above and below.
+        reach: how far the picture extends to the left of the origin [-].
     """
     with theme.applied():
         labels = column([_described(response) for response in responses], 6.6)
@@ -54,10 +55,11 @@ def draw(
 ) -> None:
     """The same on given axes, without a legend.
 
-    axes: of the complex plane
-    responses: at least one loop
-    labels: what each is called in a legend
-    reach: as for `nyquist`
+    Args:
+        axes: of the complex plane.
+        responses: at least one loop.
+        labels: what each is called in a legend.
+        reach: as for `nyquist`.
     """
     circle = Circle((0.0, 0.0), 1.0, fill=False, edgecolor=theme.FAINT, linewidth=0.9, zorder=1)
     axes.add_patch(circle)

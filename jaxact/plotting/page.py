@@ -24,9 +24,10 @@ _LEGEND_LINE, _FOOTER_LINE = 0.185, 0.15
 class Page:
     """A figure with room reserved below its panels.
 
-    figure: the figure; panels added to it stay clear of title, legend and footer
-    columns: entries of the legend side by side
-    legend_bottom: lower edge of the legend as a fraction of the height
+    Attributes:
+        figure: the figure; panels added to it stay clear of title, legend and footer.
+        columns: entries of the legend side by side.
+        legend_bottom: lower edge of the legend as a fraction of the height.
     """
 
     figure: Figure
@@ -55,11 +56,12 @@ def page(
 ) -> Page:
     """A page whose panels, with their labels, get width x height.
 
-    width, height: of the panels [inch]
-    title: above, wrapped to at most two lines, "" for none
-    footer: small print below, wrapped to the width, "" for none
-    entries: how many entries the legend will have
-    entry_width: room of one entry [inch]; fewer stand side by side where it is large
+    Args:
+        width, height: of the panels [inch].
+        title: above, wrapped to at most two lines, "" for none.
+        footer: small print below, wrapped to the width, "" for none.
+        entries: how many entries the legend will have.
+        entry_width: room of one entry [inch]; fewer stand side by side where it is large.
     """
     letters = int(width * _LETTERS_PER_INCH)
     lines = [part for line in footer.splitlines() for part in textwrap.wrap(line, letters)]
@@ -89,9 +91,10 @@ def page(
 def column(labels: Sequence[str], width: float) -> list[str]:
     """Labels of a legend of one column, those that are too long broken into lines.
 
-    width: of the panels [inch]
-
     The legend takes as many entries of room as there are lines, see `lines`.
+
+    Args:
+        width: of the panels [inch].
     """
     return ["\n".join(_broken(label, 72.0 * (width - _HANDLE))) for label in labels]
 

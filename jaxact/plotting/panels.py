@@ -25,11 +25,12 @@ MOST_CATEGORIES = 12
 class Axis:
     """One swept parameter as it is drawn.
 
-    name: parameter name
-    values: distinct values in the order drawn, shape (n,); numbers, or names of categories
-    units: SI unit, "" for none
-    label: text of the axis
-    scale: "log" or "linear" as the values are spaced, "category" for names
+    Attributes:
+        name: parameter name.
+        values: distinct values in the order drawn, shape (n,); numbers, or names of categories.
+        units: SI unit, "" for none.
+        label: text of the axis.
+        scale: "log" or "linear" as the values are spaced, "category" for names.
     """
 
     name: str
@@ -48,11 +49,13 @@ class Axis:
 class Panel:
     """One small picture: where it stands, its caption, and its part of the sweep.
 
-    row, column: place in the grid of panels
-    caption: above the panel: value of the column's facet with its unit, "" where there is none
-    row_caption: beside the last panel of a row: value of the row's facet, "" where there is none
-    data: the part of the store; dims (y, x) for a map, (x,) or (series, x) for lines,
-        (point,) for a scatter. Facet parameters are scalar coordinates.
+    Attributes:
+        row, column: place in the grid of panels.
+        caption: above the panel: value of the column's facet with its unit, "" where there is none.
+        row_caption: beside the last panel of a row: value of the row's facet, "" where there is
+            none.
+        data: the part of the store; dims (y, x) for a map, (x,) or (series, x) for lines, (point,)
+            for a scatter. Facet parameters are scalar coordinates.
     """
 
     row: int
@@ -66,12 +69,13 @@ class Panel:
 class Arrangement:
     """All panels of a picture.
 
-    kind: "map", "scatter" or "lines"
-    x, y: the axes; y is the family of curves for lines (None: a single curve)
-    rows, columns: size of the grid of panels
-    panels: one entry a panel, row by row
-    data: the part of the sweep that is shown, all panels together
-    selected: captions of the parameters of which one value was picked
+    Attributes:
+        kind: "map", "scatter" or "lines".
+        x, y: the axes; y is the family of curves for lines (None: a single curve).
+        rows, columns: size of the grid of panels.
+        panels: one entry a panel, row by row.
+        data: the part of the sweep that is shown, all panels together.
+        selected: captions of the parameters of which one value was picked.
     """
 
     kind: Kind
@@ -95,15 +99,17 @@ def arrange(
 ) -> Arrangement:
     """Panels of a sweep: x and y across each panel, the facets from panel to panel.
 
-    dataset: a sweep store: a dimension for each gridded parameter, and `sample` for drawn ones
-    kind: what to draw; None: scatter where parameters were drawn, map for a grid of two or more
-        axes, lines for one
-    x, y: parameters across a panel; None: kp and kd where they are swept, else the first two
-    facet: at most two gridded parameters, rows then columns; further gridded ones are added
-    select: parameter -> value; keeps the nearest value of that gridded parameter only
+    Args:
+        dataset: a sweep store: a dimension for each gridded parameter, and `sample` for drawn ones.
+        kind: what to draw; None: scatter where parameters were drawn, map for a grid of two or more
+            axes, lines for one.
+        x, y: parameters across a panel; None: kp and kd where they are swept, else the first two.
+        facet: at most two gridded parameters, rows then columns; further gridded ones are added.
+        select: parameter -> value; keeps the nearest value of that gridded parameter only.
 
-    Raises UserError for a name that was not swept, an axis with a single value, more parameters
-    than can be shown, and a kind that does not fit the store.
+    Raises:
+        UserError: a name that was not swept, an axis with a single value, more parameters than can
+            be shown, and a kind that does not fit the store.
     """
     dataset = _select(_sorted(dataset), select or {})
     gridded, drawn = _gridded(dataset), _drawn(dataset)

@@ -17,19 +17,20 @@ from jaxact.plotting import theme, ticks
 class LoopResponse:
     """Frequency response of one open loop, ready to be drawn.
 
-    label: name in the legend
-    frequency: w [rad/s], rising, shape (n,)
-    open_loop: L(jw), complex, shape (n,)
-    phase: of L along the frequencies, unwrapped [deg], shape (n,)
-    margins: figures by the names of `jaxact margins`: gain_margin [-], phase_crossover [rad/s],
-        phase_margin [deg], gain_crossover [rad/s], delay_margin [s], sensitivity_peak [-],
-        sensitivity_peak_frequency [rad/s], complementary_peak [-],
-        complementary_peak_frequency [rad/s], disk_margin [-]; infinite where there is no crossover,
-        and missing or NaN where the loop is unstable
-    stable: whether the closed loop is
-    nyquist_frequency: pi/T of a sampled loop [rad/s], inf in continuous time
-    loop: number of the loop that this is a curve of; its curves share a colour. None: a loop of
-        its own
+    Attributes:
+        label: name in the legend.
+        frequency: w [rad/s], rising, shape (n,).
+        open_loop: L(jw), complex, shape (n,).
+        phase: of L along the frequencies, unwrapped [deg], shape (n,).
+        margins: figures by the names of `jaxact margins`: gain_margin [-], phase_crossover [rad/s],
+            phase_margin [deg], gain_crossover [rad/s], delay_margin [s], sensitivity_peak [-],
+            sensitivity_peak_frequency [rad/s], complementary_peak [-], complementary_peak_frequency
+            [rad/s], disk_margin [-]; infinite where there is no crossover, and missing or NaN where
+            the loop is unstable.
+        stable: whether the closed loop is.
+        nyquist_frequency: pi/T of a sampled loop [rad/s], inf in continuous time.
+        loop: number of the loop that this is a curve of; its curves share a colour. None: a loop of
+            its own.
     """
 
     label: str

@@ -27,12 +27,13 @@ def whole_robot(
 ) -> Figure:
     """Largest singular values of S and T, |S_ii| and |T_ii| of each joint, and two motions.
 
-    curves, margins: of the same loop
-    title, footer: above and below
-
     The bars are the joints' shares in the kinetic energy of the least damped or fastest growing
     mode, of what shakes first with more delay, and of the response at the peak of the largest
     singular value of S.
+
+    Args:
+        curves, margins: of the same loop.
+        title, footer: above and below.
     """
     with theme.applied():
         entries = 1 + len(_named(margins))

@@ -31,14 +31,15 @@ def gains(
 ) -> Figure:
     """kp and kd of every group, before and after, and where every start ended.
 
-    names: of the groups
-    before, after: kp and kd, shape (groups,) each; None without a start
-    ends: of the descent, shape (starts, 2, groups)
-    units: of kp and kd
-    title, footer: above and below
-
     A gain that is far from all others is drawn as an arrow at the edge, with its value, so that
     the others are not squeezed.
+
+    Args:
+        names: of the groups.
+        before, after: kp and kd, shape (groups,) each; None without a start.
+        ends: of the descent, shape (starts, 2, groups).
+        units: of kp and kd.
+        title, footer: above and below.
     """
     with theme.applied():
         width = min(max(5.2, 1.4 + 0.9 * len(names)), 12.0)
@@ -103,7 +104,8 @@ def _marks(
 ) -> None:
     """Marks of some gains; what is beyond the axis is an arrow at its edge.
 
-    value: write the number beside the arrow
+    Args:
+        value: write the number beside the arrow.
     """
     low, high = axes.get_ylim()
     inside = (values >= low) & (values <= high)

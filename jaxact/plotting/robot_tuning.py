@@ -22,9 +22,10 @@ _LOWEST, _HIGHEST = 0.05, 50.0
 class Band:
     """Largest singular values over frequency, of all loops of a situation.
 
-    name: of the situation
-    frequency: w [rad/s], rising, shape (f,)
-    sensitivity, complementary: of S and T of each loop [-], shape (l, f)
+    Attributes:
+        name: of the situation.
+        frequency: w [rad/s], rising, shape (f,).
+        sensitivity, complementary: of S and T of each loop [-], shape (l, f).
     """
 
     name: str
@@ -39,9 +40,10 @@ def sensitivities(
 ) -> Figure:  # fmt: skip
     """Largest singular values of S and T, from the lowest to the highest of each situation's loops.
 
-    before, after: of every situation; before may be empty
-    max_peak: the bound that is drawn, inf for none
-    title, footer: above and below
+    Args:
+        before, after: of every situation; before may be empty.
+        max_peak: the bound that is drawn, inf for none.
+        title, footer: above and below.
     """
     number = len(after)
     with theme.applied():

@@ -51,12 +51,13 @@ def scatter(
 ) -> Figure:
     """A variable at every sampled loop over two of its parameters.
 
-    dataset: the whole sweep (the colour scale is shared by all panels)
-    arrangement: kind "scatter", see `jaxact.plotting.panels.arrange`
-    variable: coloured; loops without a finite value are drawn grey
-    boundaries: exact boundary of each panel in order, None where there is none
-    nominal: (x, y) of the point to mark
-    title, footer: above and below
+    Args:
+        dataset: the whole sweep (the colour scale is shared by all panels).
+        arrangement: kind "scatter", see `jaxact.plotting.panels.arrange`.
+        variable: coloured; loops without a finite value are drawn grey.
+        boundaries: exact boundary of each panel in order, None where there is none.
+        nominal: (x, y) of the point to mark.
+        title, footer: above and below.
     """
     shown = field(dataset, variable)
     with theme.applied():

@@ -123,7 +123,8 @@ def frames(
 def held(qpos: np.ndarray) -> np.ndarray:
     """The motion with its last finite pose held from where one is not finite.
 
-    qpos: shape (frames, nq)
+    Args:
+        qpos: shape (frames, nq).
     """
     broken = np.flatnonzero(~np.isfinite(qpos).all(axis=1))
     if broken.size == 0:
@@ -140,9 +141,10 @@ def joint_speed(model: mujoco.MjModel, qpos: np.ndarray, time: np.ndarray) -> np
 
     The six of a floating base do not count.
 
-    model: the compiled model
-    qpos: shape (steps, nq)
-    time: of the samples [s], shape (steps,)
+    Args:
+        model: the compiled model.
+        qpos: shape (steps, nq).
+        time: of the samples [s], shape (steps,).
     """
     import mujoco
 

@@ -16,8 +16,9 @@ from jaxact.plotting.response import LoopResponse, curve_styles, frequency_axis,
 def sensitivity(responses: Sequence[LoopResponse], *, title: str = "", footer: str = "") -> Figure:
     """|S(jw)| = |1/(1 + L)| and |T(jw)| = |L/(1 + L)|, with the peaks Ms and Mt.
 
-    responses: at least one loop; an unstable one is drawn faint, its peaks say nothing
-    title, footer: above and below
+    Args:
+        responses: at least one loop; an unstable one is drawn faint, its peaks say nothing.
+        title, footer: above and below.
     """
     with theme.applied():
         labels = column([_described(response) for response in responses], 7.4)
@@ -31,9 +32,10 @@ def sensitivity(responses: Sequence[LoopResponse], *, title: str = "", footer: s
 def draw(axes: Sequence[Axes], responses: Sequence[LoopResponse], labels: Sequence[str]) -> None:
     """The same on given axes, without a legend.
 
-    axes: of |S| and of |T|
-    responses: at least one loop
-    labels: what each is called in a legend
+    Args:
+        axes: of |S| and of |T|.
+        responses: at least one loop.
+        labels: what each is called in a legend.
     """
     upper, lower = axes
     for response, label, line in zip(responses, labels, curve_styles(responses), strict=True):

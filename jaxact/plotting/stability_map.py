@@ -75,14 +75,15 @@ def stability_map(
 ) -> Figure:
     """Small multiples of a variable over (x, y), one panel for each facet value.
 
-    dataset: the whole sweep (the colour scale is shared by all panels)
-    arrangement: kind "map", see `jaxact.plotting.panels.arrange`
-    variable: coloured; rates are centred on zero
-    boundaries: exact boundary of each panel in order, None where there is none
-    nominal: (x, y) of the point to mark
-    linearised: draw where the rate of the linearised loops is zero, as of robots: the one that is
-        coloured, else the one that is usual
-    title, footer: above and below
+    Args:
+        dataset: the whole sweep (the colour scale is shared by all panels).
+        arrangement: kind "map", see `jaxact.plotting.panels.arrange`.
+        variable: coloured; rates are centred on zero.
+        boundaries: exact boundary of each panel in order, None where there is none.
+        nominal: (x, y) of the point to mark.
+        linearised: draw where the rate of the linearised loops is zero, as of robots: the one that
+            is coloured, else the one that is usual.
+        title, footer: above and below.
     """
     shown = field(dataset, variable)
     with theme.applied():
@@ -115,12 +116,13 @@ def draw(
 ) -> None:
     """One panel on given axes, whose scales and labels are left as they are.
 
-    axes: to draw on
-    arrangement, panel: which part of the sweep
-    shown: the variable, of `jaxact.plotting.field.field`
-    exact: boundary, None for none
-    zero: lines (x, y) where a linearised rate is zero
-    nominal: (x, y) of the point to mark
+    Args:
+        axes: to draw on.
+        arrangement, panel: which part of the sweep.
+        shown: the variable, of `jaxact.plotting.field.field`.
+        exact: boundary, None for none.
+        zero: lines (x, y) where a linearised rate is zero.
+        nominal: (x, y) of the point to mark.
     """
     _field(axes, arrangement, panel, shown)
     # A line that says where the border is needs no staircase of cells beside it.
@@ -136,9 +138,10 @@ def draw(
 def frame(arrangement: Arrangement, title: str, *, footer: str = "", entries: int = 0) -> Frame:
     """An empty figure: one dressed pair of axes for each panel, room for legend and footer.
 
-    title: above everything, "" for none
-    footer: small print below everything, "" for none
-    entries: how many entries the legend will have
+    Args:
+        title: above everything, "" for none.
+        footer: small print below everything, "" for none.
+        entries: how many entries the legend will have.
     """
     rows, columns = arrangement.rows, arrangement.columns
     side = {1: 4.6, 2: 3.2}.get(columns, 2.55)

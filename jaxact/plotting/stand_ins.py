@@ -69,8 +69,9 @@ def half_edges(mass: float, inertia: np.ndarray) -> np.ndarray:
     I1 = m (b^2 + c^2) / 3 and so on, for half edges a, b, c: a^2 = 3 (I2 + I3 - I1) / (2 m).
     Moments that no rigid body has give an edge of 0.
 
-    mass: [kg]
-    inertia: principal moments [kg m^2], shape (3,)
+    Args:
+        mass: [kg].
+        inertia: principal moments [kg m^2], shape (3,).
     """
     squares = 1.5 * (inertia.sum() - 2.0 * inertia) / mass
     return np.sqrt(np.maximum(squares, 0.0))
@@ -96,8 +97,9 @@ def extent(model: mujoco.MjModel, own: StandIns) -> float:
 def add(scene: mujoco.MjvScene, model: mujoco.MjModel, data: mujoco.MjData, own: StandIns) -> None:
     """Append the boxes and bars to a scene that MuJoCo has filled.
 
-    data: of the model, its kinematics and centres of mass up to date
-    own: from `stand_ins`
+    Args:
+        data: of the model, its kinematics and centres of mass up to date.
+        own: from `stand_ins`.
     """
     import mujoco
 

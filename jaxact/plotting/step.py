@@ -23,9 +23,10 @@ HEIGHTS = (1.5, 1.0)
 class StepResponse:
     """One loop's response, ready to be drawn.
 
-    label: name in the legend, with what is said of the response
-    run: its trajectory
-    stable: an unstable response is drawn thin, and does not set the picture's range
+    Attributes:
+        label: name in the legend, with what is said of the response.
+        run: its trajectory.
+        stable: an unstable response is drawn thin, and does not set the picture's range.
     """
 
     label: str
@@ -44,11 +45,12 @@ def step(
 ) -> Figure:
     """Position against its setpoint, with the settling band, and force.
 
-    responses: at least one loop
-    title, footer: above and below
-    units: of the position and of the force
-    band: half width of the settling band as a fraction of the step [-]
-    until: end of the time axis [s], where it is before the end of the runs
+    Args:
+        responses: at least one loop.
+        title, footer: above and below.
+        units: of the position and of the force.
+        band: half width of the settling band as a fraction of the step [-].
+        until: end of the time axis [s], where it is before the end of the runs.
     """
     with theme.applied():
         labels = column([response.label for response in responses], 7.4)
@@ -74,10 +76,11 @@ def draw(
 ) -> None:
     """The same on given axes, without a legend.
 
-    axes: of position and force
-    responses: at least one loop
-    labels: what each is called in a legend
-    units, band, until: as for `step`
+    Args:
+        axes: of position and force.
+        responses: at least one loop.
+        labels: what each is called in a legend.
+        units, band, until: as for `step`.
     """
     upper, lower = axes
     longest = max((r.run.time for r in responses), key=lambda time: float(time[-1]))

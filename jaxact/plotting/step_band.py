@@ -24,9 +24,10 @@ _HIGHEST, _BEYOND = 2.2, 10.0
 class Responses:
     """Responses with one pair of gains.
 
-    rows: position relative to the step, shape (members, ticks)
-    names: of the members, in their order; none where there is one
-    nominal: response of the nominal plant, shape (ticks,); None where it is the only member
+    Attributes:
+        rows: position relative to the step, shape (members, ticks).
+        names: of the members, in their order; none where there is one.
+        nominal: response of the nominal plant, shape (ticks,); None where it is the only member.
     """
 
     rows: np.ndarray
@@ -46,9 +47,10 @@ def step_band(
 
     In it, solid the nominal plant, and dashed the member that overshoots most.
 
-    time: [s], shape (ticks,)
-    before, after: None for no start
-    title, footer: above and below
+    Args:
+        time: [s], shape (ticks,).
+        before, after: None for no start.
+        title, footer: above and below.
     """
     with theme.applied():
         sides = [(before, BEFORE, "before"), (after, AFTER, "after")]

@@ -102,7 +102,8 @@ def shade(color: str, share: float) -> str:
 def check_output(path: Path) -> Path:
     """The path of a picture to be written, if it can be.
 
-    Raises UserError for a format that is not one of FORMATS, and a folder that is not there.
+    Raises:
+        UserError: a format that is not one of FORMATS, and a folder that is not there.
     """
     suffix = path.suffix.lower().lstrip(".")
     if suffix not in FORMATS:
@@ -119,7 +120,9 @@ def write(figure: Figure, path: Path, *, title: str) -> None:
     """Write the figure as PNG, SVG or PDF, by the path's ending, whole or not at all.
 
     The same figure gives the same file: no date is stored. An existing file is replaced.
-    Raises UserError as `check_output`, and when the folder cannot be written to.
+
+    Raises:
+        UserError: as `check_output`, or the folder cannot be written to.
     """
     check_output(path)
     kind = path.suffix.lower().lstrip(".")

@@ -67,8 +67,9 @@ class LogLabels(Formatter):
 def label(axis: Axis, *, factor: float = 1.0) -> None:
     """Give a logarithmic axis its labels, and ticks without labels in between.
 
-    axis: `axes.xaxis`, `axes.yaxis` or that of a colour bar, with its scale set
-    factor: from its numbers to those that are written, 1e3 for milliseconds
+    Args:
+        axis: `axes.xaxis`, `axes.yaxis` or that of a colour bar, with its scale set.
+        factor: from its numbers to those that are written, 1e3 for milliseconds.
     """
     axis.set_major_locator(LogTicks())
     axis.set_major_formatter(LogLabels(factor))

@@ -27,10 +27,11 @@ _NONE, _STEP = 1e-6, 0.05
 class Joint:
     """One joint over time; every array has shape (steps,).
 
-    time: [s]
-    setpoint, position: [m or rad]
-    velocity: [m/s or rad/s]
-    command, delayed_command, force: [N or N m]
+    Attributes:
+        time: [s].
+        setpoint, position: [m or rad].
+        velocity: [m/s or rad/s].
+        command, delayed_command, force: [N or N m].
     """
 
     time: np.ndarray
@@ -52,13 +53,14 @@ def trajectory(
 ) -> Figure:
     """Position with its setpoint, velocity, and command, delayed command and force.
 
-    run: the joint's trajectory
-    title, footer: above and below
-    units: of the position and of the force; ("rad", "N m") for a rotary joint
-    resolution: of the encoder, 0 where it is not known [m or rad]
-
     A motion that diverges is drawn until it is DIVERGED times as large as the step. Axes show at
     least what `jaxact.plotting.axis_spans` says, so that rounding does not look like a motion.
+
+    Args:
+        run: the joint's trajectory.
+        title, footer: above and below.
+        units: of the position and of the force; ("rad", "N m") for a rotary joint.
+        resolution: of the encoder, 0 where it is not known [m or rad].
     """
     with theme.applied():
         figure = page(7.4, 6.0, title=title, footer=footer).figure
@@ -77,8 +79,9 @@ def draw(
 ) -> None:
     """The same on given axes.
 
-    axes: of position, velocity and force
-    run, units, resolution: as for `trajectory`
+    Args:
+        axes: of position, velocity and force.
+        run, units, resolution: as for `trajectory`.
     """
     length, force = units
     kept, note = until_divergence(run)

@@ -34,14 +34,15 @@ def front(
 ) -> Figure:
     """What robustness costs: the objective against the largest peak allowed, and kd below.
 
-    peaks: largest Ms and Mt allowed [-], rising, shape (points,)
-    values: of the objective in its unit, NaN where infeasible, shape (points,)
-    kd: of the groups of joints, shape (points, groups), or (points,) of a single joint
-    label: of the objective, with unit
-    kd_unit: of kd
-    groups: names of the groups; one without a name is not named
-    marked: a point (peak, value) to mark
-    title, footer: above and below
+    Args:
+        peaks: largest Ms and Mt allowed [-], rising, shape (points,).
+        values: of the objective in its unit, NaN where infeasible, shape (points,).
+        kd: of the groups of joints, shape (points, groups), or (points,) of a single joint.
+        label: of the objective, with unit.
+        kd_unit: of kd.
+        groups: names of the groups; one without a name is not named.
+        marked: a point (peak, value) to mark.
+        title, footer: above and below.
     """
     with theme.applied():
         rows = np.reshape(kd, (len(peaks), -1)).T

@@ -32,8 +32,9 @@ _ENOUGH = 0.04
 class Boundary:
     """Where one loop changes stability.
 
-    name: of the loop
-    curves: its marginal gains
+    Attributes:
+        name: of the loop.
+        curves: its marginal gains.
     """
 
     name: str
@@ -44,9 +45,10 @@ class Boundary:
 class Plane:
     """The larger of Ms and Mt over the plane of the gains, for the worst member.
 
-    kp: [N/m], shape (n,);  kd: [N s/m], shape (m,)
-    peak: [-], shape (m, n), NaN where a member is unstable
-    boundaries: exact stability boundaries, of the members shown
+    Attributes:
+        kp: [N/m], shape (n,);  kd: [N s/m], shape (m,).
+        peak: [-], shape (m, n), NaN where a member is unstable.
+        boundaries: exact stability boundaries, of the members shown.
     """
 
     kp: np.ndarray
@@ -67,10 +69,11 @@ def tuning_map(
 ) -> Figure:
     """The worst peak over the gains, the bound as a line, and both pairs of gains.
 
-    before, after: (kp, kd); None for no pair to start from
-    max_peak: the bound that is drawn, inf for none
-    reached: whether the gains meet every bound
-    title, footer: above and below
+    Args:
+        before, after: (kp, kd); None for no pair to start from.
+        max_peak: the bound that is drawn, inf for none.
+        reached: whether the gains meet every bound.
+        title, footer: above and below.
     """
     with theme.applied():
         handles = _handles(plane, before, after, _shown(plane, max_peak), reached=reached)

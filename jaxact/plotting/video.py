@@ -23,11 +23,13 @@ _SAMPLED = 6  # images that the colours of a GIF are chosen from
 def check_output(path: Path, fps: float) -> Path:
     """The path of a film to be written, if it can be.
 
-    path: its ending is the format
-    fps: frames per second; those of a GIF last whole hundredths of a second
+    Args:
+        path: its ending is the format.
+        fps: frames per second; those of a GIF last whole hundredths of a second.
 
-    Raises UserError for another format, a rate that the format does not have, a folder that is not
-    there, and an MP4 without ffmpeg.
+    Raises:
+        UserError: another format, a rate that the format does not have, a folder that is not there,
+            and an MP4 without ffmpeg.
     """
     suffix = path.suffix.lower().lstrip(".")
     if suffix not in FORMATS:
@@ -50,9 +52,10 @@ def check_output(path: Path, fps: float) -> Path:
 def moments(time: np.ndarray, *, fps: float, speed: float) -> np.ndarray:
     """Which samples of a motion a film shows, shape (frames,): the last before each frame's time.
 
-    time: of the samples [s], increasing, shape (steps,)
-    fps: frames per second of the film
-    speed: 1 for real time, 0.25 for four times slower
+    Args:
+        time: of the samples [s], increasing, shape (steps,).
+        fps: frames per second of the film.
+        speed: 1 for real time, 0.25 for four times slower.
     """
     count = int(np.floor((time[-1] - time[0]) * fps / speed + 1e-9)) + 1
     shown = time[0] + np.arange(count) * speed / fps

@@ -19,8 +19,9 @@ def display_name(value: object) -> str:
 def quantity(value: object, units: str = "") -> str:
     """A value with its unit, in the prefix a reader would choose: 0.00183 s is `1.83 ms`.
 
-    value: a number, or a category (then the unit is ignored)
-    units: SI unit of the value, "" or "1" for none
+    Args:
+        value: a number, or a category (then the unit is ignored).
+        units: SI unit of the value, "" or "1" for none.
     """
     if isinstance(value, str):
         return display_name(value)

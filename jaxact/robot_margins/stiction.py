@@ -56,14 +56,16 @@ _ERRORS = (
 class Stiction:
     """A robot that friction holds although its moving joints shake.
 
-    joint: the one that is pushed, which takes the largest part in the growing motion
-    push: smallest force on it, for `PUSH` seconds, after which the motion goes on [N or N m]; inf
-        if there is none up to `strongest`, 0 if friction does not hold it
-    strongest: largest push tried [N or N m]
-    shaking: the joint that then moves most, empty if none does
-    amplitude: half the range of its motion [m or rad], inf where it grows without bound, 0 if none
-    frequency: of it [rad/s], NaN if there is none
-    rotary: whether the joint pushed, and the one that moves most, are hinges
+    Attributes:
+        joint: the one that is pushed, which takes the largest part in the growing motion.
+        push: smallest force on it, for `PUSH` seconds, after which the motion goes on [N or N m];
+            inf if there is none up to `strongest`, 0 if friction does not hold it.
+        strongest: largest push tried [N or N m].
+        shaking: the joint that then moves most, empty if none does.
+        amplitude: half the range of its motion [m or rad], inf where it grows without bound, 0 if
+            none.
+        frequency: of it [rad/s], NaN if there is none.
+        rotary: whether the joint pushed, and the one that moves most, are hinges.
     """
 
     joint: str
@@ -125,11 +127,13 @@ def held(
 ) -> Stiction | None:
     """Whether friction holds a robot that shakes once it moves, and up to which push.
 
-    specification: of the robot
-    values: parameters of the loop by key
-    found: its margins, of the moving joints
+    Args:
+        specification: of the robot.
+        values: parameters of the loop by key.
+        found: its margins, of the moving joints.
 
-    Returns None where nothing is to be said: no dry friction, or no growing oscillation.
+    Returns:
+        None where nothing is to be said: no dry friction, or no growing oscillation.
     """
     plant, mode = specification.plant, found.margins.critical
     if plant is None or "shakes" not in found.margins.verdict:

@@ -30,14 +30,15 @@ from jaxact.simulation.kernel import Case
 class WholeRobot:
     """A robot's linearised loop with the parameters of one sample, and its margins.
 
-    robot: the loop
-    kp, kd: gains of the joints, shape (joints,) each
-    residual: largest acceleration left at the posture [rad/s^2 or m/s^2]; 0 at an equilibrium
-    left_out: largest dry friction that the linearised robot does without [N or N m], 0 if none
-    neutral: number of directions in which a displaced robot just stays displaced; left out
-    floating: whether its base moves
-    physics_step: [s]
-    engine: that the plant was linearised in, "mujoco" or "mjx"
+    Attributes:
+        robot: the loop.
+        kp, kd: gains of the joints, shape (joints,) each.
+        residual: largest acceleration left at the posture [rad/s^2 or m/s^2]; 0 at an equilibrium.
+        left_out: largest dry friction that the linearised robot does without [N or N m], 0 if none.
+        neutral: number of directions in which a displaced robot just stays displaced; left out.
+        floating: whether its base moves.
+        physics_step: [s].
+        engine: that the plant was linearised in, "mujoco" or "mjx".
     """
 
     robot: Robot
@@ -69,10 +70,12 @@ class WholeRobot:
 def evaluate(specification: Specification, samples: Samples | None = None) -> list[WholeRobot]:
     """The margins of every sample of a specification with a [plant], or of others.
 
-    specification: of the robot
-    samples: loops to look at; None for the specification's own
+    Args:
+        specification: of the robot.
+        samples: loops to look at; None for the specification's own.
 
-    Raises UserError as `jaxact.simulation.plans.groups`.
+    Raises:
+        UserError: as `jaxact.simulation.plans.groups`.
     """
     specification = engines.resolved(specification)
     samples = expand(specification) if samples is None else samples

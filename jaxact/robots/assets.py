@@ -47,11 +47,15 @@ def compile_model(
     A geom is only looked at if it touches nothing and its body's inertia is given or does not
     come from it.
 
-    spec: geoms, meshes and textures that are left out are removed from it
-    untouched: nothing will touch whatever has hinge or slide joints
+    Args:
+        spec: geoms, meshes and textures that are left out are removed from it.
+        untouched: nothing will touch whatever has hinge or slide joints.
 
-    Returns the model, and what is to be said: of files left out, and of MuJoCo's own warnings.
-    Raises ValueError with the reason where MuJoCo refuses the model.
+    Returns:
+        The model, and what is to be said: of files left out, and of MuJoCo's own warnings.
+
+    Raises:
+        ValueError: MuJoCo refuses the model; with its reason.
     """
     gone: list[str] = []
     while True:
@@ -107,7 +111,8 @@ def _not_there(spec: mujoco.MjSpec) -> list[str]:
 def _leave_out(spec: mujoco.MjSpec, file: str, *, untouched: bool) -> bool:
     """Remove what comes from this file; False if nothing does.
 
-    Raises ValueError if the motion depends on it.
+    Raises:
+        ValueError: the motion depends on it.
     """
     meshes = [mesh for mesh in spec.meshes if Path(mesh.file).name == file]
     names = {mesh.name for mesh in meshes}

@@ -38,11 +38,13 @@ def convert(
     no force, springs and dampers that are switched off have coefficients 0; nothing sleeps, and
     a motion that diverges is not reset to the start as if nothing had happened.
 
-    spec: what `original` was compiled from; changed
-    driven: become motors with gear 1, gain 1, no limits and no delay on their joint; those that
-        they take in give no force
+    Args:
+        spec: what `original` was compiled from; changed.
+        driven: become motors with gear 1, gain 1, no limits and no delay on their joint; those that
+            they take in give no force.
 
-    Raises ValueError with MuJoCo's reason where it cannot be compiled.
+    Raises:
+        ValueError: it cannot be compiled; with MuJoCo's reason.
     """
     settle_spring_dampers(spec, original)
     _lift_inertia(spec, original)
@@ -210,8 +212,9 @@ def _holder(spec: mujoco.MjSpec, model: mujoco.MjModel, index: int) -> Any:
 def findings(model: mujoco.MjModel, driven: Container[int]) -> list[Finding]:
     """What is said about the inertia and damping of actuators; MJX ignores both.
 
-    model: as the user's file compiles
-    driven: its actuators that drives replace
+    Args:
+        model: as the user's file compiles.
+        driven: its actuators that drives replace.
     """
     found = []
     for index in range(model.nactuator):

@@ -41,9 +41,10 @@ def inertias(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
 def bandwidth(kp: float, kd: float, inertia: float) -> float:
     """Gain crossover of a PD loop on a free inertia [rad/s]; nan without gains.
 
-    kp: [N m/rad]
-    kd: [N m s/rad]
-    inertia: [kg m^2]
+    Args:
+        kp: [N m/rad].
+        kd: [N m s/rad].
+        inertia: [kg m^2].
     """
     squared = (kd**2 + math.hypot(kd**2, 2.0 * inertia * kp)) / (2.0 * inertia**2)
     return math.sqrt(squared)

@@ -142,7 +142,8 @@ def _opened(path: Path, keyframe: str | int | None, joints: Sequence[str], base:
 def _mounted(opened: _Opened, joints: Sequence[int], base: str, rest: Posture | None) -> _Opened:
     """The same without the joints of the base, which is fixed or held.
 
-    rest: where the robot stands; None: it is mounted where it starts
+    Args:
+        rest: where the robot stands; None: it is mounted where it starts.
     """
     spec, original, start = opened.spec, opened.model, opened.start
     at = "at the start posture"

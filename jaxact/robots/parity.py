@@ -43,8 +43,9 @@ class Claim:
 def findings(model: mujoco.MjModel, driven: Iterable[int]) -> list[Finding]:
     """What is to be said about the fields of a model.
 
-    model: as the user's file compiles
-    driven: its actuators that a drive replaces
+    Args:
+        model: as the user's file compiles.
+        driven: its actuators that a drive replaces.
     """
     taken = frozenset(driven)
     return [

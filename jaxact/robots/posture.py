@@ -200,8 +200,9 @@ def _overlap(robot: Robot) -> str:
 def _rest(robot: Robot, gravity: float, sag: float) -> Posture:
     """Where the robot is when it has come to rest, or the longest time is over.
 
-    gravity: [m/s^2] that rest is relative to
-    sag: how far joints may give way under the robot's weight [rad]
+    Args:
+        gravity: [m/s^2] that rest is relative to.
+        sag: how far joints may give way under the robot's weight [rad].
     """
     model, spring, damping = _holding(robot, gravity, sag)
     qpos, dofs, actuators = _places(robot)
@@ -226,11 +227,12 @@ def _holding(
 ) -> tuple[mujoco.MjModel, np.ndarray, np.ndarray]:
     """A model whose joints are stiff enough to hold the robot, their stiffness and damping.
 
-    sag: inf for the stiffness that the joints bear as they are
-
     The joints get additional inertia, so that the physics step bears the stiffness: light joints
     that move each other would have to be soft otherwise, and the robot would collapse. Where it
     comes to rest does not depend on inertias.
+
+    Args:
+        sag: inf for the stiffness that the joints bear as they are.
     """
     model = copy.copy(robot.model)
     # A model may leave its solver unfinished in every step, for speed; it would not come to rest.

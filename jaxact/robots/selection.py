@@ -73,9 +73,10 @@ def laws(
 ) -> tuple[list[Law], list[Finding]]:
     """The laws of these actuators, and why some have none.
 
-    kinds: the element that each actuator of the model is written with
-
     An actuator that the model switches off has no law, and that is not a fault.
+
+    Args:
+        kinds: the element that each actuator of the model is written with.
     """
     found, findings = [], []
     for index in indices:

@@ -36,8 +36,9 @@ _NAMES = tuple(Metrics.__dataclass_fields__)
 class Joint:
     """A driven joint.
 
-    name: of the joint
-    rotary: it is measured in rad and N m instead of m and N
+    Attributes:
+        name: of the joint.
+        rotary: it is measured in rad and N m instead of m and N.
     """
 
     name: str
@@ -48,11 +49,12 @@ class Joint:
 class Start:
     """What came of one start of a loop.
 
-    name: empty of the loop's own, else as in `jaxact.simulation.starts`
-    verdict: of that start alone
-    moving: it still moved at the end, and went on
-    resting: it had come to rest; what neither moves nor rests decays
-    amplitude, frequency: of that motion [m or rad], [rad/s]
+    Attributes:
+        name: empty of the loop's own, else as in `jaxact.simulation.starts`.
+        verdict: of that start alone.
+        moving: it still moved at the end, and went on.
+        resting: it had come to rest; what neither moves nor rests decays.
+        amplitude, frequency: of that motion [m or rad], [rad/s].
     """
 
     name: str
@@ -67,11 +69,12 @@ class Start:
 class Single:
     """One loop and what it did.
 
-    trajectory: NumPy arrays; time (steps,), all others (steps, joints)
-    results: the variables of a sweep by name; figures of several joints are their worst
-    values: every parameter of the loop by its short name
-    joints: the driven ones
-    starts: from which it was judged, its own first
+    Attributes:
+        trajectory: NumPy arrays; time (steps,), all others (steps, joints).
+        results: the variables of a sweep by name; figures of several joints are their worst.
+        values: every parameter of the loop by its short name.
+        joints: the driven ones.
+        starts: from which it was judged, its own first.
     """
 
     trajectory: Trajectory
@@ -89,9 +92,11 @@ class Single:
 def simulate(specification: Specification) -> Single:
     """Simulate the nominal loop of a specification: its fixed values, whatever its axes vary.
 
-    specification: checked
+    Args:
+        specification: checked.
 
-    Raises UserError as `jaxact.simulation.execute.run`, and for more steps than can be kept.
+    Raises:
+        UserError: as `jaxact.simulation.execute.run`, and for more steps than can be kept.
     """
     arrays = {name: np.array([value]) for name, value in specification.nominal.items()}
     return simulate_all(specification, Samples(arrays, ("loop",), (1,), {}))[0]
@@ -100,13 +105,15 @@ def simulate(specification: Specification) -> Single:
 def simulate_all(specification: Specification, samples: Samples) -> list[Single]:
     """Simulate every sample and keep its trajectory; for a few loops, side by side.
 
-    specification: checked
-    samples: the loops
-
     The random draws of a trajectory are those of its figures, and those of the sample with that
     number in a sweep with this seed.
 
-    Raises UserError as `jaxact.simulation.execute.run`, and for more steps than can be kept.
+    Args:
+        specification: checked.
+        samples: the loops.
+
+    Raises:
+        UserError: as `jaxact.simulation.execute.run`, and for more steps than can be kept.
     """
     one = dataclasses.replace(specification, devices=1, tile=None)
     groups = plans.groups(one, samples)
@@ -162,7 +169,8 @@ def _followed(
 ) -> tuple[Metrics, Trajectory, Judgement]:
     """Figures, trajectories, time (loops, steps), and starts (loops, starts) of some samples.
 
-    growth: their growth rates [1/s]
+    Args:
+        growth: their growth rates [1/s].
     """
     loops = specification.setting, values, growth, specification.seed, numbers
     double = specification.precision == "float64"

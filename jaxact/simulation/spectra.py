@@ -216,7 +216,8 @@ def _polynomials(
 ) -> np.ndarray | None:
     """Characteristic polynomials of every set with every pair of gains, shape (sets, pairs, n).
 
-    others: name, shape and values of the parameters; None is returned for loops of many states.
+    Args:
+        others: name, shape and values of the parameters; None is returned for loops of many states.
     """
     lead = (1,) * len(shape)
     along = {name: np.frombuffer(values).reshape(*size, 1) for name, size, values in others}

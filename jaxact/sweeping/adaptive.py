@@ -65,10 +65,12 @@ def check(specification: Specification) -> list[Axis]:
 def lattice(specification: Specification, width: float) -> Lattice:
     """The lattice whose cells are at most so wide.
 
-    specification: checked
-    width: relative; of a linear range, to the larger of its ends
+    Args:
+        specification: checked.
+        width: relative; of a linear range, to the larger of its ends.
 
-    Raises UserError as `check`.
+    Raises:
+        UserError: as `check`.
     """
     ranges = check(specification)
     halvings = tuple(_halvings(axis, width) for axis in ranges)
@@ -93,10 +95,11 @@ def samples_at(
 ) -> Samples:
     """The loops at points of the lattice, along one dimension.
 
-    specification: checked
-    grid: its lattice
-    points: their numbers, shape (n,)
-    first: number of the first loop
+    Args:
+        specification: checked.
+        grid: its lattice.
+        points: their numbers, shape (n,).
+        first: number of the first loop.
     """
     case, places = grid.places(points)
     listed = [axis for axis in specification.axes if axis.listed is not None]
@@ -119,17 +122,19 @@ def refine(
 ) -> Store:
     """Refine the border of stability, and make one store of all rounds.
 
-    folder: of the results
-    specification: checked
-    samples: of the coarse grid
-    width: relative width of the border in the end
-    how: to run it
-
     A cell of the grid is refined where its corners differ in whether they are stable, or in the
     sign of their growth rate. The stores of the rounds stay: they go once the whole is complete.
 
-    Raises UserError as `jaxact.sweeping.fill.fill`, and where the border is so ragged that more
-    loops would be needed than a sweep may have.
+    Args:
+        folder: of the results.
+        specification: checked.
+        samples: of the coarse grid.
+        width: relative width of the border in the end.
+        how: to run it.
+
+    Raises:
+        UserError: as `jaxact.sweeping.fill.fill`, and where the border is so ragged that more loops
+            would be needed than a sweep may have.
     """
     grid = lattice(specification, width)
     rounds, target = folder.inside(ROUNDS), folder.inside(_store.STORE)
@@ -181,7 +186,8 @@ def _source(
 ) -> Location | None:
     """The store that is continued: the whole, or the first round; None where there is neither.
 
-    Raises UserError if all that is there belongs to another sweep.
+    Raises:
+        UserError: all that is there belongs to another sweep.
     """
     there = [p for p in (target, rounds.inside(_FIRST)) if _store.identity_of(p) is not None]
     for place in there:
@@ -222,8 +228,9 @@ def _more(planned: Planned, width: float) -> dict[str, object]:
 class KnownSamples:
     """Results that a damaged or unfinished whole still has.
 
-    there: which loops they are of, shape (n,)
-    values: of all loops by variable, shape (n,) each
+    Attributes:
+        there: which loops they are of, shape (n,).
+        values: of all loops by variable, shape (n,) each.
     """
 
     there: np.ndarray

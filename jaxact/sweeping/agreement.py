@@ -43,13 +43,14 @@ _PATIENCE = 20.0
 class Agreement:
     """Simulation against exact theory.
 
-    samples: loops in the sweep
-    compared: loops whose verdict was compared (valid ones, or every n-th of very many)
-    optimistic: simulated stable, exactly unstable
-    pessimistic: simulated not stable, exactly stable
-    furthest: largest distance of a disagreeing sample to the border, as factor - 1 on a gain [-];
-        0 without disagreements, inf where no factor up to 1000 reaches it
-    fastest: largest |exact growth rate| of a disagreeing sample [1/s]; 0 without disagreements
+    Attributes:
+        samples: loops in the sweep.
+        compared: loops whose verdict was compared (valid ones, or every n-th of very many).
+        optimistic: simulated stable, exactly unstable.
+        pessimistic: simulated not stable, exactly stable.
+        furthest: largest distance of a disagreeing sample to the border, as factor - 1 on a gain
+            [-]; 0 without disagreements, inf where no factor up to 1000 reaches it.
+        fastest: largest |exact growth rate| of a disagreeing sample [1/s]; 0 without disagreements.
     """
 
     samples: int
@@ -69,8 +70,9 @@ class Agreement:
 class ExactBoundary:
     """The border between stable and unstable gains of one slice of a sweep.
 
-    continuous: curves of the loop in continuous time, see `jaxact.analysis.boundary.boundary`
-    sampled: curves of the loop at its control rate
+    Attributes:
+        continuous: curves of the loop in continuous time, see `jaxact.analysis.boundary.boundary`.
+        sampled: curves of the loop at its control rate.
     """
 
     continuous: tuple[BoundaryCurve, ...]
@@ -82,11 +84,12 @@ def exact_boundary(
 ) -> ExactBoundary | None:
     """The exact border in the (kp, kd) plane of a slice that varies nothing else that matters.
 
-    part: of a sweep store
-    kp_range, kd_range: of the window [N/m], [N s/m]
-
     None where another parameter of the linear loop varies or the gains are scaled, and for a model
     of one's own, whose inertia is not known here.
+
+    Args:
+        part: of a sweep store.
+        kp_range, kd_range: of the window [N/m], [N s/m].
     """
     from jaxact.analysis.boundary.boundary import continuous_boundary, sampled_boundary
 
@@ -138,9 +141,10 @@ def agreement(
 ) -> Agreement:
     """Compare the verdict of every loop with its exact spectral radius.
 
-    values: every parameter of every loop, shape (samples,) each, by short name
-    verdict: codes of `jaxact.status.Verdict`, shape (samples,)
-    velocity: "sampled" or "differenced"
+    Args:
+        values: every parameter of every loop, shape (samples,) each, by short name.
+        verdict: codes of `jaxact.status.Verdict`, shape (samples,).
+        velocity: "sampled" or "differenced".
     """
     verdict = np.asarray(verdict).ravel()
     chosen = np.flatnonzero(verdict != Verdict.INVALID)
@@ -170,8 +174,9 @@ def agreement(
 def spectral_radii(values: Mapping[str, np.ndarray], *, velocity: str = "sampled") -> np.ndarray:
     """Spectral radius of every loop's one-period matrix, in float64; shape (samples,).
 
-    values: parameters by short name, shape (samples,) each
-    velocity: "sampled" or "differenced"
+    Args:
+        values: parameters by short name, shape (samples,) each.
+        velocity: "sampled" or "differenced".
     """
     steps = _whole_steps(values)
     most = int(steps.max(initial=0))
@@ -192,11 +197,13 @@ def gain_distances(
 ) -> np.ndarray:
     """Smallest factor - 1 on kp, kd or both, up or down, that changes each loop's stability.
 
-    values: parameters by short name, shape (samples,) each
-    stable: whether each loop is exactly stable as it is, shape (samples,)
-    velocity: "sampled" or "differenced"
+    Args:
+        values: parameters by short name, shape (samples,) each.
+        stable: whether each loop is exactly stable as it is, shape (samples,).
+        velocity: "sampled" or "differenced".
 
-    Returns shape (samples,). The border is at most that far, and hardly less than 0.8 times as far.
+    Returns:
+        Shape (samples,). The border is at most that far, and hardly less than 0.8 times as far.
     """
     distance = np.full(len(stable), np.inf)
     open_ = np.arange(len(stable))

@@ -23,13 +23,15 @@ if TYPE_CHECKING:
 def destination(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """A new folder to write into, which takes the place of `path` once the block is done.
 
-    path: of the store
-    overwrite: replace a jaxact store that is there already; nothing else is ever replaced
-
     The folder lies beside `path`, so that a forbidden place is found before the work.
     Whatever ends the block with an exception leaves `path` as it was, and nothing else behind.
 
-    Raises UserError if `path` exists and may not be replaced, or cannot be written.
+    Args:
+        path: of the store.
+        overwrite: replace a jaxact store that is there already; nothing else is ever replaced.
+
+    Raises:
+        UserError: `path` exists and may not be replaced, or cannot be written.
     """
     refuse_existing(path, overwrite=overwrite)
     made = _make_folders(path.parent)

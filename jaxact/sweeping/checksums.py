@@ -46,7 +46,8 @@ def digests(files: Mapping[str, bytes]) -> str:
 def sealed(document: Mapping[str, Any]) -> bytes:
     """A metadata file of Zarr with its checksum among its attributes.
 
-    document: what is in it
+    Args:
+        document: what is in it.
     """
     attributes = dict(document["attributes"])
     if isinstance(attributes.get(_CREATED), str):

@@ -39,9 +39,10 @@ _ENVIRONMENT = (
 class Cluster:
     """A Ray cluster that this process is attached to.
 
-    ray: the module
-    slots: tasks that run at once
-    resources: of a task
+    Attributes:
+        ray: the module.
+        slots: tasks that run at once.
+        resources: of a task.
     """
 
     ray: Any
@@ -95,9 +96,11 @@ class Cluster:
 def attached(address: str | None) -> Iterator[Cluster]:
     """Attach this process to a Ray cluster, or start one on this machine.
 
-    address: of the cluster, "auto" for the one this machine belongs to; None: a new local one
+    Args:
+        address: of the cluster, "auto" for the one this machine belongs to; None: a new local one.
 
-    Raises UserError without Ray, and without such a cluster.
+    Raises:
+        UserError: there is no Ray, or no such cluster.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:

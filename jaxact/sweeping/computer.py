@@ -26,11 +26,13 @@ if TYPE_CHECKING:
 class ChunkTask:
     """All that is needed to compute any chunk of a store, here or on another machine.
 
-    specification: checked; its tile is that of the store
-    samples: all loops
-    outline: loops that span all values of theirs, from which the kernel's static options follow
-    together: loops that are computed together
-    store: where the results go
+    Attributes:
+        specification: checked; its tile is that of the store.
+        samples: all loops.
+        outline: loops that span all values of theirs, from which the kernel's static options
+            follow.
+        together: loops that are computed together.
+        store: where the results go.
     """
 
     specification: Specification
@@ -78,8 +80,9 @@ class Computer:
     def begin(self, number: int, following: int | None = None) -> tuple[RunningBatches, int] | None:
         """Set the devices to compute a chunk, for `finish`.
 
-        number: of the chunk
-        following: the chunk that will be asked for next, if there is one
+        Args:
+            number: of the chunk.
+            following: the chunk that will be asked for next, if there is one.
         """
         from jaxact.simulation import execute
 

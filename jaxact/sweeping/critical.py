@@ -31,8 +31,9 @@ _REST = 1e-6  # share of the first accelerations that is not a motion
 def growth_rates(specification: Specification, columns: Columns) -> np.ndarray:
     """Growth rates of loops of a robot [1/s], shape (n,).
 
-    specification: checked; what is not in a column
-    columns: values of each varied parameter (names of presets of `actuator`), shape (n,) each
+    Args:
+        specification: checked; what is not in a column.
+        columns: values of each varied parameter (names of presets of `actuator`), shape (n,) each.
     """
     samples = explicit(specification, dict(columns))
     found = np.zeros(len(samples))
@@ -47,8 +48,10 @@ def simulated(
 ) -> dict[str, np.ndarray]:
     """Metrics of loops whose growth rates are known already, by name, shape (n,) each.
 
-    specification, columns: as for `growth_rates`, whose result does not depend on push and errors
-    growth_rate: [1/s], shape (n,)
+    Args:
+        specification, columns: as for `growth_rates`, whose result does not depend on push and
+            errors.
+        growth_rate: [1/s], shape (n,).
     """
     samples = explicit(specification, dict(columns))
     found: dict[str, np.ndarray] = {}
@@ -69,8 +72,9 @@ def die_out(specification: Specification, columns: Columns) -> np.ndarray:
     or have come to rest. Accelerations and not positions: in those, fast modes that grow are hidden
     behind slow ones that decay.
 
-    specification: checked, of the engine "mujoco"; without noise and quantisation
-    columns: as for `growth_rates`
+    Args:
+        specification: checked, of the engine "mujoco"; without noise and quantisation.
+        columns: as for `growth_rates`.
     """
     own = dict(specification.parameters) | {"initial_velocity": KICK}
     kicked = replace(specification, parameters=own, precision="float64")
@@ -96,8 +100,9 @@ def _batches(specification: Specification, samples: Samples):
 def _motion(specification: Specification, plan, samples: Samples, batch):
     """How the joints of a batch moved.
 
-    Returns the root mean square of the accelerations of each quarter, shape (4, batch), and the
-    largest speed of any joint, shape (batch,).
+    Returns:
+        The root mean square of the accelerations of each quarter, shape (4, batch), and the largest
+        speed of any joint, shape (batch,).
     """
     from jaxact.simulation import mujoco_batch  # imports MuJoCo
 
@@ -133,14 +138,16 @@ def edge(
     From the larger to the smaller one that is the largest stable gain scale, from the smaller to
     the larger one the smallest.
 
-    stable: tells of columns, `gain_scale` among them, which loops are stable; shape (n,)
-    columns: the loops, shape (n,) each
-    start, end: of the way, gain scales, one for all loops or one for each
-    points: that are looked at in each round, evenly on a logarithmic scale
-    rounds: each looks between the last unstable and the first stable point of the one before
+    Args:
+        stable: tells of columns, `gain_scale` among them, which loops are stable; shape (n,).
+        columns: the loops, shape (n,) each.
+        start, end: of the way, gain scales, one for all loops or one for each.
+        points: that are looked at in each round, evenly on a logarithmic scale.
+        rounds: each looks between the last unstable and the first stable point of the one before.
 
-    Returns the geometric mean of these two points, shape (n,); infinity (or 0, where start is the
-    smaller one) for a loop that is stable from the start on, NaN for one that never is.
+    Returns:
+        The geometric mean of these two points, shape (n,); infinity (or 0, where start is the
+        smaller one) for a loop that is stable from the start on, NaN for one that never is.
     """
     number = len(next(iter(columns.values())))
     before, after = np.full(number, start, float), np.full(number, end, float)

@@ -31,9 +31,10 @@ NAMES = (*agreement.LINEAR_PARAMETERS, "gain_scale")
 class Window:
     """The stretch of one parameter that a panel shows.
 
-    name: of the parameter
-    low, high: its ends, in the parameter's unit
-    logarithmic: whether the axis is, so that both ends are positive
+    Attributes:
+        name: of the parameter.
+        low, high: its ends, in the parameter's unit.
+        logarithmic: whether the axis is, so that both ends are positive.
     """
 
     name: str
@@ -52,8 +53,9 @@ class Window:
 class ExactLines:
     """Lines between stable and unstable, as points (x, y) each.
 
-    continuous: of the loop in continuous time
-    sampled: of the loop at its control rate
+    Attributes:
+        continuous: of the loop in continuous time.
+        sampled: of the loop at its control rate.
     """
 
     continuous: tuple[Curve, ...]
@@ -63,11 +65,12 @@ class ExactLines:
 def exact_lines(part: xr.Dataset, x: Window, y: Window) -> ExactLines | None:
     """The exact boundary in a window of two parameters of a slice of a sweep.
 
-    part: of a sweep store
-    x, y: what the panel shows
-
     None where another parameter that matters varies, where neither of the two does, and for a
     model of one's own, whose inertia is not known here.
+
+    Args:
+        part: of a sweep store.
+        x, y: what the panel shows.
     """
     if not agreement.is_plain_mass(part) or not {x.name, y.name} & set(NAMES):
         return None
@@ -130,7 +133,8 @@ def _affordable(ends: Mapping[str, np.ndarray]) -> int:
 def stable_in_continuous_time(values: Mapping[str, np.ndarray]) -> np.ndarray:
     """Whether loops are stable, by the argument principle, in float64; shape (n,).
 
-    values: parameters of the linear loops by short name, shape (n,) each
+    Args:
+        values: parameters of the linear loops by short name, shape (n,) each.
     """
     import jax
     import jax.numpy as jnp

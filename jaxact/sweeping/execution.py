@@ -26,12 +26,13 @@ Planner = Callable[[Specification, Samples], Planned]
 class SweepOptions:
     """How a sweep is run; nothing of it changes the results of a grid.
 
-    resume: continue what is in the folder
-    overwrite: replace it
-    width: relative width to which the stability boundary is refined; None: the whole grid
-    planner: plans on the machine that computes
-    workers: compute
-    moved: called with the number of loops done and in all
+    Attributes:
+        resume: continue what is in the folder.
+        overwrite: replace it.
+        width: relative width to which the stability boundary is refined; None: the whole grid.
+        planner: plans on the machine that computes.
+        workers: compute.
+        moved: called with the number of loops done and in all.
     """
 
     resume: bool = False
@@ -45,15 +46,17 @@ class SweepOptions:
 def sweep(specification: Specification, folder: Location, how: SweepOptions) -> Store:
     """Run a sweep to its end.
 
-    specification: checked
-    folder: of the results, made if it is not there; the store is `sweep.zarr` in it
-    how: to run it
-
     Whatever ends it early, the chunks that are done stay; before the first one is, nothing is
     touched, and an old store that is to be replaced stays.
 
-    Raises UserError if the folder holds another sweep, another process fills it, or it cannot be
-    written; and as `jaxact.sweeping.planning.plan`.
+    Args:
+        specification: checked.
+        folder: of the results, made if it is not there; the store is `sweep.zarr` in it.
+        how: to run it.
+
+    Raises:
+        UserError: the folder holds another sweep, another process fills it, or it cannot be
+            written; and as `jaxact.sweeping.planning.plan`.
     """
     target = folder.inside(_store.STORE)
     try:
@@ -94,7 +97,8 @@ def _grid(
 def complete(store: Store) -> None:
     """Put the mark of completion and the summary on a store whose chunks are all done.
 
-    Raises UserError if one is not: somebody has removed it meanwhile.
+    Raises:
+        UserError: one is not: somebody has removed it meanwhile.
     """
     root = _store.attributes_of(store.location) or {}
     if root.get("complete"):

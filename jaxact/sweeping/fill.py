@@ -46,19 +46,21 @@ def fill(
 ) -> Store:
     """Make a store complete; what is in it already, whole, stays when it is resumed.
 
-    target: where the store is, or will be once its first chunk is computed
-    specification: checked
-    samples: expanded from it
-    planned: how it is computed
-    workers: who computes
-    outline: loops that span all values of the samples; None: the samples themselves
-    resume: continue what is there; otherwise it is replaced
-    more: further parts of the identity
-    clear: removes what it replaces, once there is something to put in; None: the old store
-    moved: called with the number of loops done and in all
+    Args:
+        target: where the store is, or will be once its first chunk is computed.
+        specification: checked.
+        samples: expanded from it.
+        planned: how it is computed.
+        workers: who computes.
+        outline: loops that span all values of the samples; None: the samples themselves.
+        resume: continue what is there; otherwise it is replaced.
+        more: further parts of the identity.
+        clear: removes what it replaces, once there is something to put in; None: the old store.
+        moved: called with the number of loops done and in all.
 
-    Raises UserError if what is there belongs to another specification, OSError if the store cannot
-    be written.
+    Raises:
+        UserError: what is there belongs to another specification.
+        OSError: the store cannot be written.
     """
     old = progress.existing(target) if resume else None
     layout = planned.layout(samples)
@@ -137,8 +139,9 @@ def here(
 ) -> Iterator[int]:
     """Compute chunks on the devices of this process; one is written while the next is computed.
 
-    work, numbers, begin: see `Workers`
-    keep: told the plan and its rate [physics steps per second on one device] in the end
+    Args:
+        work, numbers, begin: see `Workers`.
+        keep: told the plan and its rate [physics steps per second on one device] in the end.
     """
     waiting: deque[tuple[int, Future[None]]] = deque()
     started, loops = None, 0

@@ -25,9 +25,10 @@ from jaxact.sweeping.store import ROOT, SECOND
 class Description:
     """What a look at the description of a store has found.
 
-    wrong: what is damaged, a few words each
-    keys: of its files, as far as known
-    older: it was made before descriptions had checksums, so that not all damage is found
+    Attributes:
+        wrong: what is damaged, a few words each.
+        keys: of its files, as far as known.
+        older: it was made before descriptions had checksums, so that not all damage is found.
     """
 
     wrong: tuple[str, ...]
@@ -144,8 +145,9 @@ def is_whole(location: Location) -> bool:
 def demand(location: Location, look: Callable[[Store, int], Finding]) -> Description:
     """Raise UserError if anything of a store is damaged; of an unfinished one, its description.
 
-    location: of the store
-    look: at one of its chunks: all its bytes, or names and sizes of files
+    Args:
+        location: of the store.
+        look: at one of its chunks: all its bytes, or names and sizes of files.
     """
     found = description(location)
     refuse(location, found.wrong)

@@ -25,8 +25,9 @@ class DamagedError(Exception):
 class Layout:
     """A grid cut into chunks.
 
-    shape: of the grid
-    chunk: size of a chunk along each dimension
+    Attributes:
+        shape: of the grid.
+        chunk: size of a chunk along each dimension.
     """
 
     shape: tuple[int, ...]
@@ -69,8 +70,9 @@ class Layout:
 def cut(shape: tuple[int, ...], most: int) -> Layout:
     """The layout with the largest chunks of nearly equal size of at most so many samples.
 
-    shape: of the grid
-    most: samples in a chunk, at least 1
+    Args:
+        shape: of the grid.
+        most: samples in a chunk, at least 1.
     """
     chunk = [1] * len(shape)
     for axis in reversed(range(len(shape))):
@@ -86,8 +88,9 @@ def cut(shape: tuple[int, ...], most: int) -> Layout:
 def encode(values: np.ndarray, loops: int) -> tuple[bytes, int]:
     """A chunk's file and its checksum.
 
-    values: of its samples, shape (n,)
-    loops: samples in a whole chunk; what is beyond n is the rim of the grid
+    Args:
+        values: of its samples, shape (n,).
+        loops: samples in a whole chunk; what is beyond n is the rim of the grid.
     """
     whole = np.zeros(loops, values.dtype.newbyteorder("<"))
     whole[: values.size] = values
@@ -99,7 +102,8 @@ def encode(values: np.ndarray, loops: int) -> tuple[bytes, int]:
 def decode(content: bytes, dtype: np.dtype, loops: int, count: int) -> tuple[np.ndarray, int]:
     """The values of a chunk's samples, shape (count,), and its checksum.
 
-    Raises DamagedError if its length or its checksum is not what was written.
+    Raises:
+        DamagedError: its length or its checksum is not what was written.
     """
     size = loops * dtype.itemsize
     if len(content) != size + _CHECKSUM.size:

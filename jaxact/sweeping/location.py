@@ -27,8 +27,9 @@ _METADATA = "zarr.json"
 class Entry:
     """A file that is there.
 
-    size: [bytes]
-    modified: [s since 1970], 0 where the store does not say
+    Attributes:
+        size: [bytes].
+        modified: [s since 1970], 0 where the store does not say.
     """
 
     size: int
@@ -70,9 +71,11 @@ class Location(Protocol):
 def at(where: str | Path) -> Location:
     """The place that a path or URL names.
 
-    where: a path, `file://...`, or `protocol://...` of a store that fsspec knows
+    Args:
+        where: a path, `file://...`, or `protocol://...` of a store that fsspec knows.
 
-    Raises UserError for a URL whose protocol needs a package that is not installed.
+    Raises:
+        UserError: a URL whose protocol needs a package that is not installed.
     """
     text = str(where)
     if not is_url(text):
@@ -216,9 +219,10 @@ def _sync(folder: Path) -> None:
 class Remote:
     """A folder of a store that fsspec knows.
 
-    url: as the user gave it
-    system: fsspec's file system
-    root: the folder in it
+    Attributes:
+        url: as the user gave it.
+        system: fsspec's file system.
+        root: the folder in it.
     """
 
     url: str

@@ -28,8 +28,9 @@ NAME = "sweep.lock"
 def held(folder: Location) -> Iterator[None]:
     """Hold the lock of a results folder, which must be there.
 
-    Raises UserError that names process and host if another process holds it, OSError where the
-    folder cannot be written.
+    Raises:
+        UserError: another process holds it; names that and its host.
+        OSError: the folder cannot be written.
     """
     taken = _local(folder.path) if isinstance(folder, Folder) else _remote(folder)
     with taken:

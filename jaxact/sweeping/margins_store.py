@@ -35,12 +35,13 @@ def dataset(
 ) -> xr.Dataset:
     """Figures of all loops of a specification, over its axes.
 
-    specification: of the loops
-    samples: them, from `jaxact.loops.samples.expand`
-    figures: by name, values of shape (n,) and their unit
-    kind: CONTINUOUS or SAMPLED, what the next two are of
-    growth_rate: real part of the rightmost root, or log(spectral radius) / T [1/s], shape (n,)
-    stable: shape (n,)
+    Args:
+        specification: of the loops.
+        samples: them, from `jaxact.loops.samples.expand`.
+        figures: by name, values of shape (n,) and their unit.
+        kind: CONTINUOUS or SAMPLED, what the next two are of.
+        growth_rate: real part of the rightmost root, or log(spectral radius) / T [1/s], shape (n,).
+        stable: shape (n,).
     """
     import xarray as xr
 

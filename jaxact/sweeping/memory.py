@@ -47,9 +47,10 @@ def free() -> int:
 def per_loop(parameters: int, results: int, itemsize: int) -> int:
     """Bytes that a loop of a batch takes on the host, and on a CPU device.
 
-    parameters: numbers that a loop is described by
-    results: numbers that are kept of it
-    itemsize: bytes of a number of the rollout
+    Args:
+        parameters: numbers that a loop is described by.
+        results: numbers that are kept of it.
+        itemsize: bytes of a number of the rollout.
     """
     return _COPIES * parameters * 8 + _RESULT_COPIES * results * itemsize
 
@@ -57,9 +58,10 @@ def per_loop(parameters: int, results: int, itemsize: int) -> int:
 def least(base: int, coordinates: int, each: int) -> int:
     """The smallest memory with which a sweep can be run [bytes].
 
-    base: what a process takes before it computes the first loop [bytes], see `Engine.memory`
-    coordinates: bytes of the coordinates of the axes
-    each: bytes of a loop, from `per_loop`
+    Args:
+        base: what a process takes before it computes the first loop [bytes], see `Engine.memory`.
+        coordinates: bytes of the coordinates of the axes.
+        each: bytes of a loop, from `per_loop`.
     """
     return base + 4 * coordinates + 1000 * each
 
@@ -67,12 +69,14 @@ def least(base: int, coordinates: int, each: int) -> int:
 def most_loops(budget: int, base: int, coordinates: int, each: int) -> int:
     """Loops that may be computed together.
 
-    budget: memory of the whole process [bytes]
-    base: what a process takes before it computes the first loop [bytes], see `Engine.memory`
-    coordinates: bytes of the coordinates of the axes, kept all the time
-    each: bytes of a loop, from `per_loop`
+    Args:
+        budget: memory of the whole process [bytes].
+        base: what a process takes before it computes the first loop [bytes], see `Engine.memory`.
+        coordinates: bytes of the coordinates of the axes, kept all the time.
+        each: bytes of a loop, from `per_loop`.
 
-    Raises UserError if there is no room for any.
+    Raises:
+        UserError: there is no room for any.
     """
     needed = least(base, coordinates, each)
     if budget < needed:

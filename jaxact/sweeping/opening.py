@@ -34,9 +34,11 @@ def readable(where: str | Path) -> Iterator[None]:
 def find(where: str | Path) -> Location:
     """The store that a user means: a results folder with a `sweep.zarr` in it, or the store itself.
 
-    where: path or URL
+    Args:
+        where: path or URL.
 
-    Raises UserError if there is none, or it is none of jaxact's.
+    Raises:
+        UserError: there is none, or it is none of jaxact's.
     """
     given = _location.at(where)
     inner = given.inside(STORE)
@@ -53,13 +55,16 @@ def find(where: str | Path) -> Location:
 def open_result(where: str | Path, *, unfinished: bool = False) -> xr.Dataset:
     """The results of a sweep, read lazily.
 
-    where: results folder with a `sweep.zarr` in it, or the store itself; path or URL
-    unfinished: also of a sweep that has not come to its end; what is missing is NaN, verdict -1
-
     Metadata and coordinates are held against their checksums, the results by names and sizes of
     their files, and by their own checksums when they are read.
 
-    Raises UserError if there is none, it is none of jaxact's, it is damaged, or it is unfinished.
+    Args:
+        where: results folder with a `sweep.zarr` in it, or the store itself; path or URL.
+        unfinished: also of a sweep that has not come to its end; what is missing is NaN, verdict
+            -1.
+
+    Raises:
+        UserError: there is none, it is none of jaxact's, it is damaged, or it is unfinished.
     """
     store = find(where)
     with readable(where):
@@ -71,9 +76,11 @@ def open_result(where: str | Path, *, unfinished: bool = False) -> xr.Dataset:
 def load_result(where: str | Path) -> xr.Dataset:
     """The results of a sweep in memory, each of their files held against its checksum.
 
-    where: as for `open_result`
+    Args:
+        where: as for `open_result`.
 
-    Raises UserError as `open_result`.
+    Raises:
+        UserError: as `open_result`.
     """
     store = find(where)
     read: dict[int, dict[str, np.ndarray]] = {}
@@ -162,11 +169,13 @@ def check_netcdf(path: Path, *, overwrite: bool = False) -> None:
 def to_netcdf(results: xr.Dataset, path: Path, *, overwrite: bool = False) -> None:
     """Write the results as one NetCDF-4 file, whole or not at all.
 
-    results: of a sweep
-    path: of the file
-    overwrite: replace a file that is there
+    Args:
+        results: of a sweep.
+        path: of the file.
+        overwrite: replace a file that is there.
 
-    Raises UserError if the file exists and may not be replaced, or cannot be written.
+    Raises:
+        UserError: the file exists and may not be replaced, or cannot be written.
     """
     check_netcdf(path, overwrite=overwrite)
     encoded = loaded(results).assign_attrs({k: _netcdf(v) for k, v in results.attrs.items()})

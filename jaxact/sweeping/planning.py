@@ -23,18 +23,19 @@ _LONGEST = 8
 class Planned:
     """How a sweep is computed on the machine that plans it.
 
-    tile: loops in a tile
-    loops: most samples of a chunk
-    devices: number of devices
-    engine: that simulates
-    digest: of the model, empty for a built-in plant
-    platform: "cpu" or "gpu"
-    device: what the devices are, in words
-    memory: bound for the process [bytes]
-    peak: expected [bytes]
-    seconds: expected, of the loops
-    startup: least time before the first of them [s]; compiling takes longer
-    measured: whether that rests on what was measured on this machine
+    Attributes:
+        tile: loops in a tile.
+        loops: most samples of a chunk.
+        devices: number of devices.
+        engine: that simulates.
+        digest: of the model, empty for a built-in plant.
+        platform: "cpu" or "gpu".
+        device: what the devices are, in words.
+        memory: bound for the process [bytes].
+        peak: expected [bytes].
+        seconds: expected, of the loops.
+        startup: least time before the first of them [s]; compiling takes longer.
+        measured: whether that rests on what was measured on this machine.
     """
 
     tile: int
@@ -64,12 +65,14 @@ def plan(
 ) -> Planned:
     """Plan a sweep on the devices of this process.
 
-    specification: checked
-    samples: expanded from it
-    budget: memory that the process may take [bytes]; None: a quarter of what is free
-    say: told when tiles are measured; None: none are
+    Args:
+        specification: checked.
+        samples: expanded from it.
+        budget: memory that the process may take [bytes]; None: a quarter of what is free.
+        say: told when tiles are measured; None: none are.
 
-    Raises UserError as `jaxact.simulation.plans.groups`, and if the memory does not suffice.
+    Raises:
+        UserError: as `jaxact.simulation.plans.groups`, and if the memory does not suffice.
     """
     import jax
 

@@ -37,9 +37,10 @@ class State(enum.Enum):
 class Finding:
     """What a look at a chunk has found.
 
-    state: of the chunk
-    tile: loops in a tile when it was computed; 0 where it is not done
-    why: what is wrong with a damaged one
+    Attributes:
+        state: of the chunk.
+        tile: loops in a tile when it was computed; 0 where it is not done.
+        why: what is wrong with a damaged one.
     """
 
     state: State
@@ -51,11 +52,12 @@ class Finding:
 class Store:
     """A store that is being filled, or was.
 
-    location: where it lies
-    layout: how the sweep is cut into chunks
-    precision: of the results, "float32" or "float64"
-    tile: loops in a tile, as planned
-    robot: whether it has the variables that only robots have
+    Attributes:
+        location: where it lies.
+        layout: how the sweep is cut into chunks.
+        precision: of the results, "float32" or "float64".
+        tile: loops in a tile, as planned.
+        robot: whether it has the variables that only robots have.
     """
 
     location: Location
@@ -80,11 +82,13 @@ class Store:
     def write(self, number: int, results: Mapping[str, np.ndarray], tile: int) -> None:
         """Write the results of a chunk, and then its receipt; durable when it returns.
 
-        number: of the chunk
-        results: of its samples by variable, each of shape (n,)
-        tile: loops in a tile, as they were computed
+        Args:
+            number: of the chunk.
+            results: of its samples by variable, each of shape (n,).
+            tile: loops in a tile, as they were computed.
 
-        Raises OSError where the store cannot be written.
+        Raises:
+            OSError: the store cannot be written.
         """
         files, checksums = {}, []
         for name in self.variables:
@@ -99,7 +103,8 @@ class Store:
     def receipt(self, number: int) -> np.ndarray | None:
         """Chunk, tile and checksums as they were written; None where there is no receipt.
 
-        Raises DamagedError if it is not as it was written.
+        Raises:
+            DamagedError: it is not as it was written.
         """
         content = self.location.read(_receipt_key(number))
         if content is None:
@@ -112,7 +117,8 @@ class Store:
     def read(self, number: int) -> dict[str, np.ndarray]:
         """The results of a chunk that is done, each of shape (n,).
 
-        Raises DamagedError if they are not what its receipt says.
+        Raises:
+            DamagedError: they are not what its receipt says.
         """
         row = self.receipt(number)
         if row is None:
@@ -215,9 +221,10 @@ def repair(location: Location, skeleton: Mapping[str, bytes]) -> None:
 def demand_equal(there: Mapping[str, object], here: Mapping[str, object], name: str) -> None:
     """Raise UserError with the differing keys unless two identities are of the same sweep.
 
-    there: of the store
-    here: of what is asked for
-    name: of the store
+    Args:
+        there: of the store.
+        here: of what is asked for.
+        name: of the store.
     """
     old, new = _flat(there), _flat(here)
     differing = [

@@ -20,9 +20,10 @@ import numpy as np
 class Lattice:
     """A coarse grid, and how often its cells are halved.
 
-    cases: number of grids, refined each by itself
-    cells: coarse cells along each axis
-    halvings: of the cells along each axis
+    Attributes:
+        cases: number of grids, refined each by itself.
+        cells: coarse cells along each axis.
+        halvings: of the cells along each axis.
     """
 
     cases: int
@@ -140,7 +141,8 @@ class Refinement:
     def _settle(self, halved: dict[int, np.ndarray]) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """Sort the fresh cells into calm ones and ones to halve, and halve them.
 
-        Returns the halves, by level, and those of their corners that are not known yet.
+        Returns:
+            The halves, by level, and those of their corners that are not known yet.
         """
         split = dict(halved)
         for level, cells in self._fresh.items():

@@ -136,14 +136,15 @@ def skeleton(
 ) -> dict[str, bytes]:
     """All files of a store but its results, by key.
 
-    specification: what was asked
-    samples: all its loops
-    layout: how they are cut into chunks
-    identity: what a sweep that continues this one must share, JSON
-    attributes: of the whole store, from `provenance`
-
     A receipt is a row of whole numbers: that of the chunk, the loops in a tile, and the checksum of
     the chunk of every variable. A chunk is done when its receipt is there and true.
+
+    Args:
+        specification: what was asked.
+        samples: all its loops.
+        layout: how they are cut into chunks.
+        identity: what a sweep that continues this one must share, JSON.
+        attributes: of the whole store, from `provenance`.
     """
     import xarray as xr
     import zarr
@@ -269,11 +270,12 @@ def _attributes(name: str) -> dict[str, Any]:
 def provenance(specification: Specification, device: str) -> dict[str, Any]:
     """Attributes of a store: all that is needed to run it again.
 
-    specification: what was asked
-    device: what it runs on, in words
-
     The specification (JSON, TOML and the value of every parameter), versions, seed, command,
     device, time.
+
+    Args:
+        specification: what was asked.
+        device: what it runs on, in words.
     """
     found = {
         "title": specification.description or _title(specification),

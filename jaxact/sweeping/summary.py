@@ -22,10 +22,11 @@ _PART = 4_000_000
 def summary(results: xr.Dataset) -> str:
     """Number of loops, share of every verdict, and the share of stable loops in each case.
 
-    results: of a sweep; read in parts
-
     A case is one combination of all axes but kp and kd, e.g. one actuator with one delay; where
     there are very many, only the totals are given.
+
+    Args:
+        results: of a sweep; read in parts.
     """
     verdict = results["verdict"]
     dims = [str(dim) for dim in verdict.dims if dim not in _POOLED]

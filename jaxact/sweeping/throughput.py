@@ -78,10 +78,11 @@ def best_tile(
 ) -> int | None:
     """The fastest tile of a kind of sweep on this machine; None: the engine's usual one.
 
-    specification, samples: of the sweep
-    say: told when measuring begins; None: nothing is measured
-
     Measures only where the sweep is long and nothing is known yet.
+
+    Args:
+        specification, samples: of the sweep.
+        say: told when measuring begins; None: nothing is measured.
     """
     if specification.tile is not None:
         return None
@@ -103,14 +104,16 @@ def fastest(
 ) -> str:
     """The engine that `engine = "auto"` comes to on this machine.
 
-    specification, samples: of the sweep
-    say: told when measuring begins; None: nothing is measured
-
     Where the sweep is long, each engine that can simulate the robot is measured on short rollouts,
     once on a machine; otherwise `jaxact.simulation.engines.resolved` says which is expected to be
     it.
 
-    Raises UserError as `jaxact.simulation.engines.resolved`.
+    Args:
+        specification, samples: of the sweep.
+        say: told when measuring begins; None: nothing is measured.
+
+    Raises:
+        UserError: as `jaxact.simulation.engines.resolved`.
     """
     usual = engines.resolved(specification)
     if specification.engine != AUTO or not specification.robot:

@@ -20,8 +20,9 @@ _BISECTIONS = 20
 def trace(holds: Holds, x: np.ndarray, y: np.ndarray) -> list[Curve]:
     """All parts of the line inside a window, each as its points (x, y) in order.
 
-    holds: whether it holds at points, shape (n,) each
-    x, y: ascending coordinates of the grid, shape (columns,) and (rows,)
+    Args:
+        holds: whether it holds at points, shape (n,) each.
+        x, y: ascending coordinates of the grid, shape (columns,) and (rows,).
     """
     columns, rows = np.meshgrid(x, y)
     mask = holds(columns.ravel(), rows.ravel()).reshape(columns.shape)

@@ -29,10 +29,11 @@ _MENDED = "`jaxact sweep ... --resume` mends it"
 class ChecksumReport:
     """What the checksums say.
 
-    chunks, done: in all, and whole
-    wrong: what of metadata, coordinates and chunks is not whole, and why
-    foreign: files that are not part of the store
-    older: it was made before metadata and coordinates had checksums
+    Attributes:
+        chunks, done: in all, and whole.
+        wrong: what of metadata, coordinates and chunks is not whole, and why.
+        foreign: files that are not part of the store.
+        older: it was made before metadata and coordinates had checksums.
     """
 
     chunks: int
@@ -46,9 +47,10 @@ class ChecksumReport:
 class Recomputed:
     """Loops computed again.
 
-    loops, wrong: in all, and with other results
-    words: how they agree
-    example: of one that differs
+    Attributes:
+        loops, wrong: in all, and with other results.
+        words: how they agree.
+        example: of one that differs.
     """
 
     loops: int
@@ -73,11 +75,13 @@ def checksums(target: Location) -> ChecksumReport:
 def recompute(target: Location, number: int, seed: int) -> Recomputed:
     """Compute some loops of a store again.
 
-    target: of the store
-    number: loops, at most
-    seed: of their choice
+    Args:
+        target: of the store.
+        number: loops, at most.
+        seed: of their choice.
 
-    Raises UserError if the store does not describe its sweep.
+    Raises:
+        UserError: the store does not describe its sweep.
     """
     store = _existing(target)
     specification, samples, outline = _described(target)

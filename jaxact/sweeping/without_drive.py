@@ -25,7 +25,8 @@ PERFECT = {
 def pair(specification: Specification) -> Samples:
     """Two loops: the nominal one of a specification without its drive, and the same as it is.
 
-    specification: checked; both have its gains, setpoint, push and random numbers
+    Args:
+        specification: checked; both have its gains, setpoint, push and random numbers.
     """
     columns = {}
     for key, value in specification.nominal.items():
