@@ -17,6 +17,7 @@ from jaxact.analysis.joint.margins import margins
 from jaxact.analysis.sampled import margins as sampled
 from jaxact.analysis.sampled.period_map import SampledLoop, delay_steps
 from jaxact.analysis.sampled.search import sampled_response
+from jaxact.compilation.filling import filled
 from jaxact.compilation.programs import Program
 
 # The margins work through their batch in tiles of so many; a rest would be compiled on its own.
@@ -93,10 +94,9 @@ def _arrays(
     """What a function finds of the loops of these columns; in tiles of one size, compiled once."""
     shape = columns["kp"].shape
     count = columns["kp"].size
+    rows = {name: array.reshape(-1) for name, array in columns.items()}
     with jax.enable_x64(True):
-        rows = {name: np.pad(array.reshape(-1), (0, -count % _TILE), mode="edge")
-                for name, array in columns.items()}  # fmt: skip
-        found = function(kind(**{name: jnp.asarray(row) for name, row in rows.items()}))
+        found = function(kind(**filled(rows, count + -count % _TILE)))
         return {
             field.name: np.asarray(getattr(found, field.name))[:count].reshape(shape)
             for field in fields(found)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from study import CONTROL_RATE, DELAYS, KD, KP, MASS, Cases
 
+from jaxact.compilation.filling import in_chunks
 from jaxact.compilation.programs import building
 from jaxact.drive import step as _drive
 from jaxact.drive.actuator import Actuator
@@ -128,19 +129,12 @@ def _growth(cases: Cases, factor: np.ndarray, added_delay: np.ndarray) -> np.nda
     """Growth rates [1/s]; all of the cases' shape, in tiles of one size, compiled once."""
     row = cases.flat()
     columns = (*row.columns, factor.reshape(-1), added_delay.reshape(-1))
-    count = factor.size
-    padded = [np.pad(column, (0, -count % _TILE), mode="edge") for column in columns]
     longest = max(DELAYS) + LONGEST_DELAY
     every_part = Cases(np.array([1.0]), np.array([1.0]), np.array([longest]))
     with jax.enable_x64(True):
         options = _drive.options(_drive_of(every_part, 1.0, 0.0))
-        tiles = [
-            _growth_rates(
-                *(jnp.asarray(column[first : first + _TILE]) for column in padded), options=options
-            )
-            for first in range(0, count, _TILE)
-        ]
-        return np.concatenate(tiles)[:count].reshape(cases.shape)
+        found = in_chunks(lambda part: _growth_rates(*part, options=options), columns, _TILE)
+    return found.reshape(cases.shape)
 
 
 @building

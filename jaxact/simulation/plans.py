@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 
+from jaxact.compilation.filling import filled
 from jaxact.drive import step as _drive
 from jaxact.errors import UserError
 from jaxact.loops.conversion import drive_of
@@ -249,4 +250,4 @@ def batches(
         numbers = numbers[np.isin(samples.take(numbers)["control_rate"], plan.rates)]
     for first in range(0, numbers.size, plan.batch):
         part = numbers[first : first + plan.batch]
-        yield part[np.minimum(np.arange(plan.batch), part.size - 1)], part.size
+        yield filled(part, plan.batch), part.size

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.compilation import filling
 from jaxact.compilation.programs import Program
 from jaxact.status import Verdict
 from jaxact.sweeping import store
@@ -252,19 +253,18 @@ def _matrices(values: Mapping[str, np.ndarray], velocity: str, most: int, chunk:
 
     # Padded to one of two sizes: compiling takes longer than computing.
     count = len(values["kp"])
-    padded = min(256, chunk) if count <= 256 else chunk
-    index = np.minimum(np.arange(padded), count - 1)
     loop = SampledLoop(
-        kp=values["kp"][index],
-        kd=values["kd"][index],
-        mass=values["mass"][index],
-        natural_frequency=values["wn"][index],
-        damping_ratio=values["zeta"][index],
-        delay=total_delay(values)[index],
-        control_period=1.0 / values["control_rate"][index],
-        velocity_filter=values["velocity_filter"][index],
+        kp=values["kp"],
+        kd=values["kd"],
+        mass=values["mass"],
+        natural_frequency=values["wn"],
+        damping_ratio=values["zeta"],
+        delay=total_delay(values),
+        control_period=1.0 / values["control_rate"],
+        velocity_filter=values["velocity_filter"],
         velocity=velocity,
     )
+    loop = filling.filled(loop, min(256, chunk) if count <= 256 else chunk)
     with jax.enable_x64(True):
         return np.asarray(_matrices_of(loop, most=most))[:count]
 

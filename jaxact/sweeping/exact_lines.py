@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.compilation import filling
 from jaxact.compilation.programs import Program
 from jaxact.sweeping import agreement, store
 from jaxact.sweeping.tracing import Curve, trace
@@ -137,22 +138,17 @@ def stable_in_continuous_time(values: Mapping[str, np.ndarray]) -> np.ndarray:
         values: parameters of the linear loops by short name, shape (n,) each.
     """
     import jax
-    import jax.numpy as jnp
 
     from jaxact.analysis.joint.frequency import JointLoop
 
     delay = agreement.total_delay(values)
-    columns = [np.asarray(values[name], float) for name in ("kp", "kd", "mass", "wn", "zeta")]
+    columns: list[Any] = [
+        np.asarray(values[name], float) for name in ("kp", "kd", "mass", "wn", "zeta")
+    ]
     cutoff = np.asarray(values["velocity_filter"], float)
     columns += [delay, cutoff] if np.isfinite(cutoff).any() else [delay]
-    counts: list[Any] = []
     with jax.enable_x64(True):
-        for start in range(0, len(delay), _CHUNK):
-            part = [column[start : start + _CHUNK] for column in columns]
-            number = len(part[0])
-            padded = [jnp.asarray(np.resize(column, _CHUNK)) for column in part]
-            counts.append(np.asarray(_unstable_roots(JointLoop(*padded)))[:number])
-    return np.concatenate(counts) == 0
+        return filling.in_chunks(_unstable_roots, JointLoop(*columns), _CHUNK) == 0
 
 
 @Program

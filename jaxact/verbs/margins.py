@@ -16,6 +16,7 @@ from jaxact.analysis.joint.roots import rightmost_root
 from jaxact.analysis.sampled.margins import SampledMargins
 from jaxact.analysis.sampled.margins import sampled_margins as _sampled_margins
 from jaxact.analysis.sampled.period_map import delay_steps
+from jaxact.compilation import filling
 from jaxact.compilation.programs import Program
 from jaxact.errors import UserError
 from jaxact.loops import conversion
@@ -263,8 +264,8 @@ def _sampled(values: Mapping[str, np.ndarray], velocity: str) -> SampledMargins:
 def _filled_up(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Parameters of the loops, the last of which is repeated up to a round number of loops."""
     number = len(values["kp"])
-    more = _rounded_up(number, _FEW if number <= _FEW else _MANY) - number
-    return {name: np.pad(array, (0, more), "edge") for name, array in values.items()}
+    size = _rounded_up(number, _FEW if number <= _FEW else _MANY)
+    return filling.filled(dict(values), size)
 
 
 def _rounded_up(number: int, unit: int) -> int:

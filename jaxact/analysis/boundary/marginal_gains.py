@@ -25,6 +25,7 @@ from jaxact.analysis.joint.frequency import JointLoop
 from jaxact.analysis.joint.roots import count_unstable_roots
 from jaxact.analysis.sampled.period_map import SampledLoop, one_period_matrix
 from jaxact.analysis.sampled.pulse import plant_response, pulse_transfer
+from jaxact.compilation.filling import in_chunks
 from jaxact.compilation.programs import Program
 
 _CHUNK = 128
@@ -205,14 +206,8 @@ def _count_continuous(kp: np.ndarray, kd: np.ndarray, plant: tuple[float, ...]) 
 
     plant: mass, wn, zeta, delay, cutoff of the filter of the velocity
     """
-    counts = []
     if math.isinf(plant[-1]):
         plant = plant[:-1]
+    loops = JointLoop(kp, kd, *(np.full(len(kp), value) for value in plant))
     with jax.enable_x64(True):
-        for start in range(0, len(kp), _CHUNK):
-            part = slice(start, start + _CHUNK)
-            number = len(kp[part])
-            padded = [np.resize(a[part], _CHUNK) for a in (kp, kd)]
-            fields = [*(jnp.asarray(a) for a in padded), *(jnp.full(_CHUNK, a) for a in plant)]
-            counts.append(np.asarray(_counter(JointLoop(*fields)))[:number])
-    return np.concatenate(counts)
+        return in_chunks(_counter, loops, _CHUNK)

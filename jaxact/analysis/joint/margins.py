@@ -34,6 +34,7 @@ from jaxact.analysis.joint.peaks import locate_peaks, peak_slopes, peak_values
 from jaxact.analysis.joint.positive_roots import insert_sorted, sort_rows
 from jaxact.analysis.joint.roots import encirclements
 from jaxact.analysis.joint.stationary import gain_extremes, phase_extremes
+from jaxact.compilation.filling import filled
 
 _TILE = 256
 
@@ -142,13 +143,8 @@ def _in_tiles(function: Callable[[JointLoop], _Found], loop: JointLoop, number: 
     if number <= _TILE:
         return function(loop)
     tiles = -(-number // _TILE)
-    padded = jax.tree.map(
-        lambda a: jnp.pad(a, ((0, 0), (0, tiles * _TILE - number)), mode="edge").reshape(
-            (tiles, 1, _TILE)
-        ),
-        loop,
-    )
-    found = jax.lax.map(function, padded)
+    full = filled(loop, tiles * _TILE)
+    found = jax.lax.map(function, jax.tree.map(lambda a: a.reshape((tiles, 1, _TILE)), full))
     return jax.tree.map(
         lambda a: jnp.moveaxis(a, 0, 1).reshape((a.shape[1], -1))[:, :number], found
     )

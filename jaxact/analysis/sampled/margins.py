@@ -27,6 +27,7 @@ from jaxact.analysis.sampled.search import (
     search,
     with_slopes,
 )
+from jaxact.compilation.filling import filled
 
 _TURN = 2.0 * math.pi
 _TILE = 64
@@ -118,7 +119,7 @@ def sampled_margins(loop: SampledLoop, *, max_delay_steps: int) -> SampledMargin
     count = flat[0].shape[0]
     # A last tile that is not full would be compiled by itself, which takes as long once more.
     missing = -count % _TILE if count > _TILE else 0
-    full = [jnp.pad(v, (0, missing), mode="edge") for v in flat]
+    full = filled(flat, count + missing)
     result = jax.lax.map(one, full, batch_size=_TILE)
     return jax.tree.map(lambda a: a[:count].reshape(shape), result)
 

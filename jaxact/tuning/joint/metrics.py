@@ -7,6 +7,7 @@ gains and by the members' parameters.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from jaxact.analysis.joint.frequency import JointLoop
 from jaxact.analysis.joint.margins import margins
 from jaxact.analysis.sampled.margins import sampled_margins
 from jaxact.analysis.sampled.period_map import SampledLoop, delay_steps
+from jaxact.compilation.filling import in_chunks
 from jaxact.compilation.programs import Program
 from jaxact.tuning.joint.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
 from jaxact.tuning.joint.noise import bandwidth, noise_gain
@@ -81,16 +83,8 @@ def evaluate(
     # Only what makes a difference to the program, so that goals share it.
     wanted = tuple(name for name in _EXTRA if name in extra)
     static = {"sampling": sampling, "steps": steps, "wanted": wanted, "timed": timed}
-    parts = []
     with jax.enable_x64(True):
-        for start in range(0, flat.shape[1], _SIZE):
-            part = flat[:, start : start + _SIZE]
-            number = part.shape[1]
-            padded = np.pad(part, ((0, 0), (0, _SIZE - number)), mode="edge")
-            found = jax.tree.map(np.asarray, _with_slopes(jnp.asarray(padded), **static))
-            parts.append(jax.tree.map(lambda a, n=number: a[..., :n], found))
-    joined = jax.tree.map(lambda *a: np.concatenate(a, axis=-1), *parts)
-    stable, log, slope = joined
+        stable, log, slope = in_chunks(functools.partial(_with_slopes, **static), flat, _SIZE)
     return Exact(
         stable.reshape(shape),
         {name: a.reshape(shape) for name, a in log.items()},
