@@ -13,10 +13,11 @@ from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.loops import robots
 from jaxact.plants import linearize
-from jaxact.sweeping import critical
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "experiments" / "quadruped"
+with imported(FOLDER, "critical") as modules:
+    (critical,) = modules
 
 
 @pytest.fixture(scope="module")

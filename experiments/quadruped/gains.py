@@ -20,12 +20,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import cases
+import critical
 import numpy as np
 
 from jaxact.loops import robots
 from jaxact.loops.specification import Specification
 from jaxact.robots import inertia
-from jaxact.sweeping import critical
 
 RESERVE = 1.5
 DAMPING = 0.7
@@ -61,7 +61,7 @@ def nominal(
     """The gains by the rule.
 
     situations: specifications of the robot's situations by name
-    points, rounds: of the search for where it topples, `jaxact.sweeping.critical.edge`
+    points, rounds: of the search for where it topples, `critical.edge`
     """
     toppling = {
         name: toppling_stiffness(one, points=points, rounds=rounds)

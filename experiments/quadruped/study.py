@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import cases
+import critical
 import numpy as np
 from cases import Drives
 
 from jaxact.loops.specification import Specification
 from jaxact.status import Verdict
-from jaxact.sweeping import critical
 
 LOWEST, HIGHEST = 0.3, 6.0  # gain scales
 # Rollouts are searched from here to there, as multiples of the linear answer.

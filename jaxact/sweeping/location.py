@@ -293,11 +293,6 @@ class Remote:
         return FsspecStore.from_url(self.url)
 
 
-def _importance(key: str) -> tuple[bool, int]:
-    """Rises with what a file says of others: results, metadata of an array, that of the store."""
-    return key.endswith(_METADATA), -key.count("/")
-
-
 @contextlib.contextmanager
 def _as_os_error() -> Iterator[None]:
     """What a store's own library raises, no credentials say or no connection, as an OSError."""

@@ -1,15 +1,21 @@
 """Critical gain scales: the search itself, and loops that are the same with and without a drive."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
+from experiment_modules import imported
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.loops import reading
 from jaxact.loops.samples import expand
 from jaxact.simulation import plans, spectra
-from jaxact.sweeping import critical, without_drive
+from jaxact.sweeping import without_drive
+
+FOLDER = Path(__file__).resolve().parent.parent / "experiments" / "quadruped"
+with imported(FOLDER, "critical") as modules:
+    (critical,) = modules
 
 SPECIFICATION = """
 engine = "mass"
