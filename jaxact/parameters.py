@@ -177,27 +177,27 @@ _TABLE = (
         " 0.002, or a tenth of a count where there is quantisation and no noise.",
     ),
     _at_least_zero(
-        "payload", "payload", "kg", 0.0, 1e6, "Of a robot: mass added to the body of the payload."
+        "payload", "payload", "kg", 0.0, 1e6, "Robots only: mass added to the body of the payload."
     ),
     Parameter(
         "inertia_scale", "inertia scale", "1", 1.0, 1e-3, 1e3, False,
-        "Of a robot: factor on mass and inertia of the bodies that the driven joints move.",
+        "Robots only: factor on mass and inertia of the bodies that the driven joints move.",
     ),
     _at_least_zero(
         "joint_damping", "added joint damping", "N s/m", 0.0, 1e9,
-        "Of a robot: viscous damping added to the driven joints.",
+        "Robots only: viscous damping added to the driven joints.",
     ),
     _at_least_zero(
         "joint_armature", "added armature", "kg", 0.0, 1e6,
-        "Of a robot: rotor inertia added to the driven joints.",
+        "Robots only: rotor inertia added to the driven joints.",
     ),
     _at_least_zero(
         "joint_friction", "added joint friction", "N", 0.0, 1e9,
-        "Of a robot: dry friction added to the driven joints.",
+        "Robots only: dry friction added to the driven joints.",
     ),
     _at_least_zero(
         "contact_friction", "contact friction scale", "1", 1.0, 1e3,
-        "Of a robot: factor on the friction of all contacts.",
+        "Robots only: factor on the friction of all contacts.",
     ),
 )  # fmt: skip
 

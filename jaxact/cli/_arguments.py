@@ -71,7 +71,7 @@ Base = Annotated[
     str | None,
     option(
         "free|fixed|held",
-        "Of a robot: its base as the model has it; fixed on a stand, where nothing touches the"
+        "Robots only: its base as the model has it; fixed on a stand, where nothing touches the"
         " robot; or held where the robot stands, in contact.",
         "free",
     ),
@@ -80,7 +80,7 @@ Damping = Annotated[
     str | None,
     option(
         "joint|drive",
-        "Of a robot: the joints' viscous damping as the model has it, in the joint; or as part of"
+        "Robots only: the joints' viscous damping as the model has it, in the joint; or as part of"
         " the kd that the model brings, sampled and delayed.",
         "joint",
     ),
@@ -104,7 +104,7 @@ class Mounting:
         str | None,
         option(
             "moving|stuck",
-            "Of a robot: margins and growth rates of joints that move, which dry friction does not"
+            "Robots only: margins and growth rates of joints that move, which dry friction does not"
             " damp; or as MuJoCo linearises it at rest, as very strong damping.",
             "moving",
         ),

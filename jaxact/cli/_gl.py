@@ -1,4 +1,4 @@
-"""MUJOCO_GL for those who need no pictures: importing MuJoCo must not fail for want of OpenGL.
+"""MUJOCO_GL for those who need no pictures: without OpenGL, importing MuJoCo must not fail.
 
 MuJoCo loads the OpenGL that the variable names when it is imported, and the import fails where that
 library is missing. Only `jaxact render` draws, and it loads what it needs itself.

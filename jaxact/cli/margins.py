@@ -31,7 +31,7 @@ class Robot(_arguments.Robot):
         Path | None,
         option(
             "FILE",
-            "Of a robot: picture to write, .png, .svg or .pdf; one that is there is replaced.",
+            "Robots only: picture to write, .png, .svg or .pdf; one that is there is replaced.",
             "none",
         ),
     ] = None

@@ -161,7 +161,7 @@ class Robot(_arguments.Mounting):
         float,
         option(
             "W",
-            "Of a robot: 1 % less rms error in simulated rollouts after a push counts like W % "
+            "Robots only: 1 % less rms error in simulated rollouts after a push counts like W % "
             "more of the objective; the bounds stay as they are. Takes minutes; 0: none.",
         ),
     ] = 0.0

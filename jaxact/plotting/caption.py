@@ -127,7 +127,7 @@ def loop(
 
     Args:
         values: parameters by short name.
-        results: figures by the names of a sweep's variables.
+        results: metrics by the names of a sweep's variables.
         static: options of a specification by name.
         unit: of the joint's position.
     """

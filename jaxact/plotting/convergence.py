@@ -57,7 +57,7 @@ def convergence(
         violations: largest ratio of a figure to its bound [-], 1 where it is met, same shape.
         label: of the objective, with unit.
         given: the last start is the user's own.
-        stable: starts that came to stable gains, shape (starts,), None for all; figures of unstable
+        stable: starts that came to stable gains, shape (starts,), None for all; values of unstable
             loops say nothing, and are not compared with the bounds.
         missed: what was not reached, None where everything was.
         title, footer: above and below.
@@ -120,7 +120,7 @@ def _objective_axis(axes: Axes, values: np.ndarray, label: str) -> None:
 
 
 def _bound_axis(axes: Axes, ratios: np.ndarray, missed: UnmetBound | None) -> None:
-    """Figures as ratios to their bounds, with the region that was to be reached."""
+    """Values as ratios to their bounds, with the region that was to be reached."""
     axes.set_ylabel("times the bound")
     axes.set_xlabel("step")
     shown = ratios[np.isfinite(ratios)]

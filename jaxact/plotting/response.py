@@ -22,7 +22,7 @@ class LoopResponse:
         frequency: w [rad/s], rising, shape (n,).
         open_loop: L(jw), complex, shape (n,).
         phase: of L along the frequencies, unwrapped [deg], shape (n,).
-        margins: figures by the names of `jaxact margins`: gain_margin [-], phase_crossover [rad/s],
+        margins: values by the names of `jaxact margins`: gain_margin [-], phase_crossover [rad/s],
             phase_margin [deg], gain_crossover [rad/s], delay_margin [s], sensitivity_peak [-],
             sensitivity_peak_frequency [rad/s], complementary_peak [-], complementary_peak_frequency
             [rad/s], disk_margin [-]; infinite where there is no crossover, and missing or NaN where

@@ -16,7 +16,7 @@ from jaxact.plotting import theme, ticks
 from jaxact.plotting.page import page
 from jaxact.plotting.response import number
 
-# Joints whose curves are named in the legend: the nearest to shaking, or those that move most.
+# Joints whose curves are named in the legend: the least robust, or those that move most.
 MOST_NAMED = 5
 _DECADES = 1e6
 _LOWEST = 0.02

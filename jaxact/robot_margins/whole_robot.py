@@ -35,7 +35,7 @@ class WholeRobot:
         kp, kd: gains of the joints, shape (joints,) each.
         residual: largest acceleration left at the posture [rad/s^2 or m/s^2]; 0 at an equilibrium.
         left_out: largest dry friction that the linearised robot does without [N or N m], 0 if none.
-        neutral: number of directions in which a displaced robot just stays displaced; left out.
+        neutral: number of rigid-body modes, in which a displaced robot stays where it is; left out.
         floating: whether its base moves.
         physics_step: [s].
         engine: that the plant was linearised in, "mujoco" or "mjx".

@@ -301,7 +301,7 @@ def metrics(
     seed: jax.Array,
     number: jax.Array,
 ) -> Metrics:
-    """Metrics of one sample, each of shape (); figures of several joints are their worst.
+    """Metrics of one sample, each of shape (); metrics of several joints are their worst.
 
     Its random numbers follow from the sweep's seed and its own number alone.
     """

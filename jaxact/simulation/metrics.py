@@ -1,4 +1,4 @@
-"""Figures of merit of a rollout, accumulated tick by tick; no trajectory is kept.
+"""Metrics of a rollout, accumulated tick by tick; no trajectory is kept.
 
 With the response y = (q - q0) / (r - q0) to a setpoint that steps from q0 to r:
 
@@ -75,7 +75,7 @@ class Reference:
 class Metrics:
     """Results of a rollout; shape (joints,) except for the verdict and growth rate, shape ().
 
-    Figures that a loop does not have are NaN: all but the verdict and growth rate of a diverged
+    Metrics that a loop does not have are NaN: all but the verdict and growth rate of a diverged
     loop, the rise or settling time of one that did not rise or settle in time.
 
     Attributes:
@@ -353,7 +353,7 @@ def worst(result: Metrics) -> Metrics:
     that of the joint with the largest one; a loop with another verdict has none.
 
     Args:
-        result: figures of the joints along the last axis, or of a loop without one: as it is.
+        result: metrics of the joints along the last axis, or of a loop without one: as it is.
 
     Returns:
         All of the shape of the verdict.

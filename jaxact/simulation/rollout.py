@@ -3,7 +3,7 @@
 run        step response with metrics accumulated on the way, no trajectory kept
 trajectory the physics steps of one loop, for plots and files
 judged     what comes of one start, for the verdict
-figures    the metrics of a loop whose trajectory was kept
+metrics_of the metrics of a loop whose trajectory was kept
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class RolloutOptions:
         ticks: control periods; a multiple of `jaxact.simulation.metrics.SEGMENTS`.
         unroll: largest number of control periods in one iteration of the compiled loop.
         linear_plant: whether the plant is linear, so that a linear drive makes a linear loop.
-        stops: end early where no loop of a batch has finite figures any more; it changes no result
+        stops: end early where no loop of a batch has finite metrics any more; it changes no result
             and leaves no derivative in reverse.
     """
 
@@ -319,7 +319,7 @@ def follow(
         configuration: static; what to keep of the plant's state at every control tick.
 
     Returns:
-        The trajectory, and what `figures` needs of it, leaves of shape (ticks, joints).
+        The trajectory, and what `metrics_of` needs of it, leaves of shape (ticks, joints).
     """
     start, _ = prepared.plant.measure(state.plant)
     step = prepared.drive.step
@@ -347,7 +347,7 @@ def follow(
     return Trajectory(time, *rows, configuration=kept), outputs
 
 
-def figures(
+def metrics_of(
     outputs: Output,
     start: jax.Array,
     setpoint: Setpoint,

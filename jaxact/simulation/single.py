@@ -1,4 +1,4 @@
-"""A few loops simulated with every step kept, beside the figures that a sweep gives of them."""
+"""A few loops simulated with every step kept, beside the metrics that a sweep gives of them."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Single:
 
     Attributes:
         trajectory: NumPy arrays; time (steps,), all others (steps, joints).
-        results: the variables of a sweep by name; figures of several joints are their worst.
+        results: the variables of a sweep by name; metrics of several joints are their worst.
         values: every parameter of the loop by its short name.
         joints: the driven ones.
         starts: from which it was judged, its own first.
@@ -105,7 +105,7 @@ def simulate(specification: Specification) -> Single:
 def simulate_all(specification: Specification, samples: Samples) -> list[Single]:
     """Simulate every sample and keep its trajectory; for a few loops, side by side.
 
-    The random draws of a trajectory are those of its figures, and those of the sample with that
+    The random draws of a trajectory are those of its metrics, and those of the sample with that
     number in a sweep with this seed.
 
     Args:
@@ -130,8 +130,8 @@ def simulate_all(specification: Specification, samples: Samples) -> list[Single]
             rates = spectra.rates_batch(plan, one, samples, batch)
             values = samples.take(batch)
             numbers = samples.first + batch
-            figures, kept, judged = _followed(one, plan.case, values, rates.growth, numbers)
-            rows = {name: np.asarray(getattr(figures, name)) for name in _NAMES}
+            row, kept, judged = _followed(one, plan.case, values, rates.growth, numbers)
+            rows = {name: np.asarray(getattr(row, name)) for name in _NAMES}
             rows = execute.with_rates(rows, rates)
             for place, number in enumerate(batch[:count].tolist()):
                 found[number] = Single(
@@ -167,7 +167,7 @@ def _followed(
     growth: np.ndarray,
     numbers: np.ndarray,
 ) -> tuple[Metrics, Trajectory, Judgement]:
-    """Figures, trajectories, time (loops, steps), and starts (loops, starts) of some samples.
+    """Metrics, trajectories, time (loops, steps), and starts (loops, starts) of some samples.
 
     Args:
         growth: their growth rates [1/s].
@@ -178,16 +178,16 @@ def _followed(
         if not case.engine.in_jax:
             from jaxact.simulation import mujoco_batch  # imports MuJoCo
 
-            figures, kept, judged = mujoco_batch.followed(case, *loops)
+            found, kept, judged = mujoco_batch.followed(case, *loops)
         else:
-            figures, kept, judged = _in_jax(case, *loops)
+            found, kept, judged = _in_jax(case, *loops)
     rows = {
         name: getattr(kept, name).reshape((*kept.time.shape, -1))
         for name in Trajectory.__dataclass_fields__
         if name not in ("time", "configuration")
     }
     trajectory = Trajectory(time=kept.time, **rows, configuration=kept.configuration)
-    return figures, trajectory, jax.tree.map(np.asarray, judged)
+    return found, trajectory, jax.tree.map(np.asarray, judged)
 
 
 def _in_jax(
@@ -241,7 +241,7 @@ def _one(
         setpoints=moving,
         configuration=None if template.scene is None else lambda plant: plant.qpos,
     )
-    result, own = _rollout.figures(
+    result, own = _rollout.metrics_of(
         outputs,
         begin,
         setpoint,

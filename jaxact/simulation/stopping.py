@@ -1,4 +1,4 @@
-"""A scan over time that ends early, once no loop of a batch has figures left to find.
+"""A scan over time that ends early, once no loop of a batch has metrics left to find.
 
 Looking whether to stop takes time too, so that many control periods are computed in between.
 """
@@ -50,9 +50,9 @@ def _anywhere_in_batch(size: int, batched: list[bool], flags: jax.Array) -> tupl
 
 
 def until_lost(over: Callable, carry: Any, inputs: Any) -> tuple[Any, None]:
-    """As `jax.lax.scan` of a stretch, which ends once no loop of the batch has figures to find.
+    """As `jax.lax.scan` of a stretch, which ends once no loop of the batch has metrics to find.
 
-    A sum that is not finite never is again, and none of the figures that are drawn from it.
+    A sum that is not finite never is again, and none of the metrics that follow from it.
 
     Args:
         over: a stretch, (carry, inputs) -> (carry, None).

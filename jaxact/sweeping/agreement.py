@@ -31,7 +31,7 @@ LINEAR_PARAMETERS = (
 )  # fmt: skip
 # |rho - 1| within rounding of the eigenvalues: on the boundary, neither side is wrong there.
 ON_BOUNDARY = 1e-9
-# Factors tried on the gains, to both sides of 1, when the border is looked for.
+# Factors tried on the gains, above and below 1, when the border is looked for.
 _LADDER = 1.0 + np.geomspace(1e-5, 1e3, 84)
 _DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1))
 # Loops (of matrices up to 32 x 32) whose matrices are built at once.
@@ -235,7 +235,7 @@ def _whole_steps(values: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _stride(values: Mapping[str, np.ndarray], chosen: np.ndarray) -> int:
-    """Every how-manieth loop can be compared within `_PATIENCE` on one core."""
+    """Stride of the loops that can be compared within `_PATIENCE` on one core."""
     size = 7.0 + _whole_steps(values).ravel()[chosen]
     seconds = np.sum(1e-5 + 2e-8 * size**3)
     return max(1, int(np.ceil(seconds / _PATIENCE)))

@@ -27,18 +27,18 @@ _STABLE, _UNSTABLE = 0, 2
 def dataset(
     specification: Specification,
     samples: Samples,
-    figures: Mapping[str, tuple[np.ndarray, str]],
+    metrics: Mapping[str, tuple[np.ndarray, str]],
     *,
     kind: str,
     growth_rate: np.ndarray,
     stable: np.ndarray,
 ) -> xr.Dataset:
-    """Figures of all loops of a specification, over its axes.
+    """Margins of all loops of a specification, over its axes.
 
     Args:
         specification: of the loops.
         samples: them, from `jaxact.loops.samples.expand`.
-        figures: by name, values of shape (n,) and their unit.
+        metrics: by name, values of shape (n,) and their unit.
         kind: CONTINUOUS or SAMPLED, what the next two are of.
         growth_rate: real part of the rightmost root, or log(spectral radius) / T [1/s], shape (n,).
         stable: shape (n,).
@@ -58,7 +58,7 @@ def dataset(
         "verdict": (samples.dims, shaped(verdict), dict(vars(store.VARIABLES["verdict"]))),
     } | {
         name: (samples.dims, shaped(values), {"units": units})
-        for name, (values, units) in figures.items()
+        for name, (values, units) in metrics.items()
     }
     coords = {
         name: (place.dims, np.asarray(place.values, object) if place.values.dtype.kind == "U"

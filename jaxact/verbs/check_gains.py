@@ -165,7 +165,7 @@ def _of_base(known: OnStand) -> list[str]:
     if not borne.topples:
         return [f"With its base free the gains {_bears(known.free)}."]
     return [
-        f"With its base free the robot topples, by {borne.growth_rate:.3g} 1/s, for want of a "
+        f"With its base free the robot topples, by {borne.growth_rate:.3g} 1/s, because it has no "
         'balance controller, whatever the drives do in time: `base="fixed"` leaves only its '
         "joints and drives."
     ]

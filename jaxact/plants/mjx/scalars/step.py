@@ -1,4 +1,4 @@
-"""MJX's step of a small robot, written out number by number.
+"""MJX's step of a small robot, unrolled to scalar operations.
 
 MJX is written for many bodies: slices, look-ups, products of small matrices, Cholesky factors. For
 a robot of a few joints, moving numbers about takes longer than computing with them, and XLA calls a
