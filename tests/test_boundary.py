@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 import theory
+from gain_limits import continuous_limits, first_lobe, sampled_limits
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.analysis.boundary.boundary import BoundaryCurve, continuous_boundary, sampled_boundary
-from jaxact.analysis.boundary.gain_limits import continuous_limits, first_lobe, sampled_limits
 
 PERIOD = 1e-3
 WINDOW = {"kp_range": (10.0, 1e5), "kd_range": (0.1, 2000.0)}

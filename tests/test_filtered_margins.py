@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import theory
+from gain_limits import continuous_limits
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxact.analysis.boundary.boundary import continuous_boundary
-from jaxact.analysis.boundary.gain_limits import continuous_limits
 from jaxact.analysis.joint.frequency import JointLoop, loop_response, phase
 from jaxact.analysis.joint.margins import margins
 from jaxact.analysis.joint.roots import count_unstable_roots, rightmost_root

@@ -23,7 +23,6 @@ from jaxact.errors import UserError, nearest, shown
 from jaxact.loops.checks import OF_VELOCITY, check_velocity
 from jaxact.loops.specification import Motion, Plant, Push, Specification
 from jaxact.parameters import (
-    OF_MODEL,
     PARAMETERS,
     PRESETS,
     ROBOT_ONLY,
@@ -278,11 +277,6 @@ def _checked(name: str, value: Any, *, robot: bool) -> Any:
 def is_traced(loop: ControlLoop) -> bool:
     """Whether JAX traces one of the loop's values."""
     return any(isinstance(value, jax.core.Tracer) for value in loop.values.values())
-
-
-def model_decides(loop: ControlLoop) -> tuple[str, ...]:
-    """Parameters that a robot's model brings and that were not given."""
-    return tuple(name for name in OF_MODEL if loop.kind.plant and name not in loop.values)
 
 
 def _described(name: str, value: Any, *, units: bool) -> str:
