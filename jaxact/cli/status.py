@@ -93,7 +93,7 @@ def _of_rounds(entries: Mapping[str, Entry], owner: str) -> None:
 
 def _of_time(written: np.ndarray, done: int, left: int) -> None:
     """Rate and time left, from when the chunks were written; pauses do not count."""
-    from jaxact.cli.sweep import duration
+    from jaxact.sweeping.progress import duration
 
     gaps = np.diff(written)
     gaps = gaps[gaps > 0.0]

@@ -2,34 +2,23 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import functools
 import shlex
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from jaxact.cli import _cache, _progress, _signals, _warnings, _xla
 from jaxact.cli._arguments import NoCache, option
 from jaxact.cli._signals import Terminated
-from jaxact.errors import UserError
-from jaxact.plants.engines import AUTO, names
+from jaxact.plants.engines import AUTO
 
 if TYPE_CHECKING:
-    from jaxact.loops.samples import Samples
     from jaxact.loops.specification import Specification
-    from jaxact.sweeping.execution import SweepOptions
     from jaxact.sweeping.location import Location
-    from jaxact.sweeping.planning import Planned
-
-
-# Loops that take so many times as long as the start at least make a time that can be told.
-_MOSTLY_LOOPS = 20.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,18 +54,6 @@ class Run:
             "a new one on this machine",
         ),
     ] = None
-
-    def check(self) -> None:
-        """Raise UserError for what cannot be had together."""
-        width, address = self.width, self.address
-        if self.resume and self.overwrite:
-            raise UserError("--resume continues what is there, --overwrite replaces it: give one")
-        if width is not None and not self.adaptive:
-            raise UserError(f"--width {width:g}: is for --adaptive")
-        if width is not None and not 1e-9 <= width < 1.0:
-            raise UserError(f"--width {width:g}: allowed: from 1e-9 to below 1")
-        if address is not None and self.workers != "ray":
-            raise UserError(f"--address {address}: is for --workers ray")
 
 
 def main(
@@ -123,38 +100,41 @@ def main(
       jaxact sweep experiments/paper_gain_map.toml --adaptive --out results/boundary
     """
     from jaxact.loops import reading
-    from jaxact.sweeping import location as _location
-    from jaxact.sweeping import memory as _memory
 
     asked = reading.load(specification, set)
-    run.check()
-    budget = None if run.memory is None else _memory.read_size(run.memory)
-    folder = _location.at(out if out is not None else Path("results") / specification.stem)
     _cache.prepare(wanted=not no_cache)
     _xla.call_at_once(asked)
-    from jaxact.sweeping.execution import SweepOptions
+    from jaxact.sweeping import location
+    from jaxact.verbs import sweep_options
 
-    how = SweepOptions(resume=run.resume, overwrite=run.overwrite)
-    if run.adaptive:
-        how = dataclasses.replace(how, width=0.001 if run.width is None else run.width)
-    local = run.workers == "local"
-    if local and not no_cache:
-        from jaxact.sweeping import fill, throughput
-
-        how = dataclasses.replace(how, workers=functools.partial(fill.here, keep=throughput.keep))
+    how = sweep_options.options(
+        resume=run.resume, overwrite=run.overwrite, adaptive=run.adaptive, width=run.width
+    )
+    folder = location.at(out if out is not None else Path("results") / specification.stem)
     _warnings.posture(asked.plant)
-    measure = not (dry_run or no_cache)
+
+    def say(text: str) -> None:
+        if not quiet:
+            print(f"{text} ...", file=sys.stderr)
+
+    measured = None if dry_run or no_cache else say
+    by = {"workers": run.workers, "address": run.address, "say": measured}
     if asked.engine == AUTO:
-        asked = _settled(asked, folder, how, measure=measure and local, quiet=quiet)
-    with _computed_by(how, run.workers, run.address, budget, measure=measure, quiet=quiet) as how:
-        if dry_run:
-            print(_forecast(asked, how))
-            return
-        _run(asked, folder, how, quiet=quiet)
+        local = measured if run.workers == "local" else None
+        asked = sweep_options.settled(asked, folder, how, local)
+        if not quiet:
+            engine = asked.engine
+            print(f"engine {engine}, expected to be the fastest here; engine = {engine!r} says it")
+    if dry_run:
+        with sweep_options.computed_by(how, budget=run.memory, **by) as planned:  # type: ignore[arg-type]
+            print(sweep_options.forecast(asked, planned))
+        return
+    _run(asked, folder, vars(run) | {"say": measured}, quiet=quiet)
 
 
-def _run(asked: Specification, folder: Location, how: SweepOptions, *, quiet: bool) -> None:
-    from jaxact.sweeping import execution, opening
+def _run(asked: Specification, folder: Location, how: dict[str, Any], *, quiet: bool) -> None:
+    from jaxact.sweeping.store import STORE
+    from jaxact.verbs.sweep import sweep
 
     _signals.keep(f"interrupted; what is done is kept, {_continued()}")
     started, done = time.perf_counter(), [0, 0]
@@ -165,126 +145,15 @@ def _run(asked: Specification, folder: Location, how: SweepOptions, *, quiet: bo
             move(count, total)
 
         try:
-            filled = execution.sweep(asked, folder, dataclasses.replace(how, moved=moved))
+            results = sweep(asked, out=folder.name, progress=moved, **how)
         except (KeyboardInterrupt, Terminated) as stop:
-            begun = done[1] > 0 or not how.overwrite
+            begun = done[1] > 0 or not how["overwrite"]
             raise type(stop)(_how_to_resume(folder, begun=begun)) from None
     if quiet:
         return
-    seconds = time.perf_counter() - started
-    results = opening.opened(filled.location)
-    print(f"{filled.location.name}: {results['verdict'].size:,} loops, {seconds:.1f} s in all")
+    seconds, name = time.perf_counter() - started, folder.inside(STORE).name
+    print(f"{name}: {results['verdict'].size:,} loops, {seconds:.1f} s in all")
     print(results.attrs["summary"])
-
-
-@contextlib.contextmanager
-def _computed_by(
-    how: SweepOptions,
-    workers: str,
-    address: str | None,
-    budget: int | None,
-    *,
-    measure: bool,
-    quiet: bool,
-) -> Iterator[SweepOptions]:
-    """Planner and workers: this process, or a Ray cluster that stays attached meanwhile."""
-    from jaxact.sweeping import planning
-
-    if workers == "local":
-
-        def say(text: str) -> None:
-            if not quiet:
-                print(f"{text} ...", file=sys.stderr)
-
-        plan = functools.partial(planning.plan, budget=budget, say=say if measure else None)
-        yield dataclasses.replace(how, planner=plan)
-        return
-    from jaxact.sweeping import cluster
-
-    with cluster.attached(address) as attached:
-        plan = functools.partial(attached.plan, budget=budget)
-        yield dataclasses.replace(how, planner=plan, workers=attached.work)
-
-
-def _settled(
-    asked: Specification, folder: Location, how: SweepOptions, *, measure: bool, quiet: bool
-) -> Specification:
-    """The specification with an engine in place of "auto": a sweep that goes on keeps its own."""
-    from jaxact.loops.samples import expand
-    from jaxact.sweeping import store, throughput
-
-    def say(text: str) -> None:
-        if not quiet:
-            print(f"{text} ...", file=sys.stderr)
-
-    engine = None
-    with contextlib.suppress(OSError):  # said when the sweep begins
-        there = store.identity_of(folder.inside(store.STORE)) if how.resume else None
-        engine = (there or {}).get("engine")
-    if engine not in names(robot=True):
-        engine = throughput.fastest(asked, expand(asked), say=say if measure else None)
-    if not quiet:
-        print(f"engine {engine}, expected to be the fastest one here; engine = {engine!r} says it")
-    return dataclasses.replace(asked, engine=engine)
-
-
-def _forecast(asked: Specification, how: SweepOptions) -> str:
-    """What a sweep would take, in a few lines."""
-    from jaxact.loops.samples import expand
-    from jaxact.sweeping import adaptive, memory
-
-    samples = expand(asked)
-    planned: Planned = how.planner(asked, samples)
-    layout = planned.layout(samples)
-    first = f"{len(samples):,} loops" + _shape(samples)
-    if how.width is not None:
-        grid = adaptive.lattice(asked, how.width)
-        fine = " x ".join(f"{n:,}" for n in grid.shape)
-        first += f", refined to a grid of {fine} at the boundary"
-    size = sum(layout.loops * (1 if name == "verdict" else 4) for name in _variables(asked))
-    if asked.precision == "float64":
-        size *= 2
-    basis = "measured on this machine" if planned.measured else "roughly; nothing measured here yet"
-    return "\n".join(
-        [
-            first,
-            f"{len(layout):,} chunks of up to {layout.loops:,} loops,"
-            f" in tiles of {planned.tile:,} on {planned.device}",
-            f"memory: about {memory.text(planned.peak)} of {memory.text(planned.memory)} allowed;"
-            f" on disk: {memory.text(size * len(layout))}",
-            _time(planned, basis),
-        ]
-    )
-
-
-def _time(planned: Planned, basis: str) -> str:
-    """How long it takes; where starting may take longer than the loops, at least how long."""
-    whole = duration(planned.startup + planned.seconds)
-    if planned.seconds > _MOSTLY_LOOPS * planned.startup:
-        return f"time: about {whole} ({basis})"
-    return (
-        f"time: at least {whole}: {duration(planned.seconds)} for the loops ({basis}), the rest to "
-        "start; compiling what has not been compiled before takes longer"
-    )
-
-
-def _variables(specification: Specification) -> tuple[str, ...]:
-    from jaxact.sweeping.store import variables
-
-    return variables(robot=specification.robot)
-
-
-def _shape(samples: Samples) -> str:
-    sizes = (f"{name} {n:,}" for name, n in zip(samples.dims, samples.shape, strict=True))
-    return f" ({' x '.join(sizes)})"
-
-
-def duration(seconds: float) -> str:
-    """`45 s`, `12 min`, `3.4 h`, `2.1 days`."""
-    for unit, size, most in (("s", 1.0, 100.0), ("min", 60.0, 100.0), ("h", 3600.0, 48.0)):
-        if seconds < most * size:
-            return f"{seconds / size:.2g} {unit}"
-    return f"{seconds / 86400:,.3g} days"
 
 
 def _how_to_resume(folder: Location, *, begun: bool) -> str:

@@ -254,3 +254,11 @@ def _flat(table: Mapping[str, object], prefix: str = "") -> dict[str, object]:
 def _word(value: object) -> str:
     text = "not given" if value is None else json.dumps(value)
     return text if len(text) <= 40 else text[:37] + "..."
+
+
+def duration(seconds: float) -> str:
+    """`45 s`, `12 min`, `3.4 h`, `2.1 days`."""
+    for unit, size, most in (("s", 1.0, 100.0), ("min", 60.0, 100.0), ("h", 3600.0, 48.0)):
+        if seconds < most * size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds / 86400:,.3g} days"

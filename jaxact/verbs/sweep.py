@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import os
 import sys
 import tempfile
@@ -20,21 +19,16 @@ from jaxact.loops import reading
 from jaxact.loops.axes import Axis, read_axis
 from jaxact.loops.control_loop import ControlLoop, is_traced
 from jaxact.loops.conversion import described, preset_axis
-from jaxact.loops.samples import expand
 from jaxact.loops.specification import Sampling, Specification
 from jaxact.parameters import PARAMETERS, canonical, known
-from jaxact.plants.engines import AUTO
-from jaxact.sweeping import execution, location, opening, planning, throughput
-from jaxact.sweeping import memory as _memory
-from jaxact.sweeping.execution import SweepOptions
+from jaxact.sweeping import execution, location, opening
+from jaxact.verbs.sweep_options import Say, computed_by, options, settled
 
 if TYPE_CHECKING:
     import xarray as xr
 
 Moved = Callable[[int, int], None]
 """Called with the number of loops done and in all."""
-# Relative width to which the boundary is refined where none is given.
-_WIDTH = 1e-3
 
 
 def log(low: float, high: float, num: int | None = None) -> dict[str, Any]:
@@ -79,6 +73,9 @@ def sweep(
     adaptive: bool = False,
     width: float | None = None,
     memory: str | None = None,
+    workers: str = "local",
+    address: str | None = None,
+    say: Say | None = None,
     progress: bool | Moved = True,
     **axes: Any,
 ) -> xr.Dataset:
@@ -102,6 +99,10 @@ def sweep(
         adaptive: refine around the stability boundary only, from the grid given.
         width: relative width to which it does, 0.001 where none is given.
         memory: most to take, e.g. "4G"; None: a quarter of what is free.
+        workers: "local", all devices of this machine, or "ray", a Ray cluster (jaxact[ray]).
+        address: of that cluster, "auto" for the one this machine belongs to; None: a new one.
+        say: told what is measured before a long sweep, to plan it and to choose its engine; what
+            comes of it is kept for the next. None: nothing is measured.
         progress: show a bar on a terminal and in a notebook; or a function that is called with the
             numbers of loops done and in all.
         axes: parameter, by either name, or `actuator` -> what it is varied over: a list, an array,
@@ -115,26 +116,21 @@ def sweep(
         UserError: parameters that do not fit each other, and as `jaxact.sweeping.execution.sweep`.
         TypeError: the loop is traced.
     """
-    options = {"engine": engine, "duration": duration, "precision": precision, "seed": seed,
+    own = {"engine": engine, "duration": duration, "precision": precision, "seed": seed,
                "tile": tile, "devices": devices}  # fmt: skip
-    given = {name: value for name, value in options.items() if value is not None}
+    given = {name: value for name, value in own.items() if value is not None}
     drawn = None if sampling is None and number is None else _sampling(sampling, number)
     asked = _asked(loop, axes, given, drawn)
-    if width is not None and not adaptive:
-        raise UserError(f"width = {width:g}: is for adaptive = True")
+    how = options(resume=resume, overwrite=overwrite, adaptive=adaptive, width=width)
     if out is None and (resume or overwrite):
         raise UserError("resume and overwrite are for results that are kept; give out")
-    how = SweepOptions(
-        resume=resume, overwrite=overwrite, width=(width or _WIDTH) if adaptive else None
-    )
-    budget = None if memory is None else _memory.read_size(memory)
-    how = dataclasses.replace(how, planner=functools.partial(planning.plan, budget=budget))
-    if asked.engine == AUTO:
-        asked = dataclasses.replace(asked, engine=throughput.fastest(asked, expand(asked)))
-    with _shown(progress) as moved:
+    where = None if out is None else location.at(os.fspath(out))
+    asked = settled(asked, where, how, say if workers == "local" else None)
+    by = computed_by(how, workers=workers, address=address, budget=memory, say=say)
+    with by as how, _shown(progress) as moved:
         how = dataclasses.replace(how, moved=moved)
-        if out is not None:
-            return opening.opened(execution.sweep(asked, location.at(os.fspath(out)), how).location)
+        if where is not None:
+            return opening.opened(execution.sweep(asked, where, how).location)
         with tempfile.TemporaryDirectory(prefix="jaxact-") as folder:
             filled = execution.sweep(asked, location.at(Path(folder) / "results"), how)
             return opening.loaded(opening.opened(filled.location))

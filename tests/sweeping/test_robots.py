@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import functools
 
 import mujoco
 import numpy as np
@@ -11,7 +10,6 @@ from quickly import compiled_quickly as compiled_quickly
 from quickly import optimised_fully
 from robots import HOPPER, PENDULUM, QUADRUPED
 
-from jaxact.cli import sweep
 from jaxact.errors import UserError
 from jaxact.loops import reading, robots
 from jaxact.loops.samples import expand
@@ -20,6 +18,7 @@ from jaxact.robots import model as models
 from jaxact.simulation import engines, execute, plans, single
 from jaxact.status import Verdict
 from jaxact.sweeping import cache, execution, location, throughput
+from jaxact.verbs import sweep_options
 
 REFEREE = ("time", "setpoint", "position", "velocity", "command", "delayed_command", "force")
 DRIVE = "wn = 300\nzeta = 0.7\ndelay = 0.0013\nmeasurement_delay = 0.0006\noutput_delay = 0.0005\n"
@@ -303,16 +302,19 @@ def test_a_sweep_that_goes_on_keeps_its_engine(folder, monkeypatch, tmp_path):
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(throughput, "fastest", lambda *_, **__: "mjx")
         how = execution.SweepOptions(resume=True)
-        settled = functools.partial(sweep._settled, measure=False, quiet=True)
-        assert settled(asked, location.at(tmp_path / "out"), how).engine == "mjx", "nothing there"
+        assert sweep_options.settled(asked, location.at(tmp_path / "out"), how).engine == "mjx", (
+            "nothing there"
+        )
         execution.sweep(
             dataclasses.replace(asked, engine="mujoco"),
             location.at(tmp_path / "out"),
             execution.SweepOptions(),
         )
-        assert settled(asked, location.at(tmp_path / "out"), how).engine == "mujoco"
+        assert sweep_options.settled(asked, location.at(tmp_path / "out"), how).engine == "mujoco"
         overwriting = execution.SweepOptions(overwrite=True)
-        assert settled(asked, location.at(tmp_path / "out"), overwriting).engine == "mjx"
+        assert (
+            sweep_options.settled(asked, location.at(tmp_path / "out"), overwriting).engine == "mjx"
+        )
 
 
 def test_any_control_rate_suits_a_robot_without_a_step_of_its_own(folder):
