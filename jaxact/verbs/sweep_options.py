@@ -123,8 +123,7 @@ def forecast(asked: Specification, how: SweepOptions) -> str:
         fine = " x ".join(f"{n:,}" for n in grid.shape)
         first += f", refined to a grid of {fine} at the boundary"
     size = sum(
-        layout.loops * (1 if name == "verdict" else 4)
-        for name in variables(robot=asked.plant is not None)
+        layout.loops * (1 if name == "verdict" else 4) for name in variables(robot=asked.robot)
     )
     if asked.precision == "float64":
         size *= 2
