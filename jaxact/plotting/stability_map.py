@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 # Verdicts that are hatched: pattern and its colour. Stable is left plain.
 HATCHES = {
     Verdict.LIMIT_CYCLE: ("....", "#2B2B2B"),
-    Verdict.UNSTABLE: ("////", "#8C5A3C"),
+    Verdict.UNSTABLE: ("////", "#3A1C0E"),
     Verdict.TOPPLES: ("\\\\", "#7A8594"),
     Verdict.INVALID: ("xxxx", "#5A5A5A"),
 }

@@ -22,6 +22,7 @@ from jaxact.tuning.certificate import Effort, Metrics, beyond
 from jaxact.tuning.goal import Goal, check, peaks
 from jaxact.tuning.joint import brute, descent
 from jaxact.tuning.joint import problem as joint
+from jaxact.tuning.joint.clouds import in_clouds
 from jaxact.tuning.joint.ensemble import Ensemble, Uncertain, chosen, joined, uncertain
 from jaxact.tuning.joint.problem import Case
 from jaxact.tuning.joint.rescue import SLOWER
@@ -154,6 +155,9 @@ def _searched(
     paths = jax.tree.map(np.asarray, paths)
     phase("polishing")
     found, polishing = descent.polished(cases, paths, bounds, timed)
+    if cases[0].goal.objective == "settling":
+        found, more = in_clouds(cases, found, bounds, timed)
+        polishing += more
     lost = ~found.feasible
     if lost.any():
         phase("looking for the closest gains")
