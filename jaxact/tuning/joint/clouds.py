@@ -32,7 +32,7 @@ def in_clouds(
     """
     generator = np.random.default_rng(0)
     x, value, violation = found.x.copy(), found.value.copy(), found.violation.copy()
-    for i in np.flatnonzero(found.feasible):
+    for i in np.flatnonzero(found.feasible).tolist():
         rows_of = problem([cases[i]] * _POINTS, timed)
         for width in _WIDTHS:
             points = x[i] + width * generator.uniform(-1.0, 1.0, (_POINTS, x.shape[1]))
