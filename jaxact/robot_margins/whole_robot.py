@@ -117,7 +117,7 @@ def _matrices(*, case: Case, setting: Setting) -> Callable:
         found = robot_loop.period_map(robot_loop.with_later_commands(loop, extra), options)
         like = jnp.zeros(loop.plant.shape)
         gains, delay = loop.drive.controller, loop.drive.actuator.delay
-        inertias = robot_loop.felt_inertias(loop.plant)
+        inertias = robot_loop.effective_inertias(loop.plant)
         return found, inertias, gains.kp + like, gains.kd + like, delay + like
 
     return matrices

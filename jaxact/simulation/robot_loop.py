@@ -176,6 +176,6 @@ def sensitivity(G: jax.Array, kp: jax.Array, kd: jax.Array) -> jax.Array:
     return jnp.linalg.inv(jnp.eye(kp.shape[0])[None] + loop)
 
 
-def felt_inertias(plant: LinearPlant) -> jax.Array:
-    """What forces on the joints feel within a physics step [kg or kg m^2], shape (joints,)."""
+def effective_inertias(plant: LinearPlant) -> jax.Array:
+    """Inertias of the joints against forces within a physics step [kg or kg m^2], (joints,)."""
     return plant.step / jnp.diagonal(plant.velocities @ plant.B)

@@ -67,8 +67,8 @@ def group(patterns: Sequence[str], names: Sequence[tuple[str, str]]) -> Groups:
         names: of each driven joint and of its actuator.
 
     Raises:
-        UserError: a pattern that is none or matches nothing, for joints that two patterns match,
-            and for joints that none does.
+        UserError: a pattern that is not valid or matches nothing, joints that two patterns match,
+            and joints that none does.
     """
     joints = tuple(joint for joint, _ in names)
     if not patterns:

@@ -47,7 +47,7 @@ VARIED = ("wn", "zeta", "delay", "measurement_delay", "output_delay", *OF_BODY)
 _GAINS = ("kp", "kd", "gain_scale")
 
 Opened = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""A, B and Y of one loop, and the inertias that forces on the joints feel, shape (joints,)."""
+"""A, B and Y of one loop, and the effective inertias of the joints, shape (joints,)."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Situation:
         names: of each driven joint and of its actuator.
         kp, kd: gains that are given, or that the model brings, shape (joints,); None where some
             joint has none.
-        inertias: that forces on the joints feel [kg or kg m^2], at the end of the box where they
+        inertias: effective ones of the joints [kg or kg m^2], at the end of the box where they
             are smaller, shape (joints,).
         rotary: whether a joint is a hinge, shape (joints,).
         lag: of the slowest drive of the box [s], delays + 2 zeta / wn + T / 2.
@@ -257,7 +257,7 @@ def _open_loop(
         loop = kernel.linear_loop(case, template, values, moved)
         found = robot_loop.open_map(loop, case.drive)
         seen = jnp.stack([found.positions, found.velocities], axis=1)
-        return found.A, found.B, seen, robot_loop.felt_inertias(loop.plant)
+        return found.A, found.B, seen, robot_loop.effective_inertias(loop.plant)
 
     return matrices
 

@@ -38,7 +38,7 @@ def screened(
 
     Args:
         x: log-gains that are known, shape (2 g,); may be unstable.
-        inertia: that forces on the joints move [kg or kg m^2], shape (joints,).
+        inertia: effective one of the joints [kg or kg m^2], shape (joints,).
         lag: of the slowest drive [s].
         seed: of the points around the best ones.
 
