@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import command_line
 import pytest
 import xarray as xr
 from quickly import ENVIRONMENT
@@ -98,6 +99,10 @@ def test_version():
     assert jaxact("--version").stdout.startswith("jaxact 0.")
 
 
+def test_a_mistake_ends_the_process_with_exit_code_2(small):
+    assert "did you mean 'mass'" in _refused(jaxact("sweep", small, "--set", "mas=1"))
+
+
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [
@@ -135,7 +140,7 @@ def test_version():
 )
 def test_a_mistake_is_one_line_exit_code_2_and_nothing_written(arguments, part, small):
     before = sorted(small.parent.rglob("*"))
-    message = _refused(jaxact(*arguments, cwd=small.parent))
+    message = _refused(command_line.jaxact(*arguments, cwd=small.parent))
     assert part in message
     assert sorted(small.parent.rglob("*")) == before
 
@@ -247,11 +252,14 @@ def _refused_checks(ran):
 
 @pytest.mark.exhaustive
 def test_status_and_validate_of_a_result(small, tmp_path):
-    assert jaxact("sweep", small, "--out", "out", cwd=tmp_path).returncode == 0
-    said = jaxact("status", "out", cwd=tmp_path).stdout.splitlines()
+    assert command_line.jaxact("sweep", small, "--out", "out", cwd=tmp_path).returncode == 0
+    said = command_line.jaxact("status", "out", cwd=tmp_path).stdout.splitlines()
     assert said[0] == "done     1 of 1 chunks, 6 loops" and said[-1] == "complete"
-    assert jaxact("status", "out", "--quick", cwd=tmp_path).stdout.splitlines()[0] == said[0]
-    ran = jaxact("validate", "out", "--samples", "4", cwd=tmp_path)
+    assert (
+        command_line.jaxact("status", "out", "--quick", cwd=tmp_path).stdout.splitlines()[0]
+        == said[0]
+    )
+    ran = command_line.jaxact("validate", "out", "--samples", "4", cwd=tmp_path)
     assert (ran.returncode, ran.stderr) == (0, "")
     assert ran.stdout.splitlines() == [
         "1 of 1 chunks are whole", "4 loops computed again: bit for bit the same",
@@ -260,12 +268,15 @@ def test_status_and_validate_of_a_result(small, tmp_path):
     content = bytearray(chunk.read_bytes())
     content[1] ^= 1
     chunk.write_bytes(content)
-    assert "rms_force: its checksum is wrong" in jaxact("status", "out", cwd=tmp_path).stdout
-    assert "rms_force" in _refused_checks(jaxact("validate", "out", cwd=tmp_path))
-    assert "validate" in _refused(jaxact("plot", "out", "--quick", cwd=tmp_path))
-    again = jaxact("sweep", small, "--out", "out", "--resume", cwd=tmp_path)
+    assert (
+        "rms_force: its checksum is wrong"
+        in command_line.jaxact("status", "out", cwd=tmp_path).stdout
+    )
+    assert "rms_force" in _refused_checks(command_line.jaxact("validate", "out", cwd=tmp_path))
+    assert "validate" in _refused(command_line.jaxact("plot", "out", "--quick", cwd=tmp_path))
+    again = command_line.jaxact("sweep", small, "--out", "out", "--resume", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
-    assert jaxact("validate", "out", "--samples", "0", cwd=tmp_path).returncode == 0
+    assert command_line.jaxact("validate", "out", "--samples", "0", cwd=tmp_path).returncode == 0
 
 
 def test_a_dry_run_of_a_hundred_million_loops_answers_at_once_and_writes_nothing(tmp_path):
@@ -376,7 +387,7 @@ def test_output_to_a_full_disk_is_one_line(words):
 
 
 def test_parameters_lists_units_and_defaults():
-    lines = jaxact("parameters").stdout.splitlines()
+    lines = command_line.jaxact("parameters").stdout.splitlines()
     assert next(line for line in lines if line.startswith("mass ")).split()[:3] == (
         ["mass", "kg", "0.7"]
     )

@@ -18,7 +18,6 @@ from jaxact.parameters import PARAMETERS, PRESETS
 UNSET = float("nan")
 UNSET_NUMBER = -(10**30)
 _UNSET_NAME = "\0"
-VELOCITIES = ("sampled", "differenced")
 
 
 def option(metavar: str, words: str, default: str = "") -> Any:

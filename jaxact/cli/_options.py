@@ -105,9 +105,10 @@ def _deferred(function: Callable[..., None]) -> Callable[..., Callable[[], None]
 def _condensed(boxed: str) -> str:
     """What tyro's box says, without the box, the help text and the pointer to `--help`."""
     sections: list[list[str]] = [[]]
-    for line in _COLOUR.sub("", boxed).splitlines():
-        if line.lstrip()[:1] not in tuple(_SIDES):
-            continue
+    lines = _COLOUR.sub("", boxed).splitlines()
+    # Where the output is not UTF-8 the box has no sides, and a title above a rule.
+    inside = [line for line in lines if line.lstrip()[:1] in tuple(_SIDES)] or lines[2:]
+    for line in inside:
         text = line.strip().strip(_SIDES).strip()
         if _RULE.fullmatch(text):
             sections.append([])
