@@ -7,12 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from jaxact.cli import _arguments, _warnings
 from jaxact.cli._arguments import typed
 from jaxact.errors import UserError
-from jaxact.loops import reading, toml
 from jaxact.parameters import LINEAR, PARAMETERS, PRESETS
 
 if TYPE_CHECKING:
@@ -37,6 +34,8 @@ def joints(chosen: Any, file: Path | None, velocity: str) -> ControlLoop:
 
     Raises UserError for values that make no sense, or several where a file lists the loops.
     """
+    import numpy as np
+
     from jaxact.loops.building import joint, loop_of
 
     given = _arguments.given(chosen)
@@ -62,6 +61,8 @@ def linear(chosen: Any, file: Path | None, velocity: str) -> ControlLoop:
 
     Raises UserError for options that have no effect on any of the loops.
     """
+    import numpy as np
+
     loop = joints(chosen, file, velocity)
     if file is None and "control_rate" not in loop.values:
         check_continuous(loop)
@@ -77,6 +78,8 @@ def linear(chosen: Any, file: Path | None, velocity: str) -> ControlLoop:
 
 def check_continuous(loop: ControlLoop) -> None:
     """Raise UserError where differencing would be ignored in continuous time."""
+    import numpy as np
+
     if loop.kind.velocity == "differenced" and np.all(np.isinf(loop.velocity_filter)):
         raise UserError(
             "--velocity differenced: has no effect in continuous time without a filter; add"
@@ -102,6 +105,8 @@ def specified(
 
     Raises UserError for what does not fit; its message names the option.
     """
+    from jaxact.loops import reading, toml  # slow to import
+
     if robot.spec is None:
         if robot.set and robot.model is None:
             raise UserError(

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 from tyro.conf import arg
 
 from jaxact.cli import _arguments, _files, _loops, _warnings, _xla
@@ -159,6 +158,8 @@ def _write(
     csv: Path | None,
     npz: Path | None,
 ) -> None:
+    import numpy as np
+
     from jaxact.plotting import caption, theme, trajectory
     from jaxact.verbs import naming, plot, run_tables
 
