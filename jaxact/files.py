@@ -1,15 +1,22 @@
-"""Files that are there as a whole, or not at all, and who can write to them."""
+"""Files that are there as a whole or not at all, who can write to them, and what is read once."""
 
 from __future__ import annotations
 
 import os
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
+from typing import TypeVar
 
 from jaxact.errors import UserError
+
+T = TypeVar("T")
+
+# What was read within `read_once` by what it is, None outside of it.
+_READ: ContextVar[dict[Hashable, object] | None] = ContextVar("read", default=None)
 
 
 @contextmanager
@@ -62,3 +69,26 @@ def writers(facts: os.stat_result) -> str:
     if facts.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return "can be written to by others (chmod go-w)"
     return ""
+
+
+@contextmanager
+def read_once() -> Iterator[None]:
+    """Read each thing once from here to the end of the block, a command.
+
+    Outside of a command it is read whenever it is asked for, as a notebook's may have changed.
+    """
+    token = _READ.set({})
+    try:
+        yield
+    finally:
+        _READ.reset(token)
+
+
+def once_read(key: Hashable, read: Callable[[], T]) -> T:
+    """What `read` returns, or returned for the same key within `read_once`."""
+    known = _READ.get()
+    if known is None:
+        return read()
+    if key not in known:
+        known[key] = read()
+    return known[key]  # type: ignore[return-value]

@@ -15,6 +15,7 @@ from quickly import ENVIRONMENT
 
 import jaxact
 from jaxact.cli.main import VERBS
+from jaxact.plants.engines import ENGINES
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "jaxact"
@@ -78,6 +79,18 @@ def _layer(module):
 
 def test_the_root_of_the_package_has_few_modules():
     assert len(list(PACKAGE.glob("*.py"))) <= MOST_AT_ROOT
+
+
+def test_nobody_tells_engines_apart_by_name():
+    """What is so of one engine and not of others is an attribute in `jaxact.plants.engines`."""
+    names, found = {engine.name for engine in ENGINES}, []
+    for module, path in MODULES.items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            text = ast.unparse(node) if isinstance(node, ast.Compare) else ""
+            values = {one.value for one in ast.walk(node) if isinstance(one, ast.Constant)}
+            if "engine" in text and names & values:
+                found.append(f"{module}: {text}")
+    assert not found
 
 
 @pytest.mark.parametrize("module", [name for name in MODULES if name != "jaxact"])

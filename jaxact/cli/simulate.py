@@ -14,6 +14,7 @@ from jaxact.cli import _arguments, _files, _loops, _warnings, _xla
 from jaxact.cli._arguments import UNSET, UNSET_NUMBER, Robot, option
 from jaxact.errors import UserError
 from jaxact.parameters import PARAMETERS
+from jaxact.plants.engines import best_precision
 
 if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
@@ -136,8 +137,8 @@ def specified(
     if not robot.set:
         _arguments.demand_robot(robot, given=robot.model is not None or robot.spec is not None)
     asked = {name: value for name, value in static.items() if _arguments.is_given(value)}
-    single = asked.get("engine") == "warp" or "engine=warp" in robot.set  # it knows no other
-    defaults = {"precision": "float32" if single else "float64", "duration": duration}
+    words = [str(asked.get("engine")), *(word.removeprefix("engine=") for word in robot.set)]
+    defaults = {"precision": min(map(best_precision, words)), "duration": duration}
     return _loops.specified(robot, given, asked, defaults=defaults, push=push)
 
 

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from jaxact import files
 from jaxact.errors import UserError, nearest
-from jaxact.loops import reads
 from jaxact.loops.specification import Plant
 from jaxact.parameters import OF_MODEL, PARAMETERS, base
 from jaxact.robots import friction as _friction
@@ -76,7 +76,7 @@ def scene(plant: Plant) -> Scene:
         UserError: the file, the keyframe, a pattern or a body is wrong, or the robot does not come
             to rest.
     """
-    robot = reads.kept(plant, lambda: _read(plant))
+    robot = files.once_read(plant, lambda: _read(plant))
     _model.demand(robot, "mujoco")
     key = (robot.digest, plant)
     if key not in _POSTURES:

@@ -114,3 +114,9 @@ def names(*, robot: bool) -> tuple[Name, ...]:
 def named(name: str) -> Engine | None:
     """An engine of this name, whatever it simulates; None where there is none."""
     return next((one for one in ENGINES if one.name == name), None)
+
+
+def best_precision(name: str | None) -> Literal["float32", "float64"]:
+    """The best one that an engine of this name has; float64 where none is named."""
+    own = named(name or "")
+    return "float64" if own is None or own.double else "float32"

@@ -24,8 +24,9 @@ def found(plant: Plant, robot: Robot, control_rate: float) -> OnStand | str:
     import numpy as np
 
     from jaxact.robot_margins import on_stand
+    from jaxact.robots.findings import MUJOCO
 
-    if not on_stand.brings_gains(robot) or any("mujoco" in item.engines for item in robot.findings):
+    if not on_stand.brings_gains(robot) or any(MUJOCO in item.engines for item in robot.findings):
         return ""
     try:
         return on_stand.on_stand(plant, robot, control_rate)

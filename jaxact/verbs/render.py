@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxact.errors import UserError
+from jaxact.plants.engines import best_precision
 
 if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
@@ -108,7 +109,7 @@ def render(
     if files is None:
         robot = robots.scene(plant).robot
         options = {"engine": engine, "seed": seed, "duration": start + shown}
-        options["precision"] = precision or ("float32" if engine == "warp" else "float64")
+        options["precision"] = precision or best_precision(engine)
         motions, outcomes = _simulated(loop, options, labels, start)
     else:
         robot = read(plant.model, keyframe=plant.keyframe, base=plant.base, damping=plant.damping)

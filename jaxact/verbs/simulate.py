@@ -11,6 +11,7 @@ from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.loops.samples import Samples
+from jaxact.plants.engines import best_precision
 from jaxact.simulation import engines, single
 from jaxact.status import Verdict
 from jaxact.sweeping.store import VARIABLES, joint_units
@@ -79,7 +80,7 @@ def runs(
     options: dict[str, Any] = {"duration": float(duration), "seed": seed}
     if engine is not None:
         options["engine"] = engine
-    options["precision"] = precision or ("float32" if engine == "warp" else "float64")
+    options["precision"] = precision or best_precision(engine)
     asked = engines.resolved(conversion.specification(loop, **options))
     return single.simulate_all(asked, conversion.samples(loop))
 

@@ -2,7 +2,8 @@
 
 import robots as models
 
-from jaxact.loops import reading, reads, robots
+from jaxact import files
+from jaxact.loops import reading, robots
 
 TEXT = '[plant]\nmodel = "arm.xml"\n[parameters]\nkp = 60\n[axes]\nkd = [2.0]\n'
 
@@ -16,7 +17,7 @@ def test_a_command_reads_a_robot_once_and_a_notebook_always(tmp_path):
     def mass():
         return robots.scene(plant).robot.model.body_mass[1]
 
-    with reads.once():
+    with files.read_once():
         first = mass()
         path.write_text(heavier)
         assert mass() == first
