@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from jaxact.cli import _design
+from jaxact.cli._design import Bench
 from jaxact.errors import UserError
+
+if TYPE_CHECKING:
+    from jaxact.identification.result import Identified
 
 
 def main(
     logs: Annotated[
         Positional[tuple[Path, ...]], arg(metavar="LOG ...", help="CSV or NPZ files to fit.")
-    ],
+    ] = (),
+    bench: Annotated[Bench, OmitArgPrefixes] = Bench(),  # noqa: B008
     *,
+    design: Annotated[
+        bool, arg(help="Say which excitation would identify what, and write the best as CSV.")
+    ] = False,
     columns: Annotated[
         Path | None,
         arg(name="map", metavar="TOML", help="What the columns are; see the documentation."),
@@ -43,8 +52,13 @@ def main(
         bool, arg(help="Intervals by resampling blocks of rows, a check of the usual ones.")
     ] = False,
     out: Annotated[
-        Path, arg(metavar="TOML", help="Where the drive goes; a picture beside it.")
-    ] = Path("drive.toml"),
+        Path | None,
+        arg(
+            metavar="FILE",
+            help="Where the drive goes, with a picture beside it (drive.toml); with --design the"
+            " excitation (excitation.csv).",
+        ),
+    ] = None,
     overwrite: Annotated[bool, arg(help="Replace what is there.")] = False,
     quiet: Annotated[bool, arg(help="Show no progress.")] = False,
 ) -> None:
@@ -57,19 +71,19 @@ def main(
     examples:
       jaxact identify bench.csv --map columns.toml --validate other.csv
       jaxact identify swing.csv --map columns.toml --plant pendulum --control-rate 1000
+      jaxact identify --design --wn 100..1000 --delay 0..5e-3 --duration 20
     """
+    out = out or Path("excitation.csv" if design else "drive.toml")
     picture = out.with_suffix(".png")
-    for path in (out, picture):
-        if path.exists() and not overwrite:
-            raise UserError(f"output {path}: exists; give another --out, or --overwrite")
-    if not out.parent.is_dir():
-        raise UserError(f"output {out}: the folder {out.parent} does not exist; create it first")
+    _check_outputs([out] if design else [out, picture], overwrite=overwrite)
+    if design:
+        _design.run(bench, plant, out)
+        return
+    if not logs:
+        raise UserError("no logs; give the CSV or NPZ files to fit, or --design")
 
-    from jaxact import files
     from jaxact.cli import _progress
-    from jaxact.loops import toml
-    from jaxact.plotting import theme
-    from jaxact.verbs.identify import identification_sheet, identify
+    from jaxact.verbs.identify import identify
 
     with _progress.phases(quiet=quiet) as progress:
         found = identify(
@@ -77,11 +91,32 @@ def main(
             control_rate=control_rate, loss=loss, bootstrap=bootstrap,
             progress=lambda name: progress(f"fitting: {name}"),
         )  # fmt: skip
+    _write(found, out, picture)
+    print(found.report)
+    print(f"wrote {out}")
+    print(f"wrote {picture}")
+
+
+def _check_outputs(paths: list[Path], *, overwrite: bool) -> None:
+    """Raise UserError where a file cannot be written, or is there already."""
+    for path in paths:
+        if path.exists() and not overwrite:
+            raise UserError(f"output {path}: exists; give another --out, or --overwrite")
+        if not path.parent.is_dir():
+            raise UserError(
+                f"output {path}: the folder {path.parent} does not exist; create it first"
+            )
+
+
+def _write(found: Identified, out: Path, picture: Path) -> None:
+    """The drive as TOML, and its picture."""
+    from jaxact import files
+    from jaxact.loops import toml
+    from jaxact.plotting import theme
+    from jaxact.verbs.identify import identification_sheet
+
     figure = identification_sheet(found)
     text = f"# Identified by jaxact identify: {found.verdict.sentence}\n\n"
     with files.output(out) as partial:
         partial.write_text(text + toml.dumps(found.document()), encoding="utf-8")
     theme.write(figure, picture, title="jaxact identify")
-    print(found.report)
-    print(f"wrote {out}")
-    print(f"wrote {picture}")
