@@ -102,7 +102,8 @@ def design(bench: Bench, *, seed: int = 0) -> list[Promise]:
         for name, signal in excitations(bench, time, seed):
             bounds = [_bound(bench, time, signal, corner) for corner in corners]
             worst = np.max(np.array(bounds), axis=0)
-            found.append(Promise(name, *map(float, worst), signal))
+            wn, zeta, delay, lag = worst.tolist()
+            found.append(Promise(name, wn, zeta, delay, lag, signal))
     return sorted(found, key=lambda one: one.delay)
 
 

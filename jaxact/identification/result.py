@@ -129,7 +129,8 @@ class Identified:
             for e in known.estimates
         }  # fmt: skip
         return {
-            "drive": drive,
+            # A list of one, as files of loops have it: `jaxact margins --loops` reads it.
+            "loop": [{"name": "identified", **drive}],
             "model": chosen.rung.name,
             "plant": self.plant,
             "unit": self.ladder.fitted[0].unit,

@@ -149,9 +149,11 @@ def test_the_command_writes_the_drive_and_a_picture(files, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "chosen: second order with delay" in said and "verdict: good" in said
     document = tomllib.loads(out.read_text())
-    assert document["drive"]["wn"] == pytest.approx(110.0, rel=0.03)
+    assert document["loop"][0]["wn"] == pytest.approx(110.0, rel=0.03)
     assert document["estimates"]["delay"]["identified"] is True
     assert (tmp_path / "drive.png").stat().st_size > 10_000
+    assert main(["margins", "--loops", str(out), "--mass", "0.7"]) == 0
+    assert "identified" in capsys.readouterr().out
     assert main(["identify", *given, "--out", str(out)]) == 2
     assert "exists; give another --out, or --overwrite" in capsys.readouterr().err
 
