@@ -15,52 +15,62 @@ if TYPE_CHECKING:
     from jaxact.identification.result import Identified
 
 
+Logs = Annotated[
+    Positional[tuple[Path, ...]], arg(metavar="LOG ...", help="CSV or NPZ files to fit.")
+]
+Map = Annotated[
+    Path | None,
+    arg(name="map", metavar="TOML", help="What the columns are; see the documentation."),
+]
+Plant = Annotated[
+    str,
+    arg(metavar="none|mass|pendulum", help="What the drive moves; none: its force was measured."),
+]
+Validate = Annotated[
+    tuple[Path, ...],
+    arg(metavar="LOG ...", help="Logs to try the models on; otherwise the end of each log."),
+]
+JointName = Annotated[str, arg(metavar="NAME", help="Of several joints in the map.")]
+ControlRate = Annotated[
+    float | None,
+    arg(metavar="HZ", help="Of the drive's own controller [Hz]; otherwise once a row."),
+]
+Loss = Annotated[
+    str, arg(metavar="linear|soft_l1|huber", help="Of the least squares; others bear outliers.")
+]
+Bootstrap = Annotated[
+    bool, arg(help="Intervals by resampling blocks of rows, a check of the usual ones.")
+]
+Design = Annotated[
+    bool, arg(help="Say which excitation would identify what, and write the best as CSV.")
+]
+Out = Annotated[
+    Path | None,
+    arg(
+        metavar="FILE",
+        help="Where the drive goes, with a picture beside it (drive.toml); with --design the"
+        " excitation (excitation.csv).",
+    ),
+]
+Overwrite = Annotated[bool, arg(help="Replace what is there.")]
+Quiet = Annotated[bool, arg(help="Show no progress.")]
+
+
 def main(
-    logs: Annotated[
-        Positional[tuple[Path, ...]], arg(metavar="LOG ...", help="CSV or NPZ files to fit.")
-    ] = (),
+    logs: Logs = (),
     bench: Annotated[Bench, OmitArgPrefixes] = Bench(),  # noqa: B008
     *,
-    design: Annotated[
-        bool, arg(help="Say which excitation would identify what, and write the best as CSV.")
-    ] = False,
-    columns: Annotated[
-        Path | None,
-        arg(name="map", metavar="TOML", help="What the columns are; see the documentation."),
-    ] = None,
-    plant: Annotated[
-        str,
-        arg(
-            metavar="none|mass|pendulum",
-            help="What the drive moves; none: its force was measured.",
-        ),
-    ] = "none",
-    validate: Annotated[
-        tuple[Path, ...],
-        arg(metavar="LOG ...", help="Logs to try the models on; otherwise the end of each log."),
-    ] = (),
-    joint: Annotated[str, arg(metavar="NAME", help="Of several joints in the map.")] = "",
-    control_rate: Annotated[
-        float | None,
-        arg(metavar="HZ", help="Of the drive's own controller [Hz]; otherwise once a row."),
-    ] = None,
-    loss: Annotated[
-        str,
-        arg(metavar="linear|soft_l1|huber", help="Of the least squares; the others bear outliers."),
-    ] = "linear",
-    bootstrap: Annotated[
-        bool, arg(help="Intervals by resampling blocks of rows, a check of the usual ones.")
-    ] = False,
-    out: Annotated[
-        Path | None,
-        arg(
-            metavar="FILE",
-            help="Where the drive goes, with a picture beside it (drive.toml); with --design the"
-            " excitation (excitation.csv).",
-        ),
-    ] = None,
-    overwrite: Annotated[bool, arg(help="Replace what is there.")] = False,
-    quiet: Annotated[bool, arg(help="Show no progress.")] = False,
+    design: Design = False,
+    columns: Map = None,
+    plant: Plant = "none",
+    validate: Validate = (),
+    joint: JointName = "",
+    control_rate: ControlRate = None,
+    loss: Loss = "linear",
+    bootstrap: Bootstrap = False,
+    out: Out = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
 ) -> None:
     """Identify a drive from logs: its dynamics, delay, friction, and how well each is known.
 
