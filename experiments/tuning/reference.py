@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxact.tuning.certificate import certify
 from jaxact.tuning.joint import problem as joint
 from jaxact.tuning.joint.ensemble import Ensemble
 from jaxact.tuning.joint.problem import Case
+from jaxact.tuning.polish import MET
 
 Gains = tuple[float, float, int]
 """kp [N/m], kd [N s/m], and the loops that had to be evaluated."""
@@ -41,10 +41,11 @@ def damping_rule(case: Case, damping_ratio: float = 0.7) -> Gains:
         return 2.0 * damping_ratio * float(np.sqrt(kp * mass))
 
     low, high = 1e-5 * mass / lag**2, mass / lag**2
-    number = 0
+    problem, number = joint.problem([case]), 0
     for _ in range(40):
         middle = float(np.sqrt(low * high))
-        met = certify(case, np.log([middle, damping(middle)])).met
+        rows = problem(np.log([[middle, damping(middle)]]))
+        met = rows.usable[0] and rows.violation[0] <= MET
         low, high = (middle, high) if met else (low, middle)
         number += len(case.members)
     return low, damping(low), number
