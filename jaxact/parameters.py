@@ -1,8 +1,8 @@
 """Every numeric parameter of a loop: name, unit, default, bounds and meaning, in one flat table.
 
 The short names are used in specifications, on the command line, in result stores and in pictures;
-the long names, with underscores, are accepted there as well. For a rotary joint the same numbers
-are in rad and N m.
+the long names, with underscores, are accepted there as well. The units are those of a joint that
+slides; `turned` gives those of a rotary one, for whatever is written of it.
 """
 
 from __future__ import annotations
@@ -184,8 +184,13 @@ _TABLE = (
         "Robots only: factor on mass and inertia of the bodies that the driven joints move.",
     ),
     _at_least_zero(
-        "joint_damping", "added joint damping", "N s/m", 0.0, 1e9,
-        "Robots only: viscous damping added to the driven joints.",
+        "joint_damping", "joint damping", "N s/m", 0.0, 1e9,
+        "Viscous damping of the joint itself; of a robot: added to that of the driven joints.",
+    ),
+    _any(
+        "joint_stiffness", "joint stiffness", "N/m", 0.0, 1e9,
+        "Stiffness of the joint itself about position 0: a spring, or gravity, negative where that"
+        " topples the joint.",
     ),
     _at_least_zero(
         "joint_armature", "added armature", "kg", 0.0, 1e6,
@@ -208,15 +213,32 @@ OF_MODEL = ("kp", "kd", "wn", "zeta", "delay", "setpoint_delay", "force_limit")
 # Other defaults for a robot: it holds its posture, and trembles a little where it is noisy, which
 # `jaxact.simulation.starts.rest_amplitude` puts a number to.
 OF_ROBOTS = {"setpoint": 0.0, "rest_amplitude": math.nan}
-# What changes the model of a robot, and has no meaning for the mass.
+# What changes the model of a robot, and has no meaning for a joint.
 ROBOT_ONLY = (
-    "payload", "inertia_scale", "joint_damping", "joint_armature", "joint_friction",
+    "payload",
+    "inertia_scale",
+    "joint_armature",
+    "joint_friction",
     "contact_friction",
-)  # fmt: skip
+)
+# What makes a joint more than a bare mass. A robot has the springs of its model, and no others.
+OF_JOINT = ("joint_damping", "joint_stiffness")
+JOINT_ONLY = ("joint_stiffness",)
+# What changes the model of a plant that MuJoCo simulates.
+OF_PLANT = (*ROBOT_ONLY, *OF_JOINT)
 # What one number serves for all joints of a robot.
 SHARED = (
     "gain_scale", "mass", "control_rate", "policy_rate", "payload", "contact_friction",
     "rest_amplitude",
+)  # fmt: skip
+
+# What a joint's position is measured in: it slides, or it turns.
+UNITS = ("m", "rad")
+INERTIA = "inertia"
+# The units of a rotary joint, by how those of one that slides begin.
+_TURNED = (
+    ("N/m", "N m/rad"), ("N s/m", "N m s/rad"), ("N^2", "(N m)^2"), ("N", "N m"), ("kg", "kg m^2"),
+    ("m/s", "rad/s"), ("m", "rad"),
 )  # fmt: skip
 
 # Actuators by name: (wn [rad/s], zeta), as the reference study identified them.
@@ -228,12 +250,15 @@ PRESETS: dict[str, tuple[float, float]] = {
 
 _ALIASES = {parameter.long_name.replace(" ", "_"): parameter.name for parameter in _TABLE} | {
     "effort_limit": "force_limit",
+    "added_joint_damping": "joint_damping",
+    # Given so, it says that the joint is rotary.
+    INERTIA: "mass",
 }
 
 
 LINEAR = (
     "kp", "kd", "mass", "wn", "zeta", "delay", "measurement_delay", "output_delay",
-    "velocity_filter",
+    "velocity_filter", *OF_JOINT,
 )  # fmt: skip
 """What the stability of a linear loop depends on, beside its control rate."""
 
@@ -249,10 +274,35 @@ def base(key: str) -> str:
     return key.partition("@")[0]
 
 
-def of(key: str) -> Parameter:
-    """The parameter of a key of this table, its long name telling the joints it is meant for."""
+def turned(units: str) -> str:
+    """A unit of a rotary joint, from that of one that slides: `N s/m` is `N m s/rad`."""
+    for slide, hinge in _TURNED:
+        if units.startswith(slide) and not units.removeprefix(slide)[:1].isalpha():
+            return hinge + units.removeprefix(slide)
+    return units
+
+
+def in_unit(units: str, unit: str | None) -> str:
+    """A unit as it is written for a joint whose position is in `unit`; None: m."""
+    return turned(units) if unit == "rad" else units
+
+
+def mass_word(unit: str | None) -> str:
+    """What the mass of a joint is called whose position is in `unit`."""
+    return INERTIA if unit == "rad" else "mass"
+
+
+def of(key: str, unit: str | None = None) -> Parameter:
+    """The parameter of a key of this table, its long name telling the joints it is meant for.
+
+    key: short name, or a key of it for some joints
+    unit: of the joint's position, "m" or "rad"; None: m
+    """
     name, _, pattern = key.partition("@")
     parameter = PARAMETERS[name]
+    if unit == "rad":
+        words = "moved inertia" if name == "mass" else parameter.long_name
+        parameter = replace(parameter, unit=turned(parameter.unit), long_name=words)
     if not pattern:
         return parameter
     return replace(parameter, name=key, long_name=f"{parameter.long_name} of {pattern}")

@@ -135,7 +135,7 @@ def _limits(marginal: Marginal, mass: float, kp: float, kd: float) -> AxisLimits
     kp_at, _ = marginal.gains(_crossings(lambda w: marginal.gains(w)[1], grid, all_kd, kd))
     _, kd_at = marginal.gains(_crossings(lambda w: marginal.gains(w)[0], grid, all_kp, kp))
     on_line = kp_on_line(marginal, kd), kd_on_line(marginal, kp)
-    kp_at = np.concatenate([kp_at, [0.0, on_line[0]]])
+    kp_at = np.concatenate([kp_at, [marginal.at_rest, on_line[0]]])
     kd_at = np.concatenate([kd_at, [0.0 if _rigid(marginal, grid) else math.nan, on_line[1]]])
     return AxisLimits(*_neighbours(kp_at, kp), *_neighbours(kd_at, kd))
 

@@ -11,13 +11,16 @@ from typing import Annotated, Any
 from tyro.conf import UseAppendAction, arg
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.parameters import PARAMETERS, PRESETS
+from jaxact.parameters import INERTIA, PARAMETERS, PRESETS, of
 
 # Default of a number that was not given; told from any number by being this very object. A type
 # with None in it would make tyro's complaint about a mistyped number unreadable.
 UNSET = float("nan")
 UNSET_NUMBER = -(10**30)
 _UNSET_NAME = "\0"
+_ROTARY = dataclasses.replace(
+    of("mass", "rad"), description="Inertia that a rotary joint moves, instead of a mass."
+)
 
 
 def option(metavar: str, words: str, default: str = "") -> Any:
@@ -190,16 +193,25 @@ def parameters(names: Iterable[str], *, several: bool) -> type:
     """
     more = " ..." if several else ""
     preset = option(f"NAME{more}", f"Preset that sets wn and zeta: {', '.join(PRESETS)}.", "none")
-    kind: Any = Annotated[tuple[str, ...] if several else str, preset]
-    unset = dataclasses.field(default=(_UNSET_NAME,) if several else _UNSET_NAME)
-    own: list[tuple[str, Any, Any]] = [("actuator", kind, unset)]
-    for name in names:
-        parameter = PARAMETERS[name]
-        unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
+    unit = option(
+        "m|rad",
+        "Unit of the joint's position; rad: it is rotary, and all numbers are in N m, rad, kg m^2.",
+        "m; rad with --inertia",
+    )
+    own: list[tuple[str, Any, Any]] = []
+    for name, shown_as in (("actuator", preset), ("unit", unit)):
+        kind: Any = Annotated[tuple[str, ...] if several else str, shown_as]
+        unset = dataclasses.field(default=(_UNSET_NAME,) if several else _UNSET_NAME)
+        own.append((name, kind, unset))
+    for name in (*names, INERTIA):
+        parameter = _ROTARY if name == INERTIA else PARAMETERS[name]
+        units = "" if parameter.unit == "1" else f" [{parameter.unit}]"
         default = f"{parameter.default:g}"
         if several and name == "control_rate":
             default = "continuous time only"
-        shown_as = option(f"VALUE{more}", f"{parameter.description[:-1]}{unit}.", default)
+        if name == INERTIA:
+            default = "none"
+        shown_as = option(f"VALUE{more}", f"{parameter.description[:-1]}{units}.", default)
         kind = Annotated[tuple[float, ...] if several else float, shown_as]
         own.append((name, kind, dataclasses.field(default=(UNSET,) if several else UNSET)))
     return dataclasses.make_dataclass("Options", own, frozen=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from jaxact.cli import _arguments, _warnings
 from jaxact.cli._arguments import typed
 from jaxact.errors import UserError
-from jaxact.parameters import LINEAR, PARAMETERS, PRESETS
+from jaxact.parameters import INERTIA, LINEAR, PARAMETERS, PRESETS
 
 if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
@@ -40,6 +40,8 @@ def joints(chosen: Any, file: Path | None, velocity: str) -> ControlLoop:
 
     given = _arguments.given(chosen)
     several = [name for name, values in given.items() if len(values) > 1]
+    if "unit" in several:
+        raise UserError("--unit: give one")
     if file is not None:
         if several:
             raise UserError(f"{typed(several[0])}: give one value, {file} lists the loops")
@@ -149,8 +151,12 @@ def of_robot(
 
     Raises UserError without a robot, and as `specified`.
     """
-    if "mass" in given:
-        raise UserError("--mass: a robot's masses are its model's; change them with --set payload=")
+    for name in ("mass", INERTIA, "unit"):
+        if name in given:
+            raise UserError(
+                f"--{name}: a robot's masses and units are its model's; change the masses with"
+                " --set payload="
+            )
     own = None if velocity == "sampled" else velocity
     found = specified(robot, given, {"engine": engine, "velocity": own})
     if found.plant is None:

@@ -54,7 +54,9 @@ def main(
         )
     runs = simulate.runs(loop, duration=duration, engine=engine, seed=seed)
     drawn = [plot.step_response(run, name) for run, name in zip(runs, names, strict=True)]
-    figure = step(drawn, title=title, footer=naming.in_common(loop), until=duration)
+    units = ("rad", "N m") if loop.kind.unit == "rad" else ("m", "N")
+    common = naming.in_common(loop)
+    figure = step(drawn, title=title, footer=common, units=units, until=duration)
     theme.write(figure, out, title=title or "jaxact step")
     for response in drawn:
         print(response.label)

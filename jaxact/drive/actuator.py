@@ -14,6 +14,9 @@ from math import factorial, inf
 import jax
 import jax.numpy as jnp
 
+from jaxact.drive.joint_motion import Joint, Rows
+from jaxact.drive.joint_motion import rows as joint_rows
+
 PRESETS: dict[str, tuple[float, float]] = {
     "ideal": (inf, 1.0),
     "hyq": (800.0, 0.45),
@@ -83,12 +86,14 @@ class Response:
 
     Attributes:
         force, rate, mean, moment: triples (e, g, d) of coefficients, each of shape (joints,).
+        joint: of a joint with damping and stiffness of its own; None of any other plant.
     """
 
     force: tuple[jax.Array, jax.Array, jax.Array]
     rate: tuple[jax.Array, jax.Array, jax.Array]
     mean: tuple[jax.Array, jax.Array, jax.Array]
     moment: tuple[jax.Array, jax.Array, jax.Array]
+    joint: Rows | None = None
 
 
 for _class in (Actuator, Free, Response):
@@ -189,7 +194,11 @@ def free_response(natural_frequency: jax.Array, damping_ratio: jax.Array, time: 
 
 
 def response(
-    natural_frequency: jax.Array, damping_ratio: jax.Array, step: jax.Array, older_for: jax.Array
+    natural_frequency: jax.Array,
+    damping_ratio: jax.Array,
+    step: jax.Array,
+    older_for: jax.Array,
+    joint: Joint | None = None,
 ) -> Response:
     """Exact response over one step whose input is the older value for `older_for`, then the newer.
 
@@ -201,6 +210,7 @@ def response(
         damping_ratio: [-], shape (joints,).
         step: length h of the step [s], shape (joints,), > 0.
         older_for: [s], shape (joints,), between 0 and h.
+        joint: that the force moves, if it is no bare mass and no model.
 
     Returns:
         The coefficients of one step.
@@ -230,6 +240,9 @@ def response(
             whole.Js * per_half,
             (half - 0.5 * left * left - whole.Jc + rest.Jc) * per_half,
         ),
+        joint=None
+        if joint is None
+        else joint_rows(joint, natural_frequency, damping_ratio, step, older_for),
     )
 
 

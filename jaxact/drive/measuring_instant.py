@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from jaxact.drive import actuator as _actuator
 from jaxact.drive.actuator import Response
+from jaxact.drive.joint_motion import Joint
 from jaxact.drive.options import Drive, DriveOptions
 
 
@@ -48,6 +49,7 @@ def capture_at(
     step: jax.Array,
     switched: tuple[jax.Array, jax.Array],
     remainder: jax.Array,
+    joint: Joint | None = None,
 ) -> Capture:
     """Where the measurement falls: `remainder` before the end of a period."""
     actuator = drive.actuator
@@ -66,5 +68,6 @@ def capture_at(
             jnp.asarray(actuator.damping_ratio),
             offset,
             older,
+            joint,
         ),
     )

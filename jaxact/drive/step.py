@@ -22,6 +22,7 @@ import jax.numpy as jnp
 from jaxact.drive import actuator as _actuator
 from jaxact.drive import controller as _controller
 from jaxact.drive import delay as _delay
+from jaxact.drive import joint_motion as _joint
 from jaxact.drive import sensor as _sensor
 from jaxact.drive import setpoint_path as _setpoint
 from jaxact.drive.actuator import Response
@@ -116,11 +117,15 @@ class Force:
         moment: (2/h^2) int_0^h (h - t) f dt.
         partial: the same pair from the start of the step to the measuring instant; None without
             measurement delay.
+        motion, partial_motion: what the step, and its part until that instant, do to a joint with
+            damping and stiffness of its own; None of any other plant.
     """
 
     mean: jax.Array
     moment: jax.Array
     partial: tuple[jax.Array, jax.Array] | None
+    motion: _joint.Motion | None = None
+    partial_motion: _joint.Motion | None = None
 
 
 for _class in (DriveState, Coefficients, Force):
@@ -139,13 +144,20 @@ def _broadcast(drive: Drive, shape: tuple[int, ...]) -> Drive:
     return replace(drive, control_period=period)
 
 
-def prepare(drive: Drive, options: DriveOptions, shape: tuple[int, ...] = ()) -> Coefficients:
+def prepare(
+    drive: Drive,
+    options: DriveOptions,
+    shape: tuple[int, ...] = (),
+    joint: _joint.Joint | None = None,
+) -> Coefficients:
     """All coefficients of a drive, computed once, before the scan over time.
 
     Args:
         drive: parameters, leaves broadcastable against each other; may be traced.
         options: static.
         shape: of the joints, (joints,) or (), where no leaf has it.
+        joint: that the drive moves, if it has damping or stiffness of its own; see
+            `jaxact.plants.mass`.
 
     Returns:
         The coefficients that `tick` and `actuate` take.
@@ -158,14 +170,14 @@ def prepare(drive: Drive, options: DriveOptions, shape: tuple[int, ...] = ()) ->
     older = jnp.stack([older_for(step, switched, i) for i in range(options.substeps)])
     responses = jax.vmap(
         lambda share: _actuator.response(
-            actuator.natural_frequency, actuator.damping_ratio, step, share
+            actuator.natural_frequency, actuator.damping_ratio, step, share, joint
         )
     )(older)
     measurement_at = capture = setpoint_at = share = None
     if options.measurement_slots:
         late, remainder = _delay.split(drive.sensor.delay, period)
         measurement_at = _delay.weights(late, options.measurement_slots)
-        capture = capture_at(drive, options, step, switched, remainder)
+        capture = capture_at(drive, options, step, switched, remainder, joint)
     if options.setpoint_slots:
         late, remainder = _delay.split(drive.controller.setpoint_delay, period)
         setpoint_at = (
@@ -332,19 +344,33 @@ def actuate(
     """
     inputs = state.force, state.rate, state.older, state.newer
     mean, moment = _actuator.impulse(response, *inputs)
-    partial = None
+    partial = motion = partial_motion = until = None
     if coefficients.capture is not None:
-        partial = _actuator.impulse(coefficients.capture.response, *inputs)
+        until = coefficients.capture.response
+        partial = _actuator.impulse(until, *inputs)
+    if response.joint is not None:
+        motion = _joint.motion(response.joint, *inputs)
+        if until is not None:
+            partial_motion = _joint.motion(until.joint, *inputs)
     force, rate = _actuator.advance(response, *inputs)
     applied = state.applied
     if options.limited or options.rate_limited:
         low, high = _limits(coefficients, options, applied, velocity)
+        pair = mean, moment
         mean, moment = jnp.clip(mean, low, high), jnp.clip(moment, low, high)
+        if motion is not None:
+            clipped = (mean != pair[0]) | (moment != pair[1])
+            motion = _joint.held_back(response.joint, motion, clipped, mean)
         if partial is not None:
+            pair = partial
             partial = jnp.clip(partial[0], low, high), jnp.clip(partial[1], low, high)
+            if partial_motion is not None:
+                clipped = (partial[0] != pair[0]) | (partial[1] != pair[1])
+                partial_motion = _joint.held_back(until.joint, partial_motion, clipped, partial[0])
         if options.rate_limited:
             applied = mean
-    return replace(state, force=force, rate=rate, applied=applied), Force(mean, moment, partial)
+    acting = Force(mean, moment, partial, motion, partial_motion)
+    return replace(state, force=force, rate=rate, applied=applied), acting
 
 
 def _limits(coefficients, options, applied, velocity):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal
@@ -13,10 +14,11 @@ from pydantic import ValidationError
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import listed
 from jaxact.loops.axes import MOST_SAMPLES, NO_AXIS
-from jaxact.loops.control_loop import ACTUATOR, ControlLoop, Kind, made, read
+from jaxact.loops.control_loop import ACTUATOR, ControlLoop, Kind, made, read, rotary
 from jaxact.loops.reading import explained, load
 from jaxact.loops.samples import expand
 from jaxact.loops.specification import Motion, Plant, Push, Specification
+from jaxact.parameters import INERTIA, UNITS
 
 Velocity = Literal["sampled", "differenced"]
 _VELOCITIES = ("sampled", "differenced")
@@ -24,7 +26,8 @@ _VELOCITIES = ("sampled", "differenced")
 
 def joint(
     *, actuator: str | Sequence[str] | None = None, velocity: Velocity = "sampled",
-    physics_step: float | None = None, names: Sequence[str] = (), **parameters: Any,
+    physics_step: float | None = None, unit: Literal["m", "rad"] | None = None,
+    names: Sequence[str] = (), **parameters: Any,
 ) -> ControlLoop:  # fmt: skip
     """The loop of one joint: a mass under PD control through an actuator with delays.
 
@@ -34,11 +37,15 @@ def joint(
         actuator: preset that sets wn and zeta, "ideal", "hyq" or "starleth"; or several.
         velocity: that the controller sees, "sampled" or the "differenced" position.
         physics_step: of the plant [s]; None for the control period.
+        unit: of its position: "rad" of a rotary joint, whose numbers are in N m, N m/rad, kg m^2,
+            as everything that is said of it; None for m, or for rad where `inertia` is given
+            instead of `mass`.
         names: what tables and pictures call the loops of a batch; () for what tells them apart.
         parameters: any parameter of `jaxact parameters` by its short or long name, scalars or
-            arrays that broadcast: kp [N/m], kd [N s/m], mass [kg], wn [rad/s], zeta, delay,
-            measurement_delay, output_delay [s], control_rate [Hz], velocity_filter [rad/s],
-            force_limit [N], position_resolution [m], ... Of a rotary joint read N m, rad, kg m^2.
+            arrays that broadcast: kp [N/m], kd [N s/m], mass [kg], joint_damping [N s/m],
+            joint_stiffness [N/m], wn [rad/s], zeta, delay, measurement_delay, output_delay [s],
+            control_rate [Hz], velocity_filter [rad/s], force_limit [N], position_resolution [m],
+            ...
             What is not given has the default of the table: the joint of the reference study.
 
     Returns:
@@ -48,8 +55,9 @@ def joint(
         UserError: an unknown name, a value out of bounds, shapes that do not broadcast.
     """
     kind = Kind(
-        velocity=_velocity(velocity), physics_step=physics_step, names=tuple(map(str, names))
-    )
+        velocity=_velocity(velocity), physics_step=physics_step, unit=_unit(unit, parameters),
+        names=tuple(map(str, names)),
+    )  # fmt: skip
     return made(read({"actuator": actuator, **parameters}, robot=False), kind)
 
 
@@ -139,8 +147,10 @@ def loop_of(
         path = Path(specification)
         rows = listed.rows(path)
         if rows is not None:
+            unit = _unit(parameters.pop("unit", None), {*parameters, *itertools.chain(*rows)})
             names, own = listed.values(path, rows, parameters)
-            return made(own, Kind(velocity=_velocity(velocity), names=tuple(names)))
+            kind = Kind(velocity=_velocity(velocity), unit=unit, names=tuple(names))
+            return made(own, kind)
         if parameters:
             name = next(iter(parameters))
             raise UserError(f"`{name}`: {path} has axes of its own; change them there")
@@ -157,10 +167,17 @@ def loop_of(
         for name, array in samples.along.items()
         if name in given
     }
-    kind = {f.name: getattr(specification, f.name) for f in fields(Kind) if f.name != "names"}
+    parts = {f.name: getattr(specification, f.name) for f in fields(Kind) if f.name != "names"}
     if _velocity(velocity) != "sampled":
-        kind["velocity"] = velocity
-    return made(values, Kind(**kind))
+        parts["velocity"] = velocity
+    return made(values, Kind(**parts))
+
+
+def _unit(unit: str | None, given: Iterable[str]) -> str | None:
+    """The unit of a joint's position, "rad" where an inertia is among the names given."""
+    if unit not in (None, *UNITS):
+        raise UserError(f"`unit` = {shown(unit)}; {nearest(unit, UNITS)}")
+    return rotary(given, unit) if INERTIA in given else unit
 
 
 def _velocity(name: str) -> str:

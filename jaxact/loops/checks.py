@@ -10,8 +10,9 @@ import numpy as np
 from jaxact.errors import UserError
 from jaxact.loops.axes import MOST_LOOPS, Axis
 from jaxact.loops.specification import Specification
-from jaxact.parameters import ROBOT_ONLY, base, of
+from jaxact.parameters import JOINT_ONLY, ROBOT_ONLY, base, of
 
+SPRINGS_OF_MODEL = "a robot's springs are those of its model"
 # Longest history of a signal that a loop keeps, in control periods.
 LONGEST_HISTORY = 4096
 _DELAYS = ("delay", "output_delay", "measurement_delay", "setpoint_delay")
@@ -69,8 +70,13 @@ def _check_axes(specification: Specification, axes: dict[str, Axis]) -> None:
 
 
 def _check_robot_only(specification: Specification, axes: dict[str, Axis]) -> None:
-    """What only a robot has would be ignored silently without one."""
+    """What only a robot has would be ignored silently without one, and the other way round."""
     if specification.robot:
+        if specification.unit is not None:
+            raise UserError("unit: only for a single joint; a robot's joints have their own")
+        for name in (*specification.parameters, *axes):
+            if base(name) in JOINT_ONLY:
+                raise UserError(f"{name}: only for a single joint; {SPRINGS_OF_MODEL}")
         return
     for name in (*specification.parameters, *axes):
         if "@" in name or name in ROBOT_ONLY:

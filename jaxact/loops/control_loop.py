@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,9 +20,11 @@ import jax
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.loops.checks import OF_VELOCITY, check_velocity
+from jaxact.loops.checks import OF_VELOCITY, SPRINGS_OF_MODEL, check_velocity
 from jaxact.loops.specification import Motion, Plant, Push, Specification
 from jaxact.parameters import (
+    INERTIA,
+    JOINT_ONLY,
     PARAMETERS,
     PRESETS,
     ROBOT_ONLY,
@@ -52,6 +54,7 @@ class Kind:
         integrator_correction: take back MuJoCo's half step of lead, see `Specification`.
         motion: of a robot's setpoint, None for a step.
         push: on a robot, None for none.
+        unit: of a single joint's position, "m" or "rad"; None: m, or what a robot's joints have.
         names: of the loops of a batch, in C order; () where they are named by what varies.
     """
 
@@ -61,6 +64,7 @@ class Kind:
     integrator_correction: bool = False
     motion: Motion | None = None
     push: Push | None = None
+    unit: str | None = None
     names: tuple[str, ...] = ()
 
     @property
@@ -104,6 +108,8 @@ class ControlLoop:
         Raises:
             UserError: as there.
         """
+        if INERTIA in changes and self.kind.plant is None:
+            changes["unit"] = rotary(changes, changes.get("unit"))
         own = {f.name: changes.pop(f.name) for f in dataclasses.fields(Kind) if f.name in changes}
         kind = dataclasses.replace(self.kind, **own)
         if kind.plant is not None:
@@ -167,7 +173,8 @@ class ControlLoop:
         plant = self.kind.plant
         # A robot's joints may slide or turn, so that gains have no one unit.
         units = plant is None
-        parts = [_described(name, value, units=units) for name, value in self.values.items()]
+        unit = self.kind.unit
+        parts = [_described(name, value, unit, units=units) for name, value in self.values.items()]
         parts += [f"velocity {self.kind.velocity}"] * (self.kind.velocity != "sampled")
         head = "joint" if plant is None else _mounted(plant)
         number = math.prod(self.shape)
@@ -254,6 +261,8 @@ def _checked(name: str, value: Any, *, robot: bool) -> Any:
         raise UserError(f"`{name}`: unknown parameter; {nearest(name, (*PARAMETERS, ACTUATOR))}")
     if not robot and ("@" in name or name in ROBOT_ONLY):
         raise UserError(f"`{name}`: only a robot has it; make one with jaxact.robot(model, ...)")
+    if robot and base(name) in JOINT_ONLY:
+        raise UserError(f"`{name}`: only for a single joint; {SPRINGS_OF_MODEL}")
     if isinstance(value, jax.core.Tracer):
         return value
     try:
@@ -279,8 +288,27 @@ def is_traced(loop: ControlLoop) -> bool:
     return any(isinstance(value, jax.core.Tracer) for value in loop.values.values())
 
 
-def _described(name: str, value: Any, *, units: bool) -> str:
-    unit = of(name).unit if units or of(name).unit in ("s", "Hz", "rad/s") else "1"
+def rotary(given: Iterable[str], unit: str | None) -> str:
+    """The unit of a joint that an inertia was given of, "rad".
+
+    Args:
+        given: names of parameters, `inertia` among them.
+        unit: that was given, None for none.
+
+    Raises:
+        UserError: a mass was given, too, or the joint slides.
+    """
+    if unit == "m":
+        raise UserError('inertia: is that of a rotary joint; drop unit = "m", or give mass')
+    if any(name != INERTIA and canonical(name) == "mass" for name in given):
+        raise UserError("inertia: mass says the same of a joint that slides; give one of the two")
+    return "rad"
+
+
+def _described(name: str, value: Any, own_unit: str | None, *, units: bool) -> str:
+    parameter = of(name, own_unit)
+    unit = parameter.unit if units or parameter.unit in ("s", "Hz", "rad/s") else "1"
+    name = INERTIA if own_unit == "rad" and name == "mass" else name
     if isinstance(value, jax.core.Tracer):
         shown_value = "traced"
     elif not np.ndim(value):

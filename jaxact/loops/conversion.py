@@ -27,7 +27,7 @@ from jaxact.loops.control_loop import ACTUATOR, ControlLoop, is_traced
 from jaxact.loops.reading import explained
 from jaxact.loops.samples import Coordinate, Samples
 from jaxact.loops.specification import Specification
-from jaxact.parameters import PRESETS, of
+from jaxact.parameters import OF_JOINT, PRESETS, of
 
 # Rates must each fit the physics step; of what else varies the ends say enough.
 _EACH_COUNTS = ("control_rate", "policy_rate")
@@ -96,7 +96,21 @@ def continuous(values: Mapping[str, Any]) -> JointLoop:
         damping_ratio=jnp.asarray(values["zeta"], float),
         delay=jnp.asarray(total_delay(values), float),
         velocity_filter=None if unfiltered else jnp.asarray(cutoff, float),
+        **{name: jnp.asarray(values[name], float) for name in own_motion(values)},
     )
+
+
+def own_motion(values: Mapping[str, Any]) -> tuple[str, ...]:
+    """The parameters of a joint that is not a bare mass; none where all are 0 and not traced.
+
+    Nothing is computed for a bare mass of what it does not have.
+
+    Args:
+        values: parameters by short name; one that is missing is 0.
+    """
+    own = [values.get(name, 0.0) for name in OF_JOINT]
+    bare = all(not isinstance(value, jax.core.Tracer) and not np.any(value) for value in own)
+    return () if bare else tuple(name for name in OF_JOINT if name in values)
 
 
 def sampled(values: Mapping[str, Any], velocity: str) -> SampledLoop:
@@ -117,6 +131,8 @@ def sampled(values: Mapping[str, Any], velocity: str) -> SampledLoop:
         control_period=1.0 / jnp.asarray(values["control_rate"], float),
         velocity_filter=jnp.asarray(values["velocity_filter"], float),
         velocity=velocity,
+        joint_damping=own.joint_damping,
+        joint_stiffness=own.joint_stiffness,
     )
 
 
@@ -188,14 +204,14 @@ def samples(loop: ControlLoop) -> Samples:
         name: np.asarray(value, float).reshape((1,) * (rank - np.ndim(value)) + np.shape(value))
         for name, value in loop.values.items()
     }
-    dims, coords = _dimensions(arrays, shape)
+    dims, coords = _dimensions(arrays, shape, loop.kind.unit)
     nominal = Specification(plant=loop.kind.plant).nominal
     along = {name: np.full((1,) * rank, value, float) for name, value in nominal.items()} | arrays
     return Samples(along, dims, shape, coords)
 
 
 def _dimensions(
-    arrays: Mapping[str, np.ndarray], shape: tuple[int, ...]
+    arrays: Mapping[str, np.ndarray], shape: tuple[int, ...], unit: str | None
 ) -> tuple[tuple[str, ...], dict[str, Coordinate]]:
     """Names of the dimensions, and coordinates of what varies along each."""
     varied = {name: [a for a, size in enumerate(array.shape) if size > 1] for name, array in
@@ -214,7 +230,7 @@ def _dimensions(
     for name, axes in varied.items():
         own = tuple(dims[axis] for axis in axes)
         values = arrays[name].reshape([shape[axis] for axis in axes])
-        coords[name] = Coordinate(own, values, of(name).attributes)
+        coords[name] = Coordinate(own, values, of(name, unit).attributes)
     for axis, dim in enumerate(dims):
         if dim == ACTUATOR and preset is not None:
             coords[dim] = Coordinate((dim,), preset, {"long_name": "actuator"})

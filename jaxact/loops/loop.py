@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from jaxact.drive import step as _drive
 from jaxact.drive.controller import Setpoint
+from jaxact.drive.joint_motion import Joint
 from jaxact.drive.sensor import Draws
 from jaxact.drive.step import NO_DRAWS, Coefficients, Drive, DriveOptions, DriveState
 
@@ -38,6 +39,11 @@ class Prepared:
 
     plant: Any
     drive: Coefficients
+
+    @property
+    def joint(self) -> Joint | None:
+        """The joint, where it has damping or stiffness of its own and is no model; else None."""
+        return getattr(self.plant, "joint", None)
 
 
 @dataclass(frozen=True)
@@ -96,7 +102,8 @@ def prepare(loop: Loop, options: DriveOptions) -> Prepared:
         loop: parameters; leaves scalars or of shape (joints,), may be traced.
         options: static, from `jaxact.drive.step.options`.
     """
-    coefficients = _drive.prepare(loop.drive, options, loop.plant.shape)
+    joint = getattr(loop.plant, "joint", None)
+    coefficients = _drive.prepare(loop.drive, options, loop.plant.shape, joint)
     dtype = coefficients.step.dtype
     plant = jax.tree.map(
         lambda leaf: jnp.asarray(leaf, dtype) if isinstance(leaf, float) else leaf, loop.plant

@@ -28,6 +28,7 @@ from jaxact.loops.specification import (
     Specification,
 )
 from jaxact.parameters import (
+    INERTIA,
     PARAMETERS,
     SHARED,
     as_number,
@@ -127,6 +128,10 @@ def _loads(text: str) -> dict[str, Any]:
 def _canonical(document: Mapping[str, Any]) -> dict[str, Any]:
     """The document with short parameter names, its sections tables that are there."""
     result = dict(document)
+    if "unit" in _keys(result.get("parameters")):  # said among the parameters, as on a command line
+        own = dict(result["parameters"])
+        result |= {"unit": own.pop("unit"), "parameters": own}
+    _say_rotary(result, (key for name in SECTIONS[:2] for key in _keys(result.get(name))))
     for section in SECTIONS[:2]:
         table = result.get(section, {})
         if not isinstance(table, dict):
@@ -135,6 +140,21 @@ def _canonical(document: Mapping[str, Any]) -> dict[str, Any]:
             )
         result[section] = _named(section, table)
     return result
+
+
+def _keys(table: Any) -> tuple[str, ...]:
+    return tuple(table) if isinstance(table, dict) else ()
+
+
+def _say_rotary(document: dict[str, Any], keys: Iterable[str]) -> None:
+    """An inertia given for the mass says that the joint is rotary."""
+    if INERTIA not in tuple(keys):
+        return
+    if "plant" in document:
+        raise UserError("inertia: only for a single joint; a robot's inertias are its model's")
+    if document.get("unit") == "m":
+        raise UserError('inertia: is that of a rotary joint; drop unit = "m", or give mass')
+    document["unit"] = "rad"
 
 
 def _named(section: str, table: Mapping[str, Any]) -> dict[str, Any]:
@@ -165,6 +185,7 @@ def _apply(document: dict[str, Any], override: str) -> str:
         keys = [section, rest] if dot and section in SECTIONS[:2] else [given.strip()]
     if keys == ["damping"] and value in ("joint", "drive"):
         raise UserError(f"{shown(override)}: of a robot, write it as plant.damping={value}")
+    _say_rotary(document, keys[-1:])
     if len(keys) == 1 and keys[0] not in (*OPTIONS, *SECTIONS):
         name = canonical(keys[0])
         if not known(name) and name != "actuator":

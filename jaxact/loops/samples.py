@@ -95,11 +95,11 @@ def expand(specification: Specification) -> Samples:
     shape = tuple(len(axis) for axis in gridded)
     coords: dict[str, Coordinate] = {}
     for axis in gridded:
-        coords |= _along((axis.name,), axis.name, axis.values)
+        coords |= _along((axis.name,), axis.name, axis.values, specification.unit)
     if specification.sampling is not None:
         dims, shape = (*dims, SAMPLE), (*shape, specification.sampling.samples)
         ranges = [axis for axis in axes if axis.sampled]
-        coords |= _drawn(ranges, specification.sampling, specification.seed)
+        coords |= _drawn(ranges, specification)
     along = {
         name: _placed(coords[name], dims, shape)
         if name in coords
@@ -121,7 +121,7 @@ def explicit(
     number = len(next(iter(columns.values())))
     coords = {SAMPLE: Coordinate((SAMPLE,), np.arange(first, first + number), _NUMBER)}
     for name, values in columns.items():
-        coords |= _along((SAMPLE,), name, values)
+        coords |= _along((SAMPLE,), name, values, specification.unit)
     along = {
         name: np.asarray(coords[name].values, float) if name in coords else np.full(1, value, float)
         for name, value in specification.nominal.items()
@@ -129,10 +129,12 @@ def explicit(
     return Samples(along, (SAMPLE,), (number,), coords, first)
 
 
-def _along(dims: tuple[str, ...], name: str, values: np.ndarray) -> dict[str, Coordinate]:
+def _along(
+    dims: tuple[str, ...], name: str, values: np.ndarray, unit: str | None
+) -> dict[str, Coordinate]:
     """Coordinates that the values of one parameter make."""
     if name != "actuator":
-        return {name: Coordinate(dims, values, of(name).attributes)}
+        return {name: Coordinate(dims, values, of(name, unit).attributes)}
     wn, zeta = np.array([PRESETS[str(name)] for name in values]).T
     return {
         "actuator": Coordinate(dims, values, _ACTUATOR),
@@ -141,14 +143,16 @@ def _along(dims: tuple[str, ...], name: str, values: np.ndarray) -> dict[str, Co
     }
 
 
-def _drawn(ranges: list[Axis], sampling: Sampling, seed: int) -> dict[str, Coordinate]:
+def _drawn(ranges: list[Axis], specification: Specification) -> dict[str, Coordinate]:
     """Coordinates of the sampled ranges, all along the dimension `sample`."""
-    points = _points(len(ranges), sampling, seed)
-    numbers = np.arange(sampling.samples)
-    return {SAMPLE: Coordinate((SAMPLE,), numbers, _NUMBER)} | {
-        axis.name: Coordinate((SAMPLE,), axis.place(points[:, column]), of(axis.name).attributes)
-        for column, axis in enumerate(ranges)
-    }
+    sampling, unit = specification.sampling, specification.unit
+    assert sampling is not None
+    points = _points(len(ranges), sampling, specification.seed)
+    found = {SAMPLE: Coordinate((SAMPLE,), np.arange(sampling.samples), _NUMBER)}
+    for axis, column in zip(ranges, points.T, strict=True):
+        about = of(axis.name, unit).attributes
+        found[axis.name] = Coordinate((SAMPLE,), axis.place(column), about)
+    return found
 
 
 def _points(dimensions: int, sampling: Sampling, seed: int) -> np.ndarray:

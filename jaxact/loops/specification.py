@@ -139,6 +139,7 @@ class Specification:
     velocity: of the controller, "sampled" by a sensor or the "differenced" position
     duration: simulated time [s]
     precision: "float32" or "float64"
+    unit: of a single joint's position, "rad" of a rotary one; None: m, or as a robot's joints are
     seed: of noise and of sampling
     tile: loops simulated at once; None: chosen by the engine
     devices: number of local devices used; None: all
@@ -163,6 +164,7 @@ class Specification:
     plant: Plant | None = None
     motion: Motion | None = None
     push: Push | None = None
+    unit: Literal["m", "rad"] | None = None
 
     @property
     def robot(self) -> bool:

@@ -1,7 +1,8 @@
-"""One exact linear degree of freedom: ``m q'' = f``.
+"""One exact linear degree of freedom: ``m q'' + c q' + k q = f``.
 
 Driven with the mean and the moment of the force over a step, both of which the drive computes in
-closed form, the update is the exact solution, whatever the step.
+closed form, the update of a bare mass is the exact solution, whatever the step. What the force does
+to a joint with damping or stiffness of its own the drive computes as a whole; that is exact too.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from jaxact.drive.joint_motion import Joint, moved
 from jaxact.drive.step import Force
 
 
@@ -19,18 +21,33 @@ class Mass:
     """The plant's parameters.
 
     Attributes:
-        mass: [kg], or moment of inertia [kg m^2] of a rotary joint, shape (joints,).
+        mass: m [kg], or moment of inertia [kg m^2] of a rotary joint, shape (joints,).
+        damping: c [N s/m or N m s/rad]; None: none, whatever the parameters.
+        stiffness: k [N/m or N m/rad], negative where gravity topples the joint; None as before.
     """
 
     mass: jax.Array | float
+    damping: jax.Array | float | None = None
+    stiffness: jax.Array | float | None = None
+
+    @property
+    def joint(self) -> Joint | None:
+        """The joint that the drive is prepared for; None for a bare mass."""
+        if self.damping is None and self.stiffness is None:
+            return None
+        c, k = (0.0 if a is None else a for a in (self.damping, self.stiffness))
+        return Joint(self.mass, c, k)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the joint quantities."""
-        return jnp.shape(self.mass)
+        own = (self.mass, self.damping, self.stiffness)
+        return jnp.broadcast_shapes(*(jnp.shape(a) for a in own if a is not None))
 
-    def prepare(self, step: jax.Array) -> SteppedMass:
+    def prepare(self, step: jax.Array) -> SteppedMass | SprungMass:
         """Coefficients for a physics step [s]."""
+        if self.joint is not None:
+            return SprungMass(self.joint)
         return SteppedMass(
             step=step,
             mean_gain=step / self.mass,
@@ -60,7 +77,7 @@ class SteppedMass:
         """Shape of the joint quantities."""
         return jnp.shape(self.compliance)
 
-    def prepare(self, step: jax.Array) -> SteppedMass:
+    def prepare(self, step: jax.Array) -> SteppedMass | SprungMass:
         """The same mass for another physics step [s]."""
         return Mass(1.0 / self.compliance).prepare(step)
 
@@ -99,8 +116,53 @@ class SteppedMass:
         )
 
 
+@dataclass(frozen=True)
+class SprungMass:
+    """A joint with damping and stiffness of its own; state: (position, velocity).
+
+    Attributes:
+        joint: its parameters, of which the drive has computed what each step does.
+    """
+
+    joint: Joint
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the joint quantities."""
+        return jnp.broadcast_shapes(*(jnp.shape(leaf) for leaf in jax.tree.leaves(self.joint)))
+
+    def prepare(self, step: jax.Array) -> SprungMass:
+        """The joint itself: its steps are the drive's."""
+        return self
+
+    def init(self, position: jax.Array, velocity: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """State with this position [m or rad] and velocity [m/s or rad/s]."""
+        return position, velocity
+
+    def measure(self, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        """Position [m or rad] and velocity [m/s or rad/s]."""
+        return state
+
+    def advance(
+        self, state: tuple[jax.Array, jax.Array], force: Force
+    ) -> tuple[jax.Array, jax.Array]:
+        """State one step later; exact."""
+        return moved(force.motion, state)
+
+    def between(
+        self,
+        before: tuple[jax.Array, jax.Array],
+        after: tuple[jax.Array, jax.Array],
+        force: Force,
+        offset: jax.Array,
+    ) -> tuple[jax.Array, jax.Array]:
+        """State at the measuring instant, `offset` [s] into the step; exact."""
+        return moved(force.partial_motion, before)
+
+
 for _class, _fields in (
-    (Mass, ["mass"]),
+    (Mass, ["mass", "damping", "stiffness"]),
+    (SprungMass, ["joint"]),
     (SteppedMass, ["step", "mean_gain", "moment_gain", "compliance"]),
 ):
     jax.tree_util.register_dataclass(_class, data_fields=_fields, meta_fields=[])

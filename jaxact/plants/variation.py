@@ -18,6 +18,7 @@ NEUTRAL = {
     "payload": 0.0,
     "inertia_scale": 1.0,
     "joint_damping": 0.0,
+    "joint_stiffness": 0.0,
     "joint_armature": 0.0,
     "joint_friction": 0.0,
     "contact_friction": 1.0,
@@ -34,6 +35,8 @@ class Variation:
         inertia_scale: factor on mass and inertia of every body that a driven joint moves directly;
             shape () or (joints,).
         joint_damping: added to the driven joints' viscous damping [N s/m or N m s/rad].
+        joint_stiffness: added to the driven joints' stiffness, whose springs rest where the model
+            has them rest [N/m or N m/rad].
         joint_armature: added to the driven joints' armature [kg or kg m^2].
         joint_friction: added to the driven joints' dry friction [N or N m].
         contact_friction: factor on the friction coefficients of all geoms, shape ().
@@ -42,6 +45,7 @@ class Variation:
     payload: jax.Array | float | None = None
     inertia_scale: jax.Array | float | None = None
     joint_damping: jax.Array | float | None = None
+    joint_stiffness: jax.Array | float | None = None
     joint_armature: jax.Array | float | None = None
     joint_friction: jax.Array | float | None = None
     contact_friction: jax.Array | float | None = None
@@ -86,14 +90,16 @@ def changed(
         new["body_mass"], new["body_inertia"] = mass, inertia
         above = jnp.asarray(_ancestors(np.asarray(model.body_parentid)), mass.dtype)
         new["body_subtreemass"] = model.body_subtreemass + above @ (mass - before)
-    for name, field in (
-        ("joint_damping", "dof_damping"),
-        ("joint_armature", "dof_armature"),
-        ("joint_friction", "dof_frictionloss"),
+    joints = np.asarray(model.dof_jntid)[at]
+    for name, field, where in (
+        ("joint_damping", "dof_damping", at),
+        ("joint_stiffness", "jnt_stiffness", joints),
+        ("joint_armature", "dof_armature", at),
+        ("joint_friction", "dof_frictionloss", at),
     ):
         added = getattr(variation, name)
         if added is not None:
-            new[field] = jnp.asarray(getattr(model, field)).at[at].add(added)
+            new[field] = jnp.asarray(getattr(model, field)).at[where].add(added)
     if variation.contact_friction is not None:
         new["geom_friction"] = jnp.asarray(model.geom_friction) * variation.contact_friction
     return new

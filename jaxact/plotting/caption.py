@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
+from jaxact.parameters import OF_JOINT, mass_word, of
 from jaxact.plants import engines
 from jaxact.plotting import wording
 from jaxact.status import Verdict
@@ -133,7 +134,13 @@ def loop(
     """
     engine = _engine(str(static["engine"]))
     rate = wording.quantity(values["control_rate"], "Hz")
-    gains = f"kp {values['kp']:g} N/m, kd {values['kd']:g} N s/m, mass {values['mass']:g} kg"
+    gains = ", ".join(
+        f"{words} {values[name]:g} {of(name, unit).unit}"
+        for name, words in (("kp", "kp"), ("kd", "kd"), ("mass", mass_word(unit)))
+    )
+    for name in OF_JOINT:
+        if values.get(name, 0.0) != 0.0:
+            gains += f", {name.replace('_', ' ')} {values[name]:g} {of(name, unit).unit}"
     if static.get("plant") is not None:
         gains = f"kp {_own(values['kp'], 'N m/rad')}, kd {_own(values['kd'], 'N m s/rad')}"
     if values["gain_scale"] != 1.0:

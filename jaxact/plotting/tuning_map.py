@@ -49,12 +49,14 @@ class Plane:
         kp: [N/m], shape (n,);  kd: [N s/m], shape (m,).
         peak: [-], shape (m, n), NaN where a member is unstable.
         boundaries: exact stability boundaries, of the members shown.
+        units: of the gains.
     """
 
     kp: np.ndarray
     kd: np.ndarray
     peak: np.ndarray
     boundaries: Sequence[Boundary]
+    units: tuple[str, str] = ("N/m", "N s/m")
 
 
 def tuning_map(
@@ -158,8 +160,8 @@ def _deepest(mask: np.ndarray) -> tuple[int, int]:
 def _dress(axes: Axes, plane: Plane) -> None:
     axes.set_xlim(plane.kp[0], plane.kp[-1])
     axes.set_ylim(plane.kd[0], plane.kd[-1])
-    axes.set_xlabel(wording.axis_label("kp", "N/m", "stiffness"))
-    axes.set_ylabel(wording.axis_label("kd", "N s/m", "damping"))
+    axes.set_xlabel(wording.axis_label("kp", plane.units[0], "stiffness"))
+    axes.set_ylabel(wording.axis_label("kd", plane.units[1], "damping"))
     ticks.label(axes.xaxis)
     ticks.label(axes.yaxis)
 
@@ -182,7 +184,8 @@ def _handles(
     reached: bool,
 ) -> list[Artist]:
     def words(gains: tuple[float, float]) -> str:
-        return f"kp {gains[0]:.4g} N/m, kd {gains[1]:.4g} N s/m"
+        kp, kd = plane.units
+        return f"kp {gains[0]:.4g} {kp}, kd {gains[1]:.4g} {kd}"
 
     handles: list[Artist] = [star(f"{'after' if reached else 'nearest found'}: {words(after)}")]
     if before is not None:

@@ -23,6 +23,7 @@ from jaxact.loops.conversion import drive_of
 from jaxact.loops.loop import Loop, LoopState, Prepared
 from jaxact.loops.specification import Setting
 from jaxact.loops.template import Template
+from jaxact.parameters import OF_JOINT
 from jaxact.plants.engines import Engine
 from jaxact.plants.mass import Mass
 from jaxact.simulation import metrics as _metrics
@@ -153,7 +154,8 @@ def resolved(template: Template, values: Values) -> Values:
 def _plant_of(case: Case, template: Template, values: Values) -> Any:
     """The plant with the sample's own parameters filled in."""
     if case.engine.exact:
-        return Mass(values["mass"])
+        own = (values[name] if name in case.varied else None for name in OF_JOINT)
+        return Mass(values["mass"], *own)
     plant = template.plant.with_mass(values["mass"]) if case.own_mass else template.plant
     if not case.varied:
         return plant

@@ -18,10 +18,10 @@ import numpy as np
 from jaxact.compilation.filling import filled
 from jaxact.drive import step as _drive
 from jaxact.errors import UserError
-from jaxact.loops.conversion import drive_of
+from jaxact.loops.conversion import drive_of, own_motion
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Motion, Specification
-from jaxact.parameters import ROBOT_ONLY, base
+from jaxact.parameters import OF_PLANT, base
 from jaxact.simulation import engines, kernel
 from jaxact.simulation import rollout as _rollout
 from jaxact.simulation import starts as _starts
@@ -189,6 +189,7 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
     ticks = _rollout.whole_ticks(specification.duration, 1.0 / fastest)
     varied = {base(axis.name) for axis in specification.axes}
     varied |= {base(name) for name in specification.parameters}
+    changed = varied if engine.robot else set(own_motion(values))
     starts = _starts.needed(
         options,
         linear_plant=not engine.robot,
@@ -208,7 +209,7 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
         duration=specification.duration,
         model=kernel.model_digest(specification.setting),
         own_mass=not engine.robot or "mass" in varied,
-        varied=tuple(name for name in ROBOT_ONLY if name in varied),
+        varied=tuple(name for name in OF_PLANT if name in changed),
         step=1.0 / (fastest * count) if engine.robot else 0.0,
         growth=_growth(
             _ROBOT_GROWTH if engine.robot else GrowthOptions(dense=not engine.exact), fastest

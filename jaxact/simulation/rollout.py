@@ -238,8 +238,8 @@ def _scale(
     if options.additive and linear_plant:
         return None
     size = jnp.maximum(jnp.abs(reference.start), jnp.abs(reference.target))
-    drive = prepared.drive.drive
-    return _verdicts.scale(drive, size, rest_amplitude, linear_plant=linear_plant)
+    drive, joint = prepared.drive.drive, prepared.joint
+    return _verdicts.scale(drive, size, rest_amplitude, linear_plant=linear_plant, joint=joint)
 
 
 def judged(

@@ -263,9 +263,9 @@ def names(specification: Specification) -> tuple[str, ...]:
 
 
 def _joints(specification: Specification) -> tuple[Joint, ...]:
-    """The driven joints; the mass and the built-in slide joint slide."""
+    """The driven joints; a single one slides unless it is said to be rotary."""
     if specification.plant is None:
-        return (Joint("joint", rotary=False),)
+        return (Joint("joint", rotary=specification.unit == "rad"),)
     import mujoco
 
     from jaxact.loops import robots

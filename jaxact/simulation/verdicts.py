@@ -16,6 +16,7 @@ from dataclasses import dataclass, fields
 import jax
 import jax.numpy as jnp
 
+from jaxact.drive.joint_motion import Joint
 from jaxact.drive.options import Drive
 from jaxact.status import Verdict
 
@@ -161,7 +162,12 @@ def _bounded(drive: Drive) -> jax.Array:
 
 
 def scale(
-    drive: Drive, size: jax.Array, floor: jax.Array | float = 0.0, *, linear_plant: bool
+    drive: Drive,
+    size: jax.Array,
+    floor: jax.Array | float = 0.0,
+    *,
+    linear_plant: bool,
+    joint: Joint | None = None,
 ) -> Scale:
     """What the motions of a loop are measured with.
 
@@ -170,6 +176,8 @@ def scale(
         size: largest position in sight [m or rad], which sets the rounding.
         floor: half range that counts as at rest in any case [m or rad]: what noise sustains.
         linear_plant: static.
+        joint: where it has damping or stiffness of its own. Beyond what its limited force can hold,
+            one that topples falls for ever.
 
     Returns:
         Of a drive with counts, a hundredth of one is at rest; else a thousandth of the displacement
@@ -189,7 +197,7 @@ def scale(
         rest=jnp.maximum(least, own),
         floor=least,
         limit=most,
-        bounded=_bounded(drive) & linear_plant,
+        bounded=_bounded(drive) & linear_plant & (joint is None or joint.stiffness >= 0.0),
         linear=exact & unlimited & linear_plant,
         unlimited=unlimited & linear_plant,
         plant_linear=jnp.full_like(unlimited, linear_plant),

@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxact.compilation import filling
 from jaxact.compilation.programs import Program
+from jaxact.parameters import OF_JOINT
 from jaxact.status import Verdict
 from jaxact.sweeping import store
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 # What the stability of the linear loop depends on; the gains first.
 LINEAR_PARAMETERS = (
     "kp", "kd", "mass", "wn", "zeta", "delay", "measurement_delay", "output_delay",
-    "control_rate", "velocity_filter",
+    "control_rate", "velocity_filter", *OF_JOINT,
 )  # fmt: skip
 # |rho - 1| within rounding of the eigenvalues: on the boundary, neither side is wrong there.
 ON_BOUNDARY = 1e-9
@@ -105,7 +106,7 @@ def exact_boundary(
     servo = values["mass"], values["wn"], values["zeta"]
     delay = values["delay"] + values["measurement_delay"] + values["output_delay"]
     window: dict[str, Any] = {"kp_range": kp_range, "kd_range": kd_range}
-    window |= {"velocity_filter": values["velocity_filter"]}
+    window |= {name: values[name] for name in ("velocity_filter", *OF_JOINT)}
     continuous = continuous_boundary(*servo, delay, **window)
     sampled = sampled_boundary(
         *servo, delay, 1.0 / values["control_rate"], velocity=velocity_of(part), **window
@@ -249,23 +250,14 @@ def _matrices(values: Mapping[str, np.ndarray], velocity: str, most: int, chunk:
     """One-period matrices with room for `most` delayed commands, shape (samples, size, size)."""
     import jax
 
-    from jaxact.analysis.sampled.period_map import SampledLoop
+    from jaxact.loops import conversion
 
     # Padded to one of two sizes: compiling takes longer than computing.
     count = len(values["kp"])
-    loop = SampledLoop(
-        kp=values["kp"],
-        kd=values["kd"],
-        mass=values["mass"],
-        natural_frequency=values["wn"],
-        damping_ratio=values["zeta"],
-        delay=total_delay(values),
-        control_period=1.0 / values["control_rate"],
-        velocity_filter=values["velocity_filter"],
-        velocity=velocity,
-    )
-    loop = filling.filled(loop, min(256, chunk) if count <= 256 else chunk)
+    own = {name: values[name] for name in LINEAR_PARAMETERS if name in values}
+    own = filling.filled(own, min(256, chunk) if count <= 256 else chunk)
     with jax.enable_x64(True):
+        loop = conversion.sampled(own | {"gain_scale": 1.0}, velocity)
         return np.asarray(_matrices_of(loop, most=most))[:count]
 
 

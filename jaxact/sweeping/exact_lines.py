@@ -139,16 +139,11 @@ def stable_in_continuous_time(values: Mapping[str, np.ndarray]) -> np.ndarray:
     """
     import jax
 
-    from jaxact.analysis.joint.frequency import JointLoop
+    from jaxact.loops import conversion
 
-    delay = agreement.total_delay(values)
-    columns: list[Any] = [
-        np.asarray(values[name], float) for name in ("kp", "kd", "mass", "wn", "zeta")
-    ]
-    cutoff = np.asarray(values["velocity_filter"], float)
-    columns += [delay, cutoff] if np.isfinite(cutoff).any() else [delay]
     with jax.enable_x64(True):
-        return filling.in_chunks(_unstable_roots, JointLoop(*columns), _CHUNK) == 0
+        loops = conversion.continuous(dict(values) | {"gain_scale": 1.0})
+        return filling.in_chunks(_unstable_roots, loops, _CHUNK) == 0
 
 
 @Program

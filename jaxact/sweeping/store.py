@@ -23,7 +23,7 @@ import numpy as np
 from jaxact import __version__
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
-from jaxact.parameters import of
+from jaxact.parameters import in_unit, of, turned
 from jaxact.plants import engines
 from jaxact.status import Verdict
 from jaxact.sweeping import checksums
@@ -103,14 +103,10 @@ def joint_units(units: str, rotary: Sequence[bool]) -> str:
     Returns:
         `units` of slides, that of hinges ("rad s", "(N m)^2 s"), or both of a robot that has both.
     """
-    turned = units
-    for slide, hinge in (("N^2", "(N m)^2"), ("N", "N m"), ("m", "rad")):
-        if units.startswith(slide):
-            turned = hinge + units.removeprefix(slide)
-            break
-    if turned == units or not any(rotary):
+    hinge = turned(units)
+    if hinge == units or not any(rotary):
         return units
-    return turned if all(rotary) else f"{turned} or {units}"
+    return hinge if all(rotary) else f"{hinge} or {units}"
 
 
 OF_ROBOTS = ("shaking_rate",)
@@ -179,7 +175,7 @@ def skeleton(
                 dtype=dtype,
                 fill_value=math.nan if dtype.kind == "f" else -1,
                 dimension_names=samples.dims,
-                attributes=_attributes(name),
+                attributes=_attributes(name, specification.unit),
                 **checked,
             )
         progress = root.create_group(PROGRESS, attributes={IDENTITY: identity})
@@ -259,8 +255,10 @@ def _plain(values: np.ndarray) -> np.ndarray:
     return values.astype(object) if values.dtype.kind == "U" else values
 
 
-def _attributes(name: str) -> dict[str, Any]:
+def _attributes(name: str, unit: str | None) -> dict[str, Any]:
     attributes: dict[str, Any] = dict(vars(VARIABLES[name])) if name in VARIABLES else {}
+    if attributes:
+        attributes["units"] = in_unit(attributes["units"], unit)
     if name == "verdict":
         attributes["flag_values"] = [int(kind) for kind in Verdict]
         attributes["flag_meanings"] = " ".join(kind.label.replace(" ", "_") for kind in Verdict)
@@ -343,7 +341,8 @@ def parameter(results: xr.Dataset, name: str) -> xr.DataArray:
         return results.coords[name]
     # a parameter that is newer than the store has its default
     value = nominal(results).get(name, of(name).default)
-    return xr.DataArray(value, name=name, attrs=dict(of(name).attributes))
+    unit = json.loads(results.attrs["specification"]).get("unit")
+    return xr.DataArray(value, name=name, attrs=dict(of(name, unit).attributes))
 
 
 def unwritable(where: str | Path, error: OSError) -> str:

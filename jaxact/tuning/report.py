@@ -34,7 +34,8 @@ def report(
     """
     certificate, robot = tuned.certificate, tuned.robot
     if robot is None:
-        own = {"kp": tuned.kp, "kd": tuned.kd, "margins": margins, "worst": None}
+        own = {"kp": tuned.kp, "kd": tuned.kd, "units": list(tuned.units[:2])}
+        own |= {"margins": margins, "worst": None}
         if len(tuned.members) > 1:
             own["worst"] = {side: rows and rows[""] for side, rows in _sides(tuned).items()}
     else:
@@ -228,12 +229,16 @@ def _gains(tuned: Tuned, robot: OfRobot) -> dict[str, Any]:
 
 def _of_joint(tuned: Tuned) -> dict[str, Any]:
     """What was assumed of a joint: its parameters, or the ends of their ranges."""
-    from jaxact.tuning.joint.ensemble import PARAMETERS
+    from jaxact.tuning.joint.ensemble import PARAMETERS, PLANT
 
     members: Any = tuned.members
     assumed: dict[str, Any] = {"members": len(members)}
-    for name in PARAMETERS:
+    if tuned.loop is not None and tuned.loop.kind.unit is not None:
+        assumed["unit"] = tuned.loop.kind.unit
+    for name in PLANT:
         values = getattr(members, name)
+        if name not in PARAMETERS and not values.any():
+            continue
         low, high = float(values.min()), float(values.max())
         assumed[name] = low if low == high else [low, high]
     sampling = members.sampling

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.parameters import turned
 from jaxact.tuning.certificate import (
     Certificate,
     Check,
@@ -113,9 +114,13 @@ class Tuned:
         rotary = {False}
         if self.robot is not None:
             rotary = {bool(hinge) for one in self.robot.situations for hinge in one.rotary}
+        elif self.loop is not None:
+            rotary = {self.loop.kind.unit == "rad"}
         kp = "N/m or N m/rad" if len(rotary) > 1 else "N m/rad" if True in rotary else "N/m"
         kd = "N s/m or N m s/rad" if len(rotary) > 1 else "N m s/rad" if True in rotary else "N s/m"
-        return kp, kd, kp if self.goal.metric == "kp" else OBJECTIVES[self.goal.objective][2]
+        of_goal = OBJECTIVES[self.goal.objective][2]
+        of_goal = turned(of_goal) if rotary == {True} else of_goal
+        return kp, kd, kp if self.goal.metric == "kp" else of_goal
 
     def __repr__(self) -> str:
         """The loop with its gains, the verdict, and every constraint."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from jaxact.analysis.boundary.boundary import (
     BoundaryCurve,
     continuous_boundary,
@@ -10,6 +12,7 @@ from jaxact.analysis.boundary.boundary import (
 from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
+from jaxact.parameters import OF_JOINT
 
 Window = tuple[float, float]
 
@@ -41,14 +44,17 @@ def boundary(
         raise UserError("the boundary in closed form is that of a joint; sweep a robot's gains")
     conversion.linear_specification(loop)  # what does not fit is said here
     own = conversion.one(loop)
-    ranges = {"kp_range": _window("kp", kp, own["kp"]), "kd_range": _window("kd", kd, own["kd"])}
+    ranges: dict[str, Any] = {
+        "kp_range": _window("kp", kp, own["kp"]),
+        "kd_range": _window("kd", kd, own["kd"]),
+    }
+    ranges |= {name: own[name] for name in ("velocity_filter", *OF_JOINT)}
     plant = own["mass"], own["wn"], own["zeta"], conversion.total_delay(own)
     if not sampled:
-        return continuous_boundary(*plant, velocity_filter=own["velocity_filter"], **ranges)
+        return continuous_boundary(*plant, **ranges)
     return sampled_boundary(
-        *plant, 1.0 / own["control_rate"], velocity=loop.kind.velocity,
-        velocity_filter=own["velocity_filter"], **ranges,
-    )  # fmt: skip
+        *plant, 1.0 / own["control_rate"], velocity=loop.kind.velocity, **ranges
+    )
 
 
 def _window(name: str, given: Window | None, own: float) -> Window:

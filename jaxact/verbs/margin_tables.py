@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact.parameters import LINEAR, of
+from jaxact.parameters import LINEAR, mass_word, of
 from jaxact.plotting.wording import quantity
 from jaxact.verbs import naming
 
@@ -89,6 +89,7 @@ def json_lines(loop: ControlLoop, found: Mapping[str, Figures]) -> str:
         for _, figures in others:
             row["sampled"] = {n: plain(n, figures, index) for n in (*names, "spectral_radius")}
         row["loop"] = {"name": label} | _own(loops, index)
+        row["loop"] |= {} if loops.unit is None else {"unit": loops.unit}
         lines.append(json.dumps(row, allow_nan=False))
     return "\n".join(lines)
 
@@ -99,7 +100,7 @@ def csv_text(loop: ControlLoop, found: Mapping[str, Figures]) -> str:
     written = io.StringIO()
     writer = csv.writer(written, lineterminator="\n")
     figures = [(f"{prefix}{name}", name, own) for prefix, own in found.items() for name in NAMES]
-    writer.writerow(["name", *_OF_LOOP, *(head for head, _, _ in figures)])
+    writer.writerow(["name", *_own(loops, 0), *(head for head, _, _ in figures)])
     for index, label in enumerate(loops.labels):
         cells = [plain(name, own, index) for _, name, own in figures]
         writer.writerow(
@@ -137,7 +138,8 @@ def store(
         )  # fmt: skip
     loops = naming.named(loop)
     coords: dict[str, Any] = {
-        name: ("loop", loops.values[name], dict(of(name).attributes)) for name in _OF_LOOP
+        name: ("loop", loops.values[name], dict(of(name, loops.unit).attributes))
+        for name in _OF_LOOP
     }
     coords["name"] = ("loop", np.array(loops.labels, dtype=object))
     about = {"title": "stability margins of a joint's closed loops", "jaxact_version": __version__}
@@ -146,8 +148,9 @@ def store(
 
 
 def _own(loops: naming.Loops, index: int) -> dict[str, float | str]:
-    """The parameters that identify a linear loop in files."""
-    values = {name: float(loops.values[name][index]) for name in _OF_LOOP}
+    """The parameters that identify a linear loop in files; of a rotary one the inertia."""
+    called = {name: mass_word(loops.unit) if name == "mass" else name for name in _OF_LOOP}
+    values = {words: float(loops.values[name][index]) for name, words in called.items()}
     return {name: value if math.isfinite(value) else "inf" for name, value in values.items()}
 
 

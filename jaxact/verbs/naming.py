@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
-from jaxact.parameters import PRESETS, of
+from jaxact.parameters import OF_JOINT, PRESETS, mass_word, of
 from jaxact.plotting.wording import quantity
 
 if TYPE_CHECKING:
@@ -26,10 +26,12 @@ class Loops:
 
     values: every parameter of the table by its short name, shape (n,) each
     labels: what tells them apart, with units, e.g. `HyQ, delay 1 ms`
+    unit: of the joints' positions, "rad" of rotary ones; None: m
     """
 
     values: dict[str, np.ndarray]
     labels: tuple[str, ...]
+    unit: str | None = None
 
     def __len__(self) -> int:
         """Number of loops."""
@@ -57,14 +59,15 @@ def labels(samples: Samples) -> tuple[str, ...]:
             for dim, n in zip(samples.dims, samples.shape, strict=True)
         ]
         spread = np.broadcast_to(place.values.reshape(sizes), samples.shape)
-        columns.append([_word(name, value) for value in spread.ravel()])
+        units = place.attributes.get("units", "1")
+        columns.append([_word(name, value, units) for value in spread.ravel()])
     return tuple(", ".join(words) for words in zip(*columns, strict=True))
 
 
-def _word(name: str, value: Any) -> str:
+def _word(name: str, value: Any, units: str) -> str:
     if name == "actuator":
         return quantity(str(value))
-    return f"{name.replace('_', ' ')} {quantity(value, of(name).unit)}"
+    return f"{name.replace('_', ' ')} {quantity(value, units)}"
 
 
 def _common_words(values: Mapping[str, float]) -> list[str]:
@@ -114,7 +117,7 @@ def named(loop: ControlLoop) -> Loops:
     words = loop.kind.names or labels(samples)
     if not words:
         words = (loop_name(conversion.linear_specification(loop)),) * len(samples)
-    return Loops(dict(samples.values), words)
+    return Loops(dict(samples.values), words, loop.kind.unit)
 
 
 def of_pictures(loop: ControlLoop) -> Loops:
@@ -127,16 +130,17 @@ def of_pictures(loop: ControlLoop) -> Loops:
         label if "velocity filter" in label else f"{label}, {_filter(float(value))}"
         for label, value in zip(loops.labels, cutoff, strict=True)
     ]
-    return Loops(loops.values, tuple(names))
+    return Loops(loops.values, tuple(names), loops.unit)
 
 
 def in_common(loop: ControlLoop) -> str:
     """What all loops have in common: gains, mass, actuator, delay, and how velocity is had."""
     loops = named(loop)
     own, words = loops.values, []
-    for name in ("kp", "kd", "mass"):
-        if _common(own[name]):
-            words.append(f"{name} {own[name][0]:g} {of(name).unit}")
+    for name in ("kp", "kd", "mass", *OF_JOINT):
+        if _common(own[name]) and (name not in OF_JOINT or own[name][0] != 0.0):
+            called = mass_word(loops.unit) if name == "mass" else name.replace("_", " ")
+            words.append(f"{called} {own[name][0]:g} {of(name, loops.unit).unit}")
     if len(loops) > 1:  # a single one is named by its actuator and its delay
         words += _common_words({name: v[0] for name, v in own.items() if _common(v)})
     cutoff = own["velocity_filter"]

@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 
 from jaxact.errors import UserError
 from jaxact.loops.control_loop import ControlLoop
+from jaxact.parameters import of
 from jaxact.plotting import bode as _bode
 from jaxact.plotting import nyquist as _nyquist
 from jaxact.plotting import robot as _robot
@@ -264,6 +265,7 @@ def boundary(
         if curve.separates:
             ax.plot(curve.kp, curve.kd, **{"color": "black", **line})
     ax.plot(loop.kp, loop.kd, marker="*", color="black", linestyle="none")
-    ax.set_xlabel("kp [N/m]")
-    ax.set_ylabel("kd [N s/m]")
+    unit = loop.kind.unit
+    ax.set_xlabel(f"kp [{of('kp', unit).unit}]")
+    ax.set_ylabel(f"kd [{of('kd', unit).unit}]")
     return ax

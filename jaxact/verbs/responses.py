@@ -12,6 +12,7 @@ import numpy as np
 from jaxact.compilation.programs import Program
 from jaxact.errors import UserError
 from jaxact.loops import conversion
+from jaxact.parameters import OF_JOINT
 from jaxact.verbs import naming
 from jaxact.verbs.margins import of_values
 from jaxact.verbs.naming import Loops
@@ -71,7 +72,7 @@ def responses(loop: ControlLoop, *, sampled: bool) -> list[LoopResponse]:
 
 def _groups(loops: Loops) -> list[list[int]]:
     """Loops that differ in their control rate only, together: one loop in continuous time."""
-    names = ("kp", "kd", "mass", "wn", "zeta", "velocity_filter")
+    names = ("kp", "kd", "mass", "wn", "zeta", "velocity_filter", *OF_JOINT)
     rows = zip(
         *(loops.values[name] for name in names), conversion.total_delay(loops.values), strict=True
     )
@@ -95,7 +96,8 @@ def _frequencies(loops: Loops) -> np.ndarray:
 
 def _ends(values: Mapping[str, float]) -> tuple[float, float]:
     """From well below the crossover to well above whatever turns the phase [rad/s]."""
-    stiff = math.sqrt(abs(values["kp"]) / values["mass"])
+    stiffness = abs(values["kp"]) + abs(values["joint_stiffness"])
+    stiff = math.sqrt(stiffness / values["mass"])
     damped = abs(values["kd"]) / values["mass"]
     delay = conversion.total_delay(values)
     scales = [stiff, damped, 3.0 / delay if delay > 0 else 0.0]

@@ -13,7 +13,7 @@ import numpy as np
 from jaxact.errors import UserError, shown
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
-from jaxact.parameters import base, canonical
+from jaxact.parameters import OF_JOINT, base, canonical
 from jaxact.tuning.box import read_box
 from jaxact.tuning.goal import MOST_PEAKS, Goal
 from jaxact.tuning.groups import group
@@ -153,7 +153,11 @@ def _of_joint(
         points = _joint_search.front(members, goal, front, starts=starts, how=how)
     gains = {"kp": tuned.kp, "kd": tuned.kd}
     scale = {"gain_scale": 1.0} if "gain_scale" in loop.values else {}
-    return dataclasses.replace(tuned, loop=loop.replace(**gains, **scale), front=tuple(points))
+    there = loop.replace(**gains, **scale)
+    along = tuple(
+        dataclasses.replace(one, loop=there.replace(kp=one.kp, kd=one.kd)) for one in points
+    )
+    return dataclasses.replace(tuned, loop=there, front=along)
 
 
 def _start_of_joint(loop: ControlLoop) -> tuple[float, float] | None:
@@ -176,7 +180,8 @@ def _nominal(loop: ControlLoop, sampled: bool) -> Ensemble:
     period = 1.0 / own["control_rate"] if sampled else None
     sampling = Sampling(period, loop.kind.velocity, own["velocity_filter"])
     label = naming.loop_name(conversion.linear_specification(loop))
-    return ensemble(own["mass"], own["wn"], own["zeta"], conversion.total_delay(own),
+    joint = (own[name] for name in OF_JOINT)
+    return ensemble(own["mass"], own["wn"], own["zeta"], conversion.total_delay(own), *joint,
                     sampling=sampling, names=(label,))  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from jaxact.analysis.boundary.boundary import continuous_boundary, sampled_boundary
 from jaxact.errors import UserError
 from jaxact.loops import conversion
+from jaxact.parameters import OF_JOINT
 from jaxact.plotting import convergence as _convergence
 from jaxact.plotting import robot_gains as _gains
 from jaxact.plotting import robot_tuning as _bands
@@ -313,18 +314,20 @@ def _plane(tuned: Tuned) -> Any:
     grid = _GRID if sampling.control_period is None else _GRID // 3
     kp, kd = kp[:: _GRID // grid], kd[:: _GRID // grid]
     log_kp, log_kd = np.meshgrid(np.log(kp), np.log(kd))
-    shaped = {name: getattr(members, name)[:, None, None] for name in _FIELDS}
+    shaped = {name: getattr(members, name)[:, None, None] for name in (*_FIELDS, *OF_JOINT)}
     found = metrics.evaluate(log_kp[None], log_kd[None], shaped, sampling)
     peak = np.maximum(found.log["sensitivity_peak"], found.log["complementary_peak"])
     worst = np.where(found.stable, peak, np.inf).max(axis=0)
     ranges = {"kp_range": (low[0], high[0]), "kd_range": (low[1], high[1])}
     boundaries = [_boundary(members, index, ranges) for index in range(len(members))]
-    return Plane(kp, kd, np.where(np.isfinite(worst), np.exp(worst), np.nan), boundaries)
+    peaks = np.where(np.isfinite(worst), np.exp(worst), np.nan)
+    return Plane(kp, kd, peaks, boundaries, tuned.units[:2])
 
 
 def _boundary(members: Ensemble, index: int, ranges: dict[str, Any]) -> Boundary:
     """Where a member changes stability: sampled as it is controlled, or in continuous time."""
     plant = [float(getattr(members, name)[index]) for name in _FIELDS]
+    ranges = ranges | {name: float(getattr(members, name)[index]) for name in OF_JOINT}
     name = members.name(index) if len(members) > 1 else ""
     period, cutoff = members.sampling.control_period, members.sampling.velocity_filter
     if period is None:
@@ -384,4 +387,6 @@ def _nominal(loop: ControlLoop, tuned: Tuned) -> Ensemble:
     """The plant that was named, as an ensemble of one."""
     own = conversion.one(loop)
     delay = conversion.total_delay(own)
-    return ensemble(own["mass"], own["wn"], own["zeta"], delay, sampling=tuned.members.sampling)
+    joint = (own[name] for name in OF_JOINT)
+    sampling = tuned.members.sampling
+    return ensemble(own["mass"], own["wn"], own["zeta"], delay, *joint, sampling=sampling)

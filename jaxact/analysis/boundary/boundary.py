@@ -36,6 +36,8 @@ def continuous_boundary(
     delay: float,
     *,
     velocity_filter: float = math.inf,
+    joint_damping: float = 0.0,
+    joint_stiffness: float = 0.0,
     kp_range: Range,
     kd_range: Range,
 ) -> list[BoundaryCurve]:
@@ -46,13 +48,15 @@ def continuous_boundary(
     damping_ratio: zeta [-], > 0, ignored if ideal
     delay: total delay td [s], >= 0
     velocity_filter: cutoff of the first-order filter of the velocity [rad/s], > 0, inf = none
+    joint_damping, joint_stiffness: of the joint itself, c [N s/m] and k [N/m]
     kp_range, kd_range: (low, high) of the window [N/m], [N s/m]; an axis with low > 0 is sampled
         evenly in its logarithm, otherwise evenly
 
     Raises ValueError for an empty window or values out of their domain.
     """
     _check_window(kp_range, kd_range)
-    marginal = continuous_marginal(mass, natural_frequency, damping_ratio, delay, velocity_filter)
+    plant = (mass, natural_frequency, damping_ratio, delay, velocity_filter)
+    marginal = continuous_marginal(*plant, (joint_damping, joint_stiffness))
     return _curves(marginal, mass, kp_range, kd_range)
 
 
@@ -67,6 +71,8 @@ def sampled_boundary(
     velocity_filter: float = math.inf,
     measurement_delay: float = 0.0,
     output_delay: float = 0.0,
+    joint_damping: float = 0.0,
+    joint_stiffness: float = 0.0,
     kp_range: Range,
     kd_range: Range,
     integrator: str = "exact",
@@ -74,7 +80,8 @@ def sampled_boundary(
 ) -> list[BoundaryCurve]:
     """All marginal gains of the sampled loop inside a window of the (kp, kd) plane.
 
-    mass, natural_frequency, damping_ratio, kp_range, kd_range: as in `continuous_boundary`
+    mass, natural_frequency, damping_ratio, joint_damping, joint_stiffness, kp_range, kd_range: as
+        in `continuous_boundary`
     delay, measurement_delay, output_delay: [s], >= 0; only their sum matters
     control_period: T [s], > 0
     velocity: "sampled", or "differenced" for positions differenced through a first-order filter
@@ -87,7 +94,8 @@ def sampled_boundary(
     total = delay + measurement_delay + output_delay
     kinds = {"velocity": velocity, "integrator": integrator, "substeps": substeps}
     plant = (mass, natural_frequency, damping_ratio, total, control_period, velocity_filter)
-    return _curves(sampled_marginal(*plant, kinds), mass, kp_range, kd_range)
+    marginal = sampled_marginal(*plant, kinds, (joint_damping, joint_stiffness))
+    return _curves(marginal, mass, kp_range, kd_range)
 
 
 def _check_window(kp_range: Range, kd_range: Range) -> None:
@@ -101,18 +109,18 @@ def _curves(
 ) -> list[BoundaryCurve]:
     grid = window_grid(marginal, mass, kp_range, kd_range)
     curves = curves_inside(marginal.gains, grid, kp_range, kd_range) if len(grid) else []
-    lines = _zero_stiffness_line(kp_range, kd_range)
+    lines = _line_at_rest(marginal.at_rest, kp_range, kd_range)
     if math.isfinite(marginal.nyquist):
         lines += _alternating_line(marginal, kp_range, kd_range)
     return classify(curves, marginal.gains, lines, marginal.count, kp_range, kd_range)
 
 
-def _zero_stiffness_line(kp_range: Range, kd_range: Range) -> list[Line]:
-    """The line kp = 0 (a root at the origin), if the window contains it."""
-    if not kp_range[0] <= 0.0 <= kp_range[1]:
+def _line_at_rest(at_rest: float, kp_range: Range, kd_range: Range) -> list[Line]:
+    """The line kp = -k (a root at the origin), if the window contains it."""
+    if not kp_range[0] <= at_rest <= kp_range[1]:
         return []
     kd = spread(kd_range)
-    return [(np.zeros_like(kd), kd, 0.0)]
+    return [(np.full_like(kd, at_rest), kd, 0.0)]
 
 
 def _alternating_line(marginal: Marginal, kp_range: Range, kd_range: Range) -> list[Line]:

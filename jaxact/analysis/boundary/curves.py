@@ -29,7 +29,7 @@ class BoundaryCurve:
     kp: [N/m], shape (k,)
     kd: [N s/m], shape (k,)
     frequency: of the marginal root [rad/s], shape (k,), ascending on a "curve", constant on a line
-    kind: "curve", or "line" for kp = 0 (frequency 0) and for z = -1 (frequency pi/T)
+    kind: "curve", or "line" for kp = -k (frequency 0) and for z = -1 (frequency pi/T)
     separates: whether one side is stable (no unstable root) and the other is not
     stable_side: "left" or "right" of the direction of travel (kp to the right, kd upwards), or ""
     """

@@ -6,10 +6,11 @@ Continuous, on s = jw, with x = w/wn:
     kd = m w   ((1 - x^2) sin(w td) + 2 zeta x cos(w td)),    and the line kp = 0.
 
 With kp = m w^2 R and kd = m w I without one, a filter 1 / (1 + s tau) of the velocity makes them
-m w^2 (R - w tau I) and m w (1 + (w tau)^2) I.
+m w^2 (R - w tau I) and m w (1 + (w tau)^2) I. Damping c and stiffness k of the joint put m w^2 - k
+for m w^2, add c w (I + w tau R) to kp and -c (1 + (w tau)^2) R to kd, and move the line to kp = -k.
 
 Sampled, on z = exp(j w T): the two real unknowns of 1 + kp Gp(z) + kd Gv(z) = 0, and the lines of
-z = 1 (kp = 0) and z = -1. NumPy at the edge, float64.
+z = 1 (kp = -k) and z = -1. NumPy at the edge, float64.
 """
 
 import math
@@ -42,6 +43,7 @@ class Marginal:
     at_nyquist: Gp(-1), Gv(-1), 0 for the continuous loop
     lag: longest delay in the phase [s], for the density of the grid
     count: number of unstable roots at (kp, kd)
+    at_rest: kp of the line of roots at rest, -k [N/m]
     """
 
     gains: Gains
@@ -50,18 +52,26 @@ class Marginal:
     at_nyquist: tuple[float, float]
     lag: float
     count: Count
+    at_rest: float
 
 
 def continuous_marginal(
-    mass: float, wn: float, damping_ratio: float, delay: float, velocity_filter: float = math.inf
+    mass: float,
+    wn: float,
+    damping_ratio: float,
+    delay: float,
+    velocity_filter: float = math.inf,
+    joint: tuple[float, float] = (0.0, 0.0),
 ) -> Marginal:
     """Of the continuous loop; mass [kg], wn [rad/s], zeta [-], total delay [s].
 
     velocity_filter: cutoff of the filter of the velocity [rad/s], inf = none
+    joint: its own damping c [N s/m] and stiffness k [N/m]
 
     Raises ValueError for values out of their domain.
     """
     zeta = 1.0 if math.isinf(wn) else damping_ratio
+    c, k = joint
     _check_plant(mass, wn, zeta, delay)
     _check_filter(velocity_filter)
 
@@ -74,11 +84,12 @@ def continuous_marginal(
         cosine, sine = np.cos(w * delay), np.sin(w * delay)
         real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
         turn = w / velocity_filter
-        kp = mass * w * w * (real - turn * imaginary)
-        return kp, mass * w * (1.0 + turn * turn) * imaginary
+        kp = (mass * w * w - k) * (real - turn * imaginary) + c * w * (imaginary + turn * real)
+        kd = (mass * w - k / w) * (1.0 + turn * turn) * imaginary
+        return kp, kd - c * (1.0 + turn * turn) * real
 
     def modulus(w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        size = mass * w * w * np.hypot(*servo(w))
+        size = np.hypot(mass * w * w - k, c * w) * np.hypot(*servo(w))
         # The singular values of (R, I) -> (R - w tau I, (1 + (w tau)^2) I).
         turn2 = (w / velocity_filter) ** 2
         determinant, norm2 = 1.0 + turn2, 1.0 + turn2 + (1.0 + turn2) ** 2
@@ -86,9 +97,9 @@ def continuous_marginal(
         return size * determinant / largest, size * largest
 
     def count(kp: np.ndarray, kd: np.ndarray) -> np.ndarray:
-        return _count_continuous(kp, kd, (mass, wn, zeta, delay, velocity_filter))
+        return _count_continuous(kp, kd, (mass, wn, zeta, delay, velocity_filter), joint)
 
-    return Marginal(gains, modulus, math.inf, (0.0, 0.0), delay, count)
+    return Marginal(gains, modulus, math.inf, (0.0, 0.0), delay, count, 0.0 - k)
 
 
 def sampled_marginal(
@@ -99,10 +110,12 @@ def sampled_marginal(
     control_period: float,
     velocity_filter: float,
     kinds: dict,
+    joint: tuple[float, float] = (0.0, 0.0),
 ) -> Marginal:
     """Of the sampled loop, besides with its control period [s] and velocity filter [rad/s].
 
     kinds: velocity, integrator, substeps of a SampledLoop
+    joint: as for `continuous_marginal`
 
     Raises ValueError for values out of their domain.
     """
@@ -115,7 +128,8 @@ def sampled_marginal(
     with jax.enable_x64(True):
         zero = jnp.asarray(0.0)
         arrays: list = [zero, zero, *(jnp.asarray(float(a)) for a in numbers)]
-        plant = SampledLoop(*arrays, **kinds)
+        own = dict(zip(("joint_damping", "joint_stiffness"), map(jnp.asarray, joint), strict=True))
+        plant = SampledLoop(*arrays, **kinds, **(own if any(joint) else {}))
         transfer = jax.tree.map(np.asarray, _transfer(plant))
         steps = int(transfer.steps)
         # The matrix is affine in the gains.
@@ -145,7 +159,8 @@ def sampled_marginal(
     position, rate = plant_at(np.array([math.pi]))
     at_nyquist = (float(position.real[0]), float(rate.real[0]))
     nyquist = math.pi / control_period
-    return Marginal(gains, None, nyquist, at_nyquist, delay + 4.0 * control_period, count)
+    lag = delay + 4.0 * control_period
+    return Marginal(gains, None, nyquist, at_nyquist, lag, count, 0.0 - joint[1])
 
 
 _transfer = Program(pulse_transfer)
@@ -169,7 +184,7 @@ def window_grid(marginal: Marginal, mass: float, kp_range: Range, kd_range: Rang
     """Frequencies that can lie in the window, dense in their logarithm and in the phase."""
     largest = [max(abs(a), abs(b)) for a, b in (kp_range, kd_range)]
     smallest = [min(abs(a), abs(b)) if a * b > 0 else 0.0 for a, b in (kp_range, kd_range)]
-    unit = math.sqrt(largest[0] / mass)
+    unit = math.sqrt(max(largest[0], abs(marginal.at_rest)) / mass)
     if marginal.modulus is None:
         low = 1e-3 * math.sqrt(max(smallest[0], 1e-9 * largest[0]) / mass)
         low = min(low, 1e-3 * marginal.nyquist)
@@ -201,13 +216,21 @@ def _is_continuous(marginal: Marginal) -> bool:
     return math.isinf(marginal.nyquist)
 
 
-def _count_continuous(kp: np.ndarray, kd: np.ndarray, plant: tuple[float, ...]) -> np.ndarray:
+def _count_continuous(
+    kp: np.ndarray, kd: np.ndarray, plant: tuple[float, ...], joint: tuple[float, float]
+) -> np.ndarray:
     """Unstable roots of the continuous loop, in chunks of one compiled shape.
 
     plant: mass, wn, zeta, delay, cutoff of the filter of the velocity
+    joint: its own damping and stiffness
     """
-    if math.isinf(plant[-1]):
-        plant = plant[:-1]
-    loops = JointLoop(kp, kd, *(np.full(len(kp), value) for value in plant))
+    names = ("mass", "natural_frequency", "damping_ratio", "delay", "velocity_filter")
+    own = dict(zip(names, plant, strict=True))
+    if math.isinf(own["velocity_filter"]):
+        del own["velocity_filter"]
+    if any(joint):
+        own |= dict(zip(("joint_damping", "joint_stiffness"), joint, strict=True))
+    fields = {name: np.full(len(kp), value) for name, value in own.items()}
+    loops = JointLoop(kp, kd, **fields)  # type: ignore[arg-type]
     with jax.enable_x64(True):
         return in_chunks(_counter, loops, _CHUNK)

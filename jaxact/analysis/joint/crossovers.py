@@ -16,15 +16,20 @@ import jax.numpy as jnp
 from jaxact.analysis.joint.frequency import (
     JointLoop,
     controller_response,
+    lead_gain,
     log_gain,
     log_gain_slope,
+    phase,
     phase_slope,
+    plant_parts,
     servo_denominator,
 )
 from jaxact.analysis.joint.positive_roots import apart
+from jaxact.analysis.joint.stationary import typical_frequency
 
 TURN = 2.0 * math.pi
 _BISECTIONS = 18
+_SPRUNG_BISECTIONS = 12
 _NEWTON_STEPS = 4
 _PHASE_BISECTIONS = 12
 _PHASE_NEWTON_STEPS = 5
@@ -37,6 +42,7 @@ def gain_crossovers(loop: JointLoop, extremes: jax.Array) -> tuple[jax.Array, ja
 
     There are one or three: |L| falls from infinity to zero, with at most one rise between
     the extremes (two where the velocity is filtered). Slots of missing ones hold other frequencies.
+    Of a sprung joint |L| starts at |kp/k|, so that there may be any number of them, or none.
     """
     kp, kd, mass = jnp.abs(loop.kp), jnp.abs(loop.kd), loop.mass
     half = 0.5 * (kd / mass) ** 2
@@ -47,6 +53,8 @@ def gain_crossovers(loop: JointLoop, extremes: jax.Array) -> tuple[jax.Array, ja
     if loop.velocity_filter is not None:
         # Up to half its cutoff the filter takes at most a third from |C|; it never adds a quarter.
         floor = jnp.minimum(floor, loop.velocity_filter)
+    if loop.sprung:
+        floor, rigid = _sprung_ends(loop, floor, rigid)
     low_end = jnp.maximum(0.5 * floor, jnp.finfo(floor.dtype).tiny)
     high_end = jnp.maximum(2.0 * rigid / jnp.sqrt(deepest), 2.0 * low_end)
     inner = jnp.clip(extremes, low_end, high_end)
@@ -61,7 +69,8 @@ def gain_crossovers(loop: JointLoop, extremes: jax.Array) -> tuple[jax.Array, ja
         before = _gain_above_one(loop, middle) == above
         return jnp.where(before, middle, low), jnp.where(before, high, middle)
 
-    low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (left, right))
+    steps = _BISECTIONS + (_SPRUNG_BISECTIONS if loop.sprung else 0)
+    low, high = jax.lax.fori_loop(0, steps, halve, (left, right))
 
     def newton(_: int, w: jax.Array) -> jax.Array:
         slope = log_gain_slope(loop, w)
@@ -70,8 +79,26 @@ def gain_crossovers(loop: JointLoop, extremes: jax.Array) -> tuple[jax.Array, ja
 
     w = jax.lax.fori_loop(0, _NEWTON_STEPS, newton, jnp.sqrt(low * high))
     only = jnp.max(jnp.where(present, w, 0.0), axis=0, keepdims=True)
-    factors = (0.55, 1.45, 3.1, 0.71, 1.9)[: w.shape[0]]
+    if loop.sprung:
+        only = jnp.where(only > 0.0, only, typical_frequency(loop))
+    factors = (0.55, 1.45, 3.1, 0.71, 1.9, 2.3)[: w.shape[0]]
     return jnp.where(present, w, only * apart(factors, w)), present
+
+
+def _sprung_ends(
+    loop: JointLoop, floor: jax.Array, rigid: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Far below every corner of |L|, where it is flat or a power of w, and above the resonance."""
+    kp, kd = jnp.abs(loop.kp), jnp.abs(loop.kd)
+    c, k = loop.joint_damping, jnp.abs(loop.joint_stiffness)
+    far = typical_frequency(loop)
+    corners = [(kp, c), (kd, loop.mass), (kp, kd), (k, c), (c, loop.mass)]
+    corners += [(jnp.sqrt(kp), jnp.sqrt(loop.mass)), (jnp.sqrt(k), jnp.sqrt(loop.mass))]
+    for top, bottom in corners:
+        there = (top > 0) & (bottom > 0)
+        far = jnp.minimum(far, jnp.where(there, top / jnp.where(bottom > 0, bottom, 1.0), far))
+    low = 1e-8 * jnp.where(floor > 0, jnp.minimum(far, floor), far)
+    return low, jnp.maximum(1.2 * rigid, jnp.sqrt(k / loop.mass))
 
 
 def _gain_above_one(loop: JointLoop, w: jax.Array) -> jax.Array:
@@ -79,6 +106,9 @@ def _gain_above_one(loop: JointLoop, w: jax.Array) -> jax.Array:
     x2 = (w / loop.natural_frequency) ** 2
     servo = (1.0 - x2) ** 2 + 4.0 * loop.damping_ratio**2 * x2
     stiff, rate = controller_response(loop, w)
+    if loop.sprung:
+        against, damped = plant_parts(loop, w)
+        return stiff**2 + rate**2 > (against**2 + damped**2) * servo
     return stiff**2 + rate**2 > (loop.mass * w * w) ** 2 * servo
 
 
@@ -95,6 +125,7 @@ def phase_crossovers(
     |L| = 1 it is the nearest one of its stretch if |L| < 1.
     """
     last = points[-1:]
+    begin = phase_at_rest(loop) if loop.sprung else jnp.zeros_like(last)
     next_level = TURN * (jnp.ceil(_phase_at_once(loop, last) / TURN) - 1.0)
     end = _level_reached(loop, next_level)
     left = jnp.concatenate([jnp.zeros_like(last), points])
@@ -103,13 +134,14 @@ def phase_crossovers(
     )
     at_points = _phase_at_once(loop, points)
     start, stop = (
-        jnp.concatenate([jnp.zeros_like(last), at_points]),
+        jnp.concatenate([begin, at_points]),
         jnp.concatenate([at_points, jnp.where(jnp.isfinite(end), next_level, at_points[-1:])]),
     )
     gains = log_gain(loop, points)
-    loud_left = jnp.concatenate(
-        [jnp.ones_like(last, dtype=bool), gains[:-1] > gains[1:], jnp.ones_like(last, dtype=bool)]
-    )
+    first = jnp.ones_like(last, dtype=bool)
+    if loop.sprung:
+        first = jnp.abs(loop.kp) > jnp.abs(loop.joint_stiffness) * jnp.exp(gains[:1])
+    loud_left = jnp.concatenate([first, gains[:-1] > gains[1:], jnp.ones_like(last, dtype=bool)])
     falling = start > stop
     # The level nearest to the louder end, strictly inside.
     louder = jnp.where(loud_left, start, stop)
@@ -117,13 +149,29 @@ def phase_crossovers(
     turns = louder / TURN
     level = TURN * jnp.where(below, jnp.ceil(turns) - 1.0, jnp.floor(turns) + 1.0)
     present = (jnp.minimum(start, stop) <= level) & (level <= jnp.maximum(start, stop))
-    present = present & (loop.kp > 0)
+    if loop.sprung:
+        # What is critical at rest is no crossing of the axis: `margins` has it by itself.
+        at_rest = jnp.zeros_like(start, dtype=bool).at[0].set(True) & (level == start)
+        present = present & (loop.kp != 0) & ~at_rest
+    else:
+        present = present & (loop.kp > 0)
     w = _solve_phase(loop, level, left, right, falling)
     return w, level, jnp.where(falling, -1.0, 1.0), present
 
 
+def phase_at_rest(loop: JointLoop) -> jax.Array:
+    """`phase` of a sprung joint at w = 0+ [rad]: a multiple of pi, or of pi/2 for k = 0."""
+    lead = jnp.where(loop.kp >= 0, 0.0, jnp.where(loop.kd < 0, -math.pi, math.pi))
+    lead = jnp.where(loop.kp == 0, 0.5 * math.pi * jnp.sign(loop.kd), lead)
+    free = jnp.where(loop.joint_damping > 0, 0.5 * math.pi, 0.0)
+    k = loop.joint_stiffness
+    return lead + jnp.where(k > 0, math.pi, jnp.where(k < 0, 0.0, free))
+
+
 def _phase_at_once(loop: JointLoop, w: jax.Array) -> jax.Array:
     """`phase` by one arctangent: for kp > 0, kd >= 0 the two parts together stay within a turn."""
+    if loop.sprung:
+        return phase(loop, w)
     real, imaginary = servo_denominator(loop, w)
     stiff, rate = controller_response(loop, w)
     lead = jnp.arctan2(rate * real - stiff * imaginary, stiff * real + rate * imaginary)
@@ -133,12 +181,32 @@ def _phase_at_once(loop: JointLoop, w: jax.Array) -> jax.Array:
 def _level_reached(loop: JointLoop, level: jax.Array) -> jax.Array:
     """A frequency [rad/s] beyond which the phase is below `level` for good; inf if never.
 
-    phase <= pi/2 - w td, and beyond wn the phase is negative whatever the delay.
+    phase <= pi/2 - w td, and beyond wn the phase is negative whatever the delay. Of a sprung joint
+    it is at most 2 pi - w td, and negative where the servo's lag beyond pi/2 exceeds what is left
+    of the joint's lead, atan(c / (m w - k/w)), and of that of the controller beyond pi/2.
     """
-    by_delay = (0.5 * math.pi - level) / jnp.where(loop.delay > 0, loop.delay, 1.0)
+    highest: float = 0.5 * math.pi
+    beyond = 1.01 * loop.natural_frequency
+    if loop.sprung:
+        highest, beyond = 2.0 * math.pi, _servo_wins(loop)
+    by_delay = (highest - level) / jnp.where(loop.delay > 0, loop.delay, 1.0)
     by_delay = jnp.where(loop.delay > 0, by_delay, jnp.inf)
-    by_servo = jnp.where(level >= 0, 1.01 * loop.natural_frequency, jnp.inf)
+    by_servo = jnp.where(level >= 0, beyond, jnp.inf)
     return jnp.minimum(by_delay, by_servo)
+
+
+def _servo_wins(loop: JointLoop) -> jax.Array:
+    """A frequency beyond which the phase of a sprung joint without delay is negative [rad/s]."""
+    wn, k = loop.natural_frequency, jnp.abs(loop.joint_stiffness)
+    joint = loop.joint_damping / (0.75 * loop.mass)
+    lead = jnp.abs(lead_gain(loop))
+    behind = jnp.maximum(-loop.kp, 0.0)
+    behind = jnp.where(
+        behind > 0, behind / jnp.where(lead > 0, lead, jnp.finfo(lead.dtype).tiny), 0
+    )
+    by_lag = wn * jnp.sqrt(1.0 + 4.0 * loop.damping_ratio * (joint + behind) / wn)
+    both = jnp.sqrt(2.0 * joint) * jnp.sqrt(behind)
+    return 1.01 * jnp.maximum(jnp.maximum(by_lag, both), 2.0 * jnp.sqrt(k / loop.mass))
 
 
 def _solve_phase(

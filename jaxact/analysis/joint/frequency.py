@@ -12,11 +12,12 @@ velocity is filtered, kp + kd s becomes C(s) = kp + kd s / (1 + s tau), tau = 1 
 
     C(jw) = kp(w) + j w kd(w),  kd(w) = kd / (1 + (w tau)^2),  kp(w) = kp + kd(w) w^2 tau,
 
-or, as a fraction of polynomials, C(s) = (kp + (kd + kp tau) s) / (1 + s tau).
+or, as a fraction of polynomials, C(s) = (kp + (kd + kp tau) s) / (1 + s tau). A joint with damping
+c and stiffness k has P(s) = m s^2 + c s + k for m s^2, and arg(-P) beside the other phases.
 All functions are elementwise: the fields of the loop and the frequencies broadcast.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import jax
@@ -33,6 +34,8 @@ import jax.numpy as jnp
         "damping_ratio",
         "delay",
         "velocity_filter",
+        "joint_damping",
+        "joint_stiffness",
     ],
     meta_fields=[],
 )
@@ -42,7 +45,7 @@ class JointLoop:
 
     The fields broadcast against each other (for a rotary joint read N m and rad).
 
-    kp: stiffness [N/m], > 0
+    kp: stiffness [N/m], > 0; of a sprung joint of any sign
     kd: damping [N s/m], >= 0
     mass: m [kg], > 0
     natural_frequency: wn of the force servo [rad/s], > 0, inf = ideal
@@ -50,6 +53,8 @@ class JointLoop:
     delay: sum of command, measurement and output delay [s], >= 0
     velocity_filter: cutoff of the first-order filter of the velocity that kd acts on [rad/s], > 0,
         inf = none; None: no loop of the batch has one, and nothing is computed for it
+    joint_damping: c of the joint itself [N s/m], >= 0; None: of no loop of the batch
+    joint_stiffness: k of the joint itself [N/m], negative where gravity topples it; None as before
     """
 
     kp: jax.Array
@@ -59,14 +64,25 @@ class JointLoop:
     damping_ratio: jax.Array
     delay: jax.Array
     velocity_filter: jax.Array | None = None
+    joint_damping: jax.Array | None = None
+    joint_stiffness: jax.Array | None = None
+
+    @property
+    def sprung(self) -> bool:
+        """Whether some joint of the batch has a damping or stiffness of its own; static."""
+        return self.joint_damping is not None or self.joint_stiffness is not None
 
 
 def broadcast_loop(loop: JointLoop) -> JointLoop:
     """The same loop with all fields as floating-point arrays of one common shape."""
-    given = [getattr(loop, f.name) for f in fields(loop)]
-    values = [jnp.asarray(value) for value in given if value is not None]
-    dtype = jnp.result_type(*values, float)
-    return JointLoop(*jnp.broadcast_arrays(*(v.astype(dtype) for v in values)))
+    if loop.sprung:
+        c, k = (0.0 if a is None else a for a in (loop.joint_damping, loop.joint_stiffness))
+        loop = replace(loop, joint_damping=c, joint_stiffness=k)
+    given = {f.name: getattr(loop, f.name) for f in fields(loop)}
+    values = {name: jnp.asarray(value) for name, value in given.items() if value is not None}
+    dtype = jnp.result_type(*values.values(), float)
+    arrays = jnp.broadcast_arrays(*(v.astype(dtype) for v in values.values()))
+    return JointLoop(**dict(zip(values, arrays, strict=True)))
 
 
 def filter_lag(loop: JointLoop) -> jax.Array | float:
@@ -100,6 +116,20 @@ def servo_denominator(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Arr
     return (1.0 - x) * (1.0 + x), 2.0 * loop.damping_ratio * x
 
 
+def plant_parts(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """m w^2 - k and c w [N/m]: -P(jw) is the first minus j times the second; sprung joints only.
+
+    w: frequency [rad/s]
+    """
+    return loop.mass * w * w - loop.joint_stiffness, loop.joint_damping * w
+
+
+def _plant_size(loop: JointLoop, w: jax.Array) -> jax.Array:
+    """|P(jw)|^2 of a sprung joint, not 0 where it is undamped."""
+    real, imaginary = plant_parts(loop, w)
+    return jnp.maximum(real**2 + imaginary**2, jnp.finfo(real.dtype).tiny)
+
+
 def log_gain(loop: JointLoop, w: jax.Array) -> jax.Array:
     """ln |L(jw)| [-].
 
@@ -109,6 +139,8 @@ def log_gain(loop: JointLoop, w: jax.Array) -> jax.Array:
     stiff, rate = controller_response(loop, w)
     control = stiff**2 + rate**2
     servo = real**2 + imaginary**2
+    if loop.sprung:
+        return 0.5 * (jnp.log(control / servo) - jnp.log(_plant_size(loop, w)))
     return 0.5 * jnp.log(control / servo) - jnp.log(loop.mass * w * w)
 
 
@@ -125,17 +157,26 @@ def log_gain_slope(loop: JointLoop, w: jax.Array) -> jax.Array:
     if loop.velocity_filter is not None:
         turn2 = (w / loop.velocity_filter) ** 2
         control = control - turn2 / (1.0 + turn2)
-    return control - 2.0 - 2.0 * x2 * (x2 - 1.0 + 2.0 * loop.damping_ratio**2) / servo
+    fall: jax.Array | float = 2.0
+    if loop.sprung:
+        stiff, damped = plant_parts(loop, w)
+        fall = (2.0 * stiff * loop.mass * w * w + damped**2) / _plant_size(loop, w)
+    return control - fall - 2.0 * x2 * (x2 - 1.0 + 2.0 * loop.damping_ratio**2) / servo
 
 
 def phase(loop: JointLoop, w: jax.Array) -> jax.Array:
     """arg L(jw) + pi, unwrapped [rad]: 0 at w = 0+ for kp > 0, multiples of 2 pi are critical.
+
+    Of a sprung joint with k > 0 it starts at pi, and for kp < 0 by pi higher.
 
     w: frequency [rad/s], >= 0
     """
     real, imaginary = servo_denominator(loop, w)
     stiff, rate = controller_response(loop, w)
     lead = jnp.arctan2(rate, stiff)
+    if loop.sprung:
+        against, damped = plant_parts(loop, w)
+        lead = lead + jnp.arctan2(damped, against)
     return lead - jnp.arctan2(imaginary, real) - w * loop.delay
 
 
@@ -152,6 +193,9 @@ def phase_slope(loop: JointLoop, w: jax.Array) -> jax.Array:
         turn = w / loop.velocity_filter
         lead = lead - turn / (1.0 + turn * turn)
     lag = 2.0 * loop.damping_ratio * x * (1.0 + x * x) / (real**2 + imaginary**2)
+    if loop.sprung:
+        damped = loop.joint_damping * w
+        lag = lag + damped * (loop.mass * w * w + loop.joint_stiffness) / _plant_size(loop, w)
     return lead - lag - w * loop.delay
 
 
@@ -164,7 +208,11 @@ def loop_response(loop: JointLoop, w: jax.Array) -> jax.Array:
     stiff, rate = controller_response(loop, w)
     control = jax.lax.complex(stiff + 0.0 * w, rate)
     shift = jax.lax.complex(jnp.cos(w * loop.delay), -jnp.sin(w * loop.delay))
-    return -control * shift / (loop.mass * w * w * jax.lax.complex(real, imaginary))
+    plant = loop.mass * w * w
+    if loop.sprung:
+        against, damped = plant_parts(loop, w)
+        plant = jax.lax.complex(against, -damped)
+    return -control * shift / (plant * jax.lax.complex(real, imaginary))
 
 
 def sensitivity(loop: JointLoop, w: jax.Array) -> jax.Array:

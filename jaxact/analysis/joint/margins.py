@@ -22,6 +22,7 @@ from jaxact.analysis.joint.crossovers import (
     slowdown_frequency,
     slowdown_residual,
 )
+from jaxact.analysis.joint.distance import counted_distance, static_factor, static_move
 from jaxact.analysis.joint.frequency import (
     JointLoop,
     broadcast_loop,
@@ -33,7 +34,7 @@ from jaxact.analysis.joint.frequency import (
 from jaxact.analysis.joint.peaks import locate_peaks, peak_slopes, peak_values
 from jaxact.analysis.joint.positive_roots import insert_sorted, sort_rows
 from jaxact.analysis.joint.roots import encirclements
-from jaxact.analysis.joint.stationary import gain_extremes, phase_extremes
+from jaxact.analysis.joint.stationary import gain_extremes, phase_extremes, typical_frequency
 from jaxact.compilation.filling import filled
 
 _TILE = 256
@@ -64,15 +65,16 @@ _TILE = 256
 class Margins:
     """Margins of a batch of loops, each of the batch's shape; NaN where the loop is unstable.
 
-    A loop has one or three gain crossovers (at most five where its velocity is filtered), never
-    more, and all are found, so nothing can overflow.
+    A loop has one or three gain crossovers (at most five where its velocity is filtered, six where
+    the joint has a stiffness besides), never more, and all are found, so nothing can overflow.
 
     stable: bool
     unstable_roots: closed-loop roots not in the open left half plane, int32
     log_gain_to_boundary: ln of the common factor on all gains to the nearest boundary of the
         stable region [-], > 0 if stable (inf if no factor destabilises), < 0 if unstable. Where no
         common factor stabilises, kd/kp <= td + 2 zeta/wn, it is ln k of slowing the loop down to
-        (kp k^2, kd k) on the first lobe of the boundary, which always exists for kp, kd > 0.
+        (kp k^2, kd k) on the first lobe of the boundary, which always exists for kp, kd > 0; of a
+        joint with damping or stiffness of its own, -inf.
     gain_margin: smallest factor above 1 on all gains that destabilises [-], inf if none
     gain_reduction_margin: largest factor below 1 that destabilises [-], 0 if none
     phase_crossover: frequency of `gain_margin` [rad/s], inf if there is none
@@ -108,7 +110,7 @@ def margins(loop: JointLoop) -> Margins:
     loop: fields of any broadcastable shape; the result has their common shape
 
     Works in the precision of the fields (float64 for certification). Domain: mass, wn, zeta > 0,
-    delay >= 0; kp <= 0 is unstable.
+    delay >= 0; kp <= 0 is unstable, unless the joint has a stiffness of its own.
     """
     loop = broadcast_loop(loop)
     shape = loop.kp.shape
@@ -154,10 +156,16 @@ def _search(loop: JointLoop) -> _Found:
     """Refined crossovers and peaks of a tile of loops; fields of shape (1, n)."""
     extremes = gain_extremes(loop)
     w_gain, gain_present = gain_crossovers(loop, extremes)
-    points = sort_rows(jnp.concatenate([phase_extremes(loop), extremes, w_gain]))
+    turns = [phase_extremes(loop), extremes, w_gain]
+    if loop.sprung:
+        # An undamped joint's phase jumps at its resonance; 1.07 keeps a missing one apart.
+        resonance = jnp.sqrt(jnp.maximum(loop.joint_stiffness, 0.0) / loop.mass)
+        turns.append(jnp.where(resonance > 0, resonance, 1.07 * typical_frequency(loop)))
+    points = sort_rows(jnp.concatenate(turns))
     w_phase, level, direction, phase_present = phase_crossovers(loop, points)
     nodes = _peak_nodes(loop, points, w_phase, phase_present)
-    peaks, slow = locate_peaks(loop, nodes), slowdown_frequency(loop)
+    peaks = locate_peaks(loop, nodes)
+    slow = jnp.ones_like(peaks[:1]) if loop.sprung else slowdown_frequency(loop)
     return _Found(w_gain, gain_present, w_phase, level, direction, phase_present, peaks, slow)
 
 
@@ -170,7 +178,11 @@ def _peak_nodes(
     last = jnp.where(present[-1:], crossings[-1:], 2.0 * points[-1:])
     corner = jnp.where(loop.kd > 0, loop.kp / jnp.where(loop.kd > 0, loop.kd, 1.0), points[:1])
     corner = jnp.abs(corner)
-    rigid = jnp.sqrt(jnp.abs(loop.kp) / loop.mass)
+    stiff = loop.kp + loop.joint_stiffness if loop.sprung else loop.kp
+    rigid = jnp.sqrt(jnp.abs(stiff) / loop.mass)
+    if loop.sprung:
+        rigid = jnp.where(rigid > 0, rigid, typical_frequency(loop))
+        corner = jnp.where(corner > 0, corner, rigid)
     start = 0.1 * jnp.minimum(jnp.minimum(corner, rigid), jnp.minimum(first, points[:1]))
     end = 1.5 * jnp.maximum(jnp.maximum(rigid, last), 8.0 * points[-1:])
     pairs = jnp.stack([points[:-1], middle], axis=1).reshape((-1, *points.shape[1:]))
@@ -208,12 +220,22 @@ def _assemble(loop: JointLoop, found: _Found) -> Margins:
     stable = unstable == 0
 
     log_factor = -log_gain(loop, w_phase)
+    if loop.sprung:
+        # Where stiffness kp + k passes zero, a real root passes the origin.
+        at_rest, there = static_factor(loop.kp, loop.joint_stiffness)
+        log_factor = jnp.concatenate([log_factor, at_rest])
+        phase_present = jnp.concatenate([phase_present, there])
+        w_phase = jnp.concatenate([w_phase, jnp.zeros_like(at_rest)])
     above = phase_present & (log_factor > 0)
     below = phase_present & (log_factor < 0)
     up = jnp.where(above, log_factor, jnp.inf)
     log_up = jnp.min(up, axis=0, keepdims=True)
     log_down = jnp.max(jnp.where(below, log_factor, -jnp.inf), axis=0, keepdims=True)
-    distance = _signed_distance(loop, found, stable, log_factor)
+    if loop.sprung:
+        moved = jnp.concatenate([-2.0 * found.direction, static_move(loop)])
+        distance = counted_distance(unstable, log_factor, moved, phase_present)
+    else:
+        distance = _signed_distance(loop, found, stable, log_factor)
 
     wrapped = phases - TURN * jnp.round(jax.lax.stop_gradient(phases) / TURN)
     phase_margin, gain_crossover = _smallest(jnp.abs(wrapped), gain_present, wrapped, w_gain)
@@ -267,6 +289,14 @@ def _peaks(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array, jax.Arr
     # |S| tends to 1 and |T| starts at 1, so no peak is lower.
     floor = jnp.array([1.0, 1.0, 0.5], dtype=value.dtype)[:, None]
     limit = jnp.array([jnp.inf, 0.0, jnp.inf], dtype=value.dtype)[:, None]
+    if loop.sprung:
+        # At rest S = k / (kp + k), T = kp / (kp + k); T tends to 0.
+        k, kp = loop.joint_stiffness, loop.kp
+        whole = jnp.where(kp + k == 0, 1.0, kp + k)
+        tops = jnp.concatenate([k / whole, kp / whole, 0.5 * (k - kp) / whole])
+        still = jnp.abs(tops)
+        higher = still >= floor * jnp.array([1.0, 0.0, 1.0], dtype=value.dtype)[:, None]
+        floor, limit = jnp.where(higher, still, floor), jnp.where(higher, 0.0, limit)
     attained = value > floor
     value = jnp.where(attained, value, floor)
     w = jnp.where(attained, w, limit)

@@ -4,7 +4,8 @@ With N = (kp + j kd w) exp(-j w td) and M = -m w^2 D(jw), so that L = N / M:
 
     S = M / (M + N),    T = N / (M + N),    S - 1/2 = (M - N) / (2 (M + N)).
 
-A filter of the velocity gives M the factor 1 + j w tau, and N the gain kd + kp tau for kd.
+A filter of the velocity gives M the factor 1 + j w tau, and N the gain kd + kp tau for kd. A joint
+with damping c and stiffness k has M = (k - m w^2 + j c w) D(jw).
 
 A sharp peak means that L passes -1 closely; then the unit circle or the negative real axis is
 crossed within the width of the peak. Candidates clustered around every such crossing, and around
@@ -14,7 +15,13 @@ the corners of L, therefore miss none.
 import jax
 import jax.numpy as jnp
 
-from jaxact.analysis.joint.frequency import JointLoop, filter_lag, lead_gain, servo_denominator
+from jaxact.analysis.joint.frequency import (
+    JointLoop,
+    filter_lag,
+    lead_gain,
+    plant_parts,
+    servo_denominator,
+)
 
 _REFINEMENTS = 8
 _CANDIDATES = 2
@@ -46,7 +53,12 @@ def squared_parts(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, ...]:
         turn = w / loop.velocity_filter
         real, imaginary = real - turn * imaginary, imaginary + turn * real
     inertia = -loop.mass * w * w
-    m_re, m_im = inertia * real, inertia * imaginary
+    if loop.sprung:
+        against, damped = plant_parts(loop, w)
+        inertia = -against
+        m_re, m_im = inertia * real - damped * imaginary, inertia * imaginary + damped * real
+    else:
+        m_re, m_im = inertia * real, inertia * imaginary
     cosine, sine = jnp.cos(w * loop.delay), jnp.sin(w * loop.delay)
     rate = lead_gain(loop) * w
     n_re, n_im = loop.kp * cosine + rate * sine, rate * cosine - loop.kp * sine
@@ -120,6 +132,10 @@ def peak_slopes(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array]:
     m, kp, kd, td, w2 = loop.mass, loop.kp, lead_gain(loop), loop.delay, w * w
     m_re = (-m * w2 * (1.0 - v2 * w2), -m * w * (2.0 - 4.0 * v2 * w2), -m * (2.0 - 12.0 * v2 * w2))
     m_im = (-m * g * w2 * w, -3.0 * m * g * w2, -6.0 * m * g * w)
+    if loop.sprung:
+        (a, b), (d, e) = _sprung_coefficients(loop, v2, g)
+        m_re = (m_re[0] + a - b * w2, m_re[1] - 2.0 * b * w, m_re[2] - 2.0 * b)
+        m_im = (m_im[0] + (d - e * w2) * w, m_im[1] + d - 3.0 * e * w2, m_im[2] - 6.0 * e * w)
     if loop.velocity_filter is not None:
         m_re, m_im = _times_filter(m_re, m_im, filter_lag(loop), w)
     cosine, sine = jnp.cos(w * td), jnp.sin(w * td)
@@ -139,6 +155,14 @@ def peak_slopes(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array]:
         [a + b for a, b in zip(m_im, n_im, strict=True)],
     )
     return top[0] - bottom[0], top[1] - bottom[1]
+
+
+def _sprung_coefficients(
+    loop: JointLoop, v2: jax.Array, g: jax.Array
+) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
+    """What damping and stiffness add to M: a - b w^2 + j (d w - e w^3)."""
+    c, k = jnp.asarray(loop.joint_damping), jnp.asarray(loop.joint_stiffness)
+    return (k, k * v2 + c * g), (k * g + c, c * v2)
 
 
 Derivatives = tuple[jax.Array, jax.Array, jax.Array]

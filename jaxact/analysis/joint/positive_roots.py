@@ -1,4 +1,4 @@
-"""The positive roots of cubics and quartics, by bisection between the roots of their derivatives.
+"""The positive roots of polynomials, by bisection between the roots of their derivatives.
 
 All arrays carry roots on axis 0 and the batch behind it.
 """
@@ -70,30 +70,33 @@ def _quadratic_roots(a: jax.Array, b: jax.Array, c: jax.Array) -> tuple[jax.Arra
     return jnp.minimum(one, two), jnp.maximum(one, two)
 
 
-def positive_quartic_roots(
-    coefficients: list[jax.Array], scale: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """The roots y > 0 of c0 + c1 y + ... + c4 y^4, and which there are, shape (4, ...).
+def positive_roots(coefficients: list[jax.Array], scale: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The roots y > 0 of c0 + c1 y + ... + cn y^n, and which there are, shape (n, ...).
 
-    coefficients: c0 ... c4, real, each of shape (1, ...)
+    coefficients: c0 ... cn, real, each of shape (1, ...), n >= 3
     scale: a typical size of the roots, shape (1, ...), > 0
 
-    As `positive_cubic_roots`, the quartic on 0 < s < 1 split by the roots of its derivative, and
-    those by the roots of the derivative's derivative. Slots of missing roots hold `scale`.
+    As `positive_cubic_roots`, the polynomial on 0 < s < 1 split by the roots of its derivative, and
+    those by the roots of the derivative's derivative, and so on. Slots of missing roots hold
+    `scale`.
     """
+    degree = len(coefficients) - 1
     c = [a * scale**i for i, a in enumerate(coefficients)]
     largest = reduce(jnp.maximum, map(jnp.abs, c))
     c = [a / jnp.where(largest > 0, largest, 1.0) for a in c]
-    # Powers of s of sum_i c_i s^i (1 - s)^(4 - i).
+    # Powers of s of sum_i c_i s^i (1 - s)^(n - i).
     p = [jnp.zeros_like(c[0]) for _ in c]
     for i, a in enumerate(c):
-        for k in range(i, 5):
-            p[k] = p[k] + a * (-1.0) ** (k - i) * math.comb(4 - i, k - i)
-    slope = [k * p[k] for k in range(1, 5)]
-    curvature = [k * slope[k] for k in range(1, 4)]
-    turns = jnp.concatenate(_quadratic_roots(curvature[0], curvature[1], curvature[2]))
-    extremes, _ = _roots_between(slope, turns)
-    s, present = _roots_between(p, extremes)
+        for k in range(i, degree + 1):
+            p[k] = p[k] + a * (-1.0) ** (k - i) * math.comb(degree - i, k - i)
+    chain = [p]
+    while len(chain[-1]) > 3:
+        chain.append([k * chain[-1][k] for k in range(1, len(chain[-1]))])
+    quadratic = chain.pop()
+    s = jnp.concatenate(_quadratic_roots(quadratic[0], quadratic[1], quadratic[2]))
+    present = jnp.zeros_like(s, dtype=bool)
+    for part in reversed(chain):
+        s, present = _roots_between(part, s)
     rounding = 64.0 * jnp.finfo(s.dtype).eps
     present = present & (s < 1.0 - rounding)
     return jnp.where(present, scale * s / jnp.maximum(1.0 - s, rounding), scale), present

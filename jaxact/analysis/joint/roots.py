@@ -1,6 +1,6 @@
 """Closed-loop roots: how many are unstable (argument principle), and the rightmost one.
 
-Delta(s) = m s^2 (s^2 + 2 zeta wn s + wn^2) / wn^2 + (kp + kd s) exp(-s delay)
+Delta(s) = (m s^2 + c s + k) (s^2 + 2 zeta wn s + wn^2) / wn^2 + (kp + kd s) exp(-s delay)
 
 With a filter of the velocity the first term takes the factor 1 + s tau, and kd becomes kd + kp tau.
 """
@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxact.analysis.joint.crossovers import TURN, gain_crossovers
 from jaxact.analysis.joint.frequency import JointLoop, broadcast_loop, filter_lag, lead_gain, phase
-from jaxact.analysis.joint.stationary import gain_extremes
+from jaxact.analysis.joint.stationary import gain_extremes, typical_frequency
 
 _NODES = 24
 _STARTS = 10
@@ -31,15 +31,21 @@ def encirclements(phases: jax.Array, present: jax.Array, loop: JointLoop) -> jax
         2 sum over those stretches [a, b] of (floor(phase_a / 2 pi) - floor(phase_b / 2 pi)).
 
     Where |L| < 1 it cannot encircle the point. The double pole at the origin starts the curve at
-    phase 0+ for kp > 0; for kp <= 0 one root is never on the left.
+    phase 0+ for kp > 0; for kp <= 0 one root is never on the left. A sprung joint may start at
+    |L| = |kp/k| < 1: then none of that counts, and one root is not on the left if kp + k <= 0.
     """
     start = jnp.where(loop.kp > 0, 0.0, jnp.where(loop.kd < 0, -1.0, 0.0))
     passed = jnp.floor(phases / TURN)
-    # |L| > 1 before the first crossover, so present ones alternate: down, up, down.
-    rank = jnp.cumsum(present.astype(phases.dtype), axis=0)
+    # |L| < 1 after the last crossover, so present ones alternate towards it: down, up, down.
+    number = present.astype(phases.dtype)
+    rank = jnp.cumsum(number[::-1], axis=0)[::-1]
     sign = jnp.where(present, jnp.where(rank % 2 == 1, -1.0, 1.0), 0.0)
-    pairs = jnp.sum(sign * passed, axis=0, keepdims=True) + start
-    return 2.0 * pairs + jnp.where(loop.kp > 0, 0.0, 1.0)
+    pairs = jnp.sum(sign * passed, axis=0, keepdims=True)
+    if not loop.sprung:
+        return 2.0 * (pairs + start) + jnp.where(loop.kp > 0, 0.0, 1.0)
+    loud = rank[:1] % 2 == 1
+    held = jnp.where(loud, loop.kp, loop.kp + loop.joint_stiffness) > 0
+    return 2.0 * (pairs + jnp.where(loud, start, 0.0)) + jnp.where(held, 0.0, 1.0)
 
 
 def count_unstable_roots(loop: JointLoop) -> jax.Array:
@@ -85,7 +91,7 @@ def spectral_abscissa(loop: JointLoop) -> jax.Array:
 
 
 def characteristic(loop: JointLoop, s: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Delta(s) = m s^2 D(s) + (kp + kd s) exp(-s td) [N/m] and dDelta/ds, complex.
+    """Delta(s) = (m s^2 + c s + k) D(s) + (kp + kd s) exp(-s td) [N/m] and dDelta/ds, complex.
 
     s: [1/s], complex
     """
@@ -98,6 +104,10 @@ def characteristic(loop: JointLoop, s: jax.Array) -> tuple[jax.Array, jax.Array]
         servo, servo_slope = servo * (1.0 + s * tau), servo_slope * (1.0 + s * tau) + servo * tau
     rate = lead_gain(loop)
     control = loop.kp + rate * s
+    if loop.sprung:
+        plant = s * (loop.mass * s + loop.joint_damping) + loop.joint_stiffness
+        slope = (2.0 * loop.mass * s + loop.joint_damping) * servo + plant * servo_slope
+        return plant * servo + control * shift, slope + (rate - loop.delay * control) * shift
     value = loop.mass * s * s * servo + control * shift
     slope = loop.mass * s * (2.0 * servo + s * servo_slope)
     return value, slope + (rate - loop.delay * control) * shift
@@ -127,13 +137,18 @@ def _rightmost(loop: JointLoop) -> jax.Array:
 def _corner_starts(loop: JointLoop) -> jax.Array:
     """Rigid-body roots, servo poles, gain crossovers and points in the right half plane."""
     kp, kd, mass = loop.kp + 0j, loop.kd, loop.mass
+    if loop.sprung:
+        kp, kd = kp + loop.joint_stiffness, kd + loop.joint_damping
     root = jnp.sqrt(kd**2 - 4.0 * mass * kp)
     wn = jnp.where(jnp.isinf(loop.natural_frequency), 1.0, loop.natural_frequency)
     servo = wn * (-loop.damping_ratio + jnp.sqrt(loop.damping_ratio**2 - 1.0 + 0j))
     w, _ = gain_crossovers(loop, gain_extremes(loop))
-    return jnp.concatenate(
-        [(root - kd) / (2.0 * mass), -2.0 * kp / (kd + root), servo, 1j * w, (0.5 + 1.0j) * w]
-    )
+    starts = [(root - kd) / (2.0 * mass), -2.0 * kp / (kd + root), servo, 1j * w, (0.5 + 1.0j) * w]
+    if loop.sprung:
+        c = loop.joint_damping
+        alone = jnp.sqrt(c**2 - 4.0 * mass * loop.joint_stiffness + 0j)
+        starts += [(alone - c) / (2.0 * mass), -(alone + c) / (2.0 * mass)]
+    return jnp.concatenate(starts)
 
 
 def _collocation_roots(loop: JointLoop) -> jax.Array:
@@ -166,12 +181,16 @@ def _collocation_matrix(loop: JointLoop) -> jax.Array:
 
     # The ideal servo has no state of its own: those two decay by themselves.
     push = jnp.where(ideal, delayed, force) / loop.mass
+    if loop.sprung:
+        own_force = loop.joint_stiffness * position + loop.joint_damping * velocity
+        push = push - own_force / loop.mass
     force_row = jnp.where(ideal, -force, wn * rate)
     rate_row = wn * (delayed - force) - 2.0 * loop.damping_ratio * wn * rate
     rate_row = jnp.where(ideal, -rate, rate_row)
     history = speed * (jnp.outer(travel[1:, 0], command) + travel[1:, 1:] @ unit[own:])
     # Without delay the history is idle.
-    history = history - jnp.where(late, 0.0, 1.0) * unit[own:]
+    idle = 1e3 * typical_frequency(loop) if loop.sprung else 1.0
+    history = history - jnp.where(late, 0.0, idle) * unit[own:]
     rows = [velocity, push, force_row, rate_row]
     if filtered:
         finite = jnp.where(jnp.isinf(cutoff), 1.0, cutoff)

@@ -6,14 +6,15 @@ the parameters live carries the derivatives of the implicit functions.
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 
+from jaxact.analysis.joint.distance import counted_distance, static_factor
 from jaxact.analysis.sampled.period_map import SampledLoop
-from jaxact.analysis.sampled.pulse import PulseTransfer, pulse_transfer
+from jaxact.analysis.sampled.pulse import PulseTransfer, plant_response, pulse_transfer
 from jaxact.analysis.sampled.roots import dominant_modulus, sampled_roots
 from jaxact.analysis.sampled.search import (
     GAIN_SLOTS,
@@ -97,6 +98,7 @@ class SampledMargins:
 
 
 _ARRAYS = tuple(f.name for f in fields(SampledLoop))[:8]
+_OF_JOINT = ("joint_damping", "joint_stiffness")
 
 
 def sampled_margins(loop: SampledLoop, *, max_delay_steps: int) -> SampledMargins:
@@ -106,14 +108,19 @@ def sampled_margins(loop: SampledLoop, *, max_delay_steps: int) -> SampledMargin
     max_delay_steps: at least the largest floor(delay / T) in the batch; fixes all sizes. A loop
         whose delay does not fit comes out unstable with NaN throughout.
     """
-    values = [jnp.asarray(getattr(loop, name)) for name in _ARRAYS]
+    names = (*_ARRAYS, *(_OF_JOINT if loop.sprung else ()))
+    if loop.sprung:
+        loop = replace(loop, **dict(zip(_OF_JOINT, loop.joint or (), strict=True)))
+    values = [jnp.asarray(getattr(loop, name)) for name in names]
     dtype = jnp.result_type(*values, float)
     values = list(jnp.broadcast_arrays(*(v.astype(dtype) for v in values)))
     shape = values[0].shape
-    kind = (loop.velocity, loop.integrator, loop.substeps)
+    kind = {name: getattr(loop, name) for name in ("velocity", "integrator", "substeps")}
 
     def one(row: list[jax.Array]) -> SampledMargins:
-        return _margins_of_one(SampledLoop(*row, *kind), max_delay_steps)
+        return _margins_of_one(
+            SampledLoop(**dict(zip(names, row, strict=True)), **kind), max_delay_steps
+        )
 
     flat = [v.reshape(-1) for v in values]
     count = flat[0].shape[0]
@@ -183,9 +190,17 @@ def _assemble(
     present = jnp.concatenate([found.phase_present, at_phase[-1:].real < 0])
     log_factor = -jnp.log(jnp.abs(at_phase))
     stable = radius < 1.0
+    if loop.sprung:
+        moved = -direction * jnp.where(jnp.arange(PHASE_SLOTS + 1) < PHASE_SLOTS, 2.0, 1.0)
+        at_rest, moved_at_rest, there = _at_rest(loop, transfer)
+        log_factor, moved = jnp.append(log_factor, at_rest), jnp.append(moved, moved_at_rest)
+        present, theta_phase = jnp.append(present, there), jnp.append(theta_phase, 0.0)
     up = jnp.where(present & (log_factor > 0), log_factor, jnp.inf)
     down = jnp.where(present & (log_factor < 0), log_factor, -jnp.inf)
-    distance = _signed_distance(stable, log_factor, direction, present, found.lead)
+    if loop.sprung:
+        distance = counted_distance(count[None], log_factor, moved, present)[0]
+    else:
+        distance = _signed_distance(stable, log_factor, direction, present, found.lead)
     bounded = jnp.isfinite(jnp.min(up))
 
     angle = jnp.arctan2(-at_gain.imag, -at_gain.real)
@@ -193,6 +208,8 @@ def _assemble(
     some = jnp.any(found.gain_present)
     delays = jnp.where(angle < 0, angle + _TURN, angle) * period / theta_gain
     heights = peak_heights(at_peak[:, None])[:, 0]
+    if loop.sprung:
+        heights, theta_peak = _or_at_rest(loop, heights, theta_peak)
 
     def only_stable(value: jax.Array) -> jax.Array:
         return jnp.where(stable, value, jnp.nan)
@@ -219,6 +236,34 @@ def _assemble(
         disk_margin=only_stable(1.0 / heights[2]),
         more_crossovers=found.overflow,
     )
+
+
+def _at_rest(loop: SampledLoop, transfer: PulseTransfer) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """ln f of f kp + k = 0, the root that it moves out of the unit circle (1 or -1), and whether
+    there is one.
+    """
+    assert loop.joint is not None
+    log_factor, there = static_factor(loop.kp, jnp.asarray(loop.joint[1]))
+
+    def open_loop(u: jax.Array) -> jax.Array:
+        hold = u ** (transfer.steps + 1.0)
+        position, rate = plant_response(transfer, u, 1.0 - u, hold)
+        return loop.kp * position + loop.kd * rate
+
+    one = jnp.ones_like(log_factor)
+    _, slope = jax.lax.stop_gradient(jax.jvp(open_loop, (one,), (one,)))
+    return log_factor, jnp.where(there, -jnp.sign(slope), 0.0), there
+
+
+def _or_at_rest(
+    loop: SampledLoop, heights: jax.Array, theta: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The peaks, or the values at rest where those are higher: S = k / (kp + k)."""
+    assert loop.joint is not None
+    kp, k = loop.kp, loop.joint[1]
+    whole = jnp.where(kp + k == 0, 1.0, kp + k)
+    still = jnp.abs(jnp.stack([k / whole, kp / whole, 0.5 * (k - kp) / whole]))
+    return jnp.maximum(heights, still), jnp.where(still > heights, 0.0, theta)
 
 
 def _signed_distance(

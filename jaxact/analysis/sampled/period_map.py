@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.analysis.sampled.servo import held_transition
+from jaxact.analysis.sampled.servo import held_transition, sprung_transition
 
 POSITION, VELOCITY, FORCE, FORCE_RATE = range(4)
 
@@ -36,6 +36,8 @@ POSITION, VELOCITY, FORCE, FORCE_RATE = range(4)
         "delay",
         "control_period",
         "velocity_filter",
+        "joint_damping",
+        "joint_stiffness",
     ],
     meta_fields=["velocity", "integrator", "substeps"],
 )
@@ -55,6 +57,8 @@ class SampledLoop:
     integrator: "exact", or "euler" for MuJoCo's semi-implicit Euler, v += h F/m, q += h v, with F
         the mean force over the substep
     substeps: physics steps in a control period, n = T/h; only read by "euler"
+    joint_damping, joint_stiffness: of the joint itself, c [N s/m] and k [N/m]; None: none of the
+        batch has one, and nothing is computed for it
     """
 
     kp: jax.Array
@@ -68,6 +72,21 @@ class SampledLoop:
     velocity: str = "sampled"
     integrator: str = "exact"
     substeps: int = 1
+    joint_damping: jax.Array | None = None
+    joint_stiffness: jax.Array | None = None
+
+    @property
+    def sprung(self) -> bool:
+        """Whether some joint of the batch has a damping or stiffness of its own; static."""
+        return self.joint_damping is not None or self.joint_stiffness is not None
+
+    @property
+    def joint(self) -> tuple[jax.Array | float, jax.Array | float] | None:
+        """Damping and stiffness of the joint, None where it is sprung nowhere; static."""
+        if not self.sprung:
+            return None
+        pair = self.joint_damping, self.joint_stiffness
+        return (0.0 if pair[0] is None else pair[0]), (0.0 if pair[1] is None else pair[1])
 
 
 def delay_steps(delay: np.ndarray, control_period: np.ndarray | float) -> int:
@@ -93,11 +112,11 @@ def period_map(loop: SampledLoop) -> tuple[jax.Array, jax.Array, jax.Array, jax.
     servo = (loop.mass, loop.natural_frequency, loop.damping_ratio)
     if loop.integrator == "exact":
         times = jnp.stack([period, remainder, period - remainder])
-        (phi, _, late), (_, early, newer) = _transitions(times, servo)
+        (phi, _, late), (_, early, newer) = _transitions(times, servo, loop.joint)
         return phi, late @ early, newer, steps
     if loop.integrator != "euler":
         raise ValueError(f'integrator is "exact" or "euler", not {loop.integrator!r}')
-    phi, older, newer = _euler_period(remainder, period, loop.substeps, servo)
+    phi, older, newer = _euler_period(remainder, period, loop.substeps, servo, loop.joint)
     return phi, older, newer, steps
 
 
@@ -106,10 +125,15 @@ def _part(time: jax.Array, whole: jax.Array) -> jax.Array:
     return jnp.where(time >= whole, whole, jnp.where(time >= 0.0, time, 0.0))
 
 
+Joint = tuple[jax.Array | float, jax.Array | float] | None
+
+
 def _transitions(
-    times: jax.Array, servo: tuple[jax.Array, jax.Array, jax.Array]
+    times: jax.Array, servo: tuple[jax.Array, jax.Array, jax.Array], joint: Joint
 ) -> tuple[jax.Array, jax.Array]:
     """Phi (n, 4, 4) and Gamma (n, 4) for several times at once."""
+    if joint is not None:
+        return jax.vmap(lambda time: sprung_transition(time, *servo, *joint))(times)
     return jax.vmap(held_transition, in_axes=(0, None, None, None))(times, *servo)
 
 
@@ -118,20 +142,25 @@ def _euler_period(
     period: jax.Array,
     substeps: int,
     servo: tuple[jax.Array, jax.Array, jax.Array],
+    joint: Joint,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Phi, Gamma_old, Gamma_new of n steps of v += h F/m, q += h v with the mean force F.
 
     The servo is exact and the impulse h F/m is its own change of velocity; only the position
-    differs from the exact motion.
+    differs from the exact motion. MuJoCo takes the damping of a joint at the end of the step, and
+    its spring at the beginning: (m + h c) v' = m v + h (F - k q).
     """
     h = period / substeps
     older = _part(remainder - h * jnp.arange(substeps, dtype=h.dtype), h)
-    phi, gamma = _transitions(jnp.concatenate([older, h - older]), servo)
+    phi, gamma = _transitions(jnp.concatenate([older, h - older]), servo, None)
     total = jnp.eye(6, dtype=phi.dtype)
     for i in range(substeps):
         early, late = phi[i], phi[substeps + i]
         step = jnp.eye(6, dtype=phi.dtype).at[:4, :4].set(late @ early)
         step = step.at[:4, 4].set(late @ gamma[i]).at[:4, 5].set(gamma[substeps + i])
+        if joint is not None:
+            moved = step[VELOCITY].at[POSITION].add(-h * joint[1] / servo[0])
+            step = step.at[VELOCITY].set(moved / (1.0 + h * joint[0] / servo[0]))
         step = step.at[POSITION].set((h * step[VELOCITY]).at[POSITION].add(1.0))
         total = step @ total
     return total[:4, :4], total[:4, 4], total[:4, 5]

@@ -6,7 +6,8 @@ With u = z^{-1} = exp(-j theta), S = 1 - u and theta = w T, the sampled position
 
 P and V polynomials of degree 4 and 3 whose coefficients come from the first pulse responses, and
 Q = q0 + q1 S + r2 S^2 the servo's denominator written in S, where it does not cancel at low
-frequency. The differenced velocity is Gp S / T (1 - b) / (1 - b u).
+frequency. A joint with damping or stiffness has such a quadratic of its own for S^2, and V then is
+of degree 4. The differenced velocity is Gp S / T (1 - b) / (1 - b u).
 """
 
 from dataclasses import dataclass
@@ -23,12 +24,12 @@ from jaxact.analysis.sampled.period_map import (
     filter_pole,
     period_map,
 )
-from jaxact.analysis.sampled.servo import damped_oscillation
+from jaxact.analysis.sampled.servo import damped_oscillation, joint_change
 
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["position", "velocity", "servo", "steps", "pole", "period"],
+    data_fields=["position", "velocity", "servo", "steps", "pole", "period", "joint"],
     meta_fields=["differenced"],
 )
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class PulseTransfer:
     pole: b of the velocity filter [-], shape (...)
     period: T [s], shape (...)
     differenced: whether the velocity is the difference of positions
+    joint: as `servo`, of a joint with damping or stiffness of its own; None: S^2
     """
 
     position: jax.Array
@@ -51,6 +53,7 @@ class PulseTransfer:
     pole: jax.Array
     period: jax.Array
     differenced: bool
+    joint: jax.Array | None = None
 
 
 def pulse_transfer(loop: SampledLoop) -> PulseTransfer:
@@ -66,18 +69,38 @@ def pulse_transfer(loop: SampledLoop) -> PulseTransfer:
     servo = _servo_denominator(loop)
     q0, q1, r2 = servo[0], servo[1], servo[2]
     in_delays = jnp.stack([jnp.ones_like(q0), -(q1 + 2.0 * r2), r2])
-    integrator = jnp.array([1.0, -1.0], dtype=in_delays.dtype)
-    single = jnp.convolve(in_delays, integrator)
-    double = jnp.convolve(single, integrator)
+    joint = None
+    if loop.sprung:
+        joint = _joint_denominator(loop, phi)
+        of_joint = jnp.stack([jnp.ones_like(q0), -(joint[1] + 2.0 * joint[2]), joint[2]])
+        double = single = jnp.convolve(in_delays, of_joint)
+    else:
+        integrator = jnp.array([1.0, -1.0], dtype=in_delays.dtype)
+        single = jnp.convolve(in_delays, integrator)
+        double = jnp.convolve(single, integrator)
     return PulseTransfer(
         position=jnp.convolve(double, pulse[:, POSITION])[:5],
-        velocity=jnp.convolve(single, pulse[:4, VELOCITY])[:4],
+        velocity=jnp.convolve(single, pulse[: len(single), VELOCITY])[: len(single)],
+        joint=joint,
         servo=servo,
         steps=steps,
         pole=filter_pole(loop) + jnp.zeros_like(q0),
         period=loop.control_period + jnp.zeros_like(q0),
         differenced=loop.velocity == "differenced",
     )
+
+
+def _joint_denominator(loop: SampledLoop, phi: jax.Array) -> jax.Array:
+    """(q0, q1, r2) of det(1 - J u) = q0 + q1 S + r2 S^2, J of position and velocity: (0, 0, 1) of a
+    bare mass.
+    """
+    change = phi[:2, :2] - jnp.eye(2, dtype=phi.dtype)
+    if loop.integrator == "exact":  # without taking from 1 what slow joints hardly differ from
+        change = joint_change(loop.control_period, loop.mass, *loop.joint)  # type: ignore[misc]
+    q0 = change[0, 0] * change[1, 1] - change[0, 1] * change[1, 0]
+    # det J - 1 = tr + q0, so that nothing is taken from 1.
+    trace = change[0, 0] + change[1, 1]
+    return jnp.stack([q0, -trace - 2.0 * q0, 1.0 + trace + q0])
 
 
 def _servo_denominator(loop: SampledLoop) -> jax.Array:
@@ -107,9 +130,13 @@ def plant_response(transfer: PulseTransfer, u: Any, s: Any, hold: Any) -> tuple[
     """
     q0, q1, r2 = transfer.servo[0], transfer.servo[1], transfer.servo[2]
     servo = q0 + s * (q1 + s * r2)
-    position = hold * polynomial(transfer.position, u) / (s * s * servo)
+    if transfer.joint is None:
+        rigid, single = s * s, s
+    else:
+        rigid = single = transfer.joint[0] + s * (transfer.joint[1] + s * transfer.joint[2])
+    position = hold * polynomial(transfer.position, u) / (rigid * servo)
     if not transfer.differenced:
-        return position, hold * polynomial(transfer.velocity, u) / (s * servo)
+        return position, hold * polynomial(transfer.velocity, u) / (single * servo)
     pole = transfer.pole
     return position, position * s / transfer.period * (1.0 - pole) / (1.0 - pole + pole * s)
 

@@ -25,6 +25,7 @@ _EXTREMES = 8
 _BISECTIONS = 14
 _NEWTON_STEPS = 5
 _PEAK_STEPS = 10
+_TINY = 1e-30
 
 Response = Callable[[jax.Array], jax.Array]
 
@@ -165,6 +166,10 @@ def _grid(loop: SampledLoop, max_delay_steps: int) -> jax.Array:
     rigid = jnp.sqrt(jnp.abs(loop.kp) / loop.mass)
     corner = jnp.where(loop.kd != 0, jnp.abs(loop.kp / jnp.where(loop.kd != 0, loop.kd, 1)), rigid)
     low = 0.05 * loop.control_period * jnp.minimum(rigid, corner)
+    if loop.joint is not None:
+        c, k = (jnp.abs(a) for a in loop.joint)
+        slow = jnp.where(k > 0, jnp.sqrt(k / loop.mass), jnp.abs(loop.kp) / jnp.maximum(c, _TINY))
+        low = 1e-2 * jnp.minimum(low, 0.05 * loop.control_period * slow)
     low = jnp.clip(low, 1e-7, 0.01)
     logarithmic = jnp.exp(jnp.linspace(jnp.log(low), math.log(math.pi), _LOG_POINTS)[:-1])
     number = _POINTS_PER_STEP * (max_delay_steps + 6)

@@ -7,13 +7,17 @@ solution b_0 of b'' + 2 zeta b' + b = 0, b(0) = 0, b'(0) = 1:
 
     b_{-1} = b_0',    b_{k+1} = integral of b_k from 0 to x.
 
-They are smooth in zeta through 1 and accurate for small x, where the closed forms cancel.
+They are smooth in zeta through 1 and accurate for small x, where the closed forms cancel. A joint
+with damping c and stiffness k, m v' = f - c v - k q, shares no such chain; its response is the
+exponential of the whole matrix.
 """
 
 import math
 
 import jax
 import jax.numpy as jnp
+
+from jaxact.matrix_exponential import exponential_less_one
 
 _SERIES_REACH = 2.0
 _SERIES_TERMS = 26
@@ -142,3 +146,56 @@ def held_transition(
     )
     drive_ideal = jnp.stack([0.5 * time**2 / mass + zero, time / mass + zero, one, zero])
     return jnp.where(ideal, servo_ideal, servo), jnp.where(ideal, drive_ideal, drive)
+
+
+def sprung_transition(
+    time: jax.Array,
+    mass: jax.Array,
+    natural_frequency: jax.Array,
+    damping_ratio: jax.Array,
+    joint_damping: jax.Array | float,
+    joint_stiffness: jax.Array | float,
+) -> tuple[jax.Array, jax.Array]:
+    """As `held_transition`, of a joint with damping c [N s/m] and stiffness k [N/m] of its own.
+
+    With the time as unit, and the acceleration f/m for the force:
+
+        (q, v t, a t^2, a'/wn t^2)' = (v, a - (c t/m) v - (k t^2/m) q, x a'/wn,
+                                       x (u - a) - 2 zeta x a'/wn),     x = wn t
+    """
+    ideal = jnp.isinf(natural_frequency)
+    x = jnp.where(ideal, 0.0, natural_frequency * time)
+    damped = joint_damping * time / mass
+    stiff = joint_stiffness * time * time / mass
+    zero, one = jnp.zeros_like(x + damped + stiff), jnp.ones_like(x + damped + stiff)
+    direct = jnp.where(ideal, one, zero)
+    rate = [
+        [zero, one, zero, zero, zero],
+        [-stiff, -damped, 1.0 - direct, zero, direct],
+        [zero, zero, zero, x, zero],
+        [zero, zero, -x, -2.0 * damping_ratio * x, x],
+        [zero] * 5,
+    ]
+    grown = exponential_less_one(jnp.stack([jnp.stack([a + zero for a in row]) for row in rate]))
+    # Back to units; the velocity after a displacement follows without dividing by the time.
+    of_q = jnp.stack([1.0 + grown[0, 0], -joint_stiffness / mass * time * grown[0, 1]])
+    of_v = jnp.stack([time * grown[0, 1], 1.0 + grown[1, 1]])
+    push = jnp.stack([time * time, time]) / mass
+    top = jnp.stack([of_q, of_v, push * grown[:2, 2], push * grown[:2, 3]], axis=1)
+    servo = jnp.concatenate([jnp.zeros((2, 2), top.dtype), grown[2:4, 2:4]], axis=1)
+    servo = jnp.where(ideal, 0.0, servo + jnp.eye(4, dtype=top.dtype)[2:])
+    held = jnp.where(ideal, jnp.stack([one, zero]), grown[2:4, 4])
+    return jnp.concatenate([top, servo]), jnp.concatenate([push * grown[:2, 4], held])
+
+
+def joint_change(
+    time: jax.Array, mass: jax.Array, joint_damping: jax.Array, joint_stiffness: jax.Array
+) -> jax.Array:
+    """J - 1 (2, 2) of (q, v t) of the joint alone, to the last digits however slow it is.
+
+    time, mass, joint_damping, joint_stiffness: as for `sprung_transition`
+    """
+    rates = -joint_stiffness * time * time / mass, -joint_damping * time / mass
+    zero = jnp.zeros_like(rates[0] + rates[1])
+    top = jnp.stack([zero, zero + 1.0])
+    return exponential_less_one(jnp.stack([top, jnp.stack([rate + zero for rate in rates])]))

@@ -56,7 +56,7 @@ def _shorter(prepared: Prepared, options: DriveOptions) -> tuple[Prepared, Drive
         setpoint_slots=0,
         staged=False,
     )
-    coefficients = _drive.prepare(drive, short, prepared.plant.shape)
+    coefficients = _drive.prepare(drive, short, prepared.plant.shape, prepared.joint)
     return Prepared(prepared.plant, coefficients), short, whole
 
 

@@ -12,11 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.parameters import canonical
+from jaxact.parameters import OF_JOINT, canonical
 from jaxact.tuning.box import Box, Points
 
 PARAMETERS = ("mass", "natural_frequency", "damping_ratio", "delay")
-FIELDS = {canonical(name): name for name in PARAMETERS}
+PLANT = (*PARAMETERS, *OF_JOINT)
+"""Every field of a plant; the last two are 0 of a bare mass."""
+FIELDS = {canonical(name): name for name in PLANT}
 """Fields of an ensemble by the short names of the parameters; each may be uncertain."""
 
 # The noise of an encoder that is read at this rate where no control rate is given [s].
@@ -48,6 +50,8 @@ class Ensemble:
         natural_frequency: wn of the force servo [rad/s], > 0, inf = ideal.
         damping_ratio: zeta [-], > 0.
         delay: sum of command, measurement and output delay [s], >= 0.
+        joint_damping: c of the joint itself [N s/m], >= 0.
+        joint_stiffness: k of the joint itself [N/m].
         sampling: of the controller, or that there is none.
         names: what each is called in reports, numbered by default.
     """
@@ -56,6 +60,8 @@ class Ensemble:
     natural_frequency: np.ndarray
     damping_ratio: np.ndarray
     delay: np.ndarray
+    joint_damping: np.ndarray
+    joint_stiffness: np.ndarray
     sampling: Sampling = Sampling()
     names: tuple[str, ...] = field(default=())
 
@@ -79,6 +85,8 @@ def ensemble(
     natural_frequency: object,
     damping_ratio: object,
     delay: object,
+    joint_damping: object = 0.0,
+    joint_stiffness: object = 0.0,
     *,
     sampling: Sampling = Sampling(),
     names: tuple[str, ...] = (),
@@ -90,35 +98,36 @@ def ensemble(
     Raises:
         UserError: values out of their domain.
     """
-    given = (mass, natural_frequency, damping_ratio, delay)
+    given = (mass, natural_frequency, damping_ratio, delay, joint_damping, joint_stiffness)
     arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, dtype=float)) for a in given))
     if arrays[0].ndim != 1:
         raise UserError("the members of an ensemble lie along one dimension")
-    m, wn, zeta, td = (np.ascontiguousarray(a) for a in arrays)
+    m, wn, zeta, td, c, k = (np.ascontiguousarray(a) for a in arrays)
     fine = (m > 0) & np.isfinite(m) & (wn > 0) & (zeta > 0) & np.isfinite(zeta)
-    fine &= (td >= 0) & np.isfinite(td)
+    fine &= (td >= 0) & np.isfinite(td) & (c >= 0) & np.isfinite(c) & np.isfinite(k)
     if not fine.all():
         index = int(np.flatnonzero(~fine)[0])
         raise UserError(
             f"member {index}: mass {m[index]:g} kg, wn {wn[index]:g} rad/s, zeta {zeta[index]:g}, "
-            f"delay {td[index]:g} s; mass, wn and zeta must be positive, the delay not negative"
+            f"delay {td[index]:g} s, damping {c[index]:g} N s/m; mass, wn and zeta must be "
+            "positive, delay and damping not negative"
         )
     if names and len(names) != len(m):
         raise UserError(f"{len(names)} names for {len(m)} members; give one for each")
-    return Ensemble(m, wn, zeta, td, sampling, names)
+    return Ensemble(m, wn, zeta, td, c, k, sampling, names)
 
 
 def joined(first: Ensemble, second: Ensemble) -> Ensemble:
     """The members of both, with the sampling of the first."""
     names = tuple(e.name(i) for e in (first, second) for i in range(len(e)))
-    rows = (np.concatenate([getattr(first, p), getattr(second, p)]) for p in PARAMETERS)
+    rows = (np.concatenate([getattr(first, p), getattr(second, p)]) for p in PLANT)
     return Ensemble(*rows, sampling=first.sampling, names=names)
 
 
 def chosen(members: Ensemble, index: np.ndarray) -> Ensemble:
     """Some of the members, by their numbers."""
     names = tuple(members.name(int(i)) for i in index)
-    rows = (getattr(members, p)[index] for p in PARAMETERS)
+    rows = (getattr(members, p)[index] for p in PLANT)
     return Ensemble(*rows, sampling=members.sampling, names=names)
 
 
@@ -139,12 +148,12 @@ class Uncertain:
 
     @property
     def columns(self) -> list[int]:
-        """Which of PARAMETERS each range is of."""
-        return [PARAMETERS.index(FIELDS[one.name]) for one in self.box.ranges]
+        """Which field of PLANT each range is of."""
+        return [PLANT.index(FIELDS[one.name]) for one in self.box.ranges]
 
     def at(self, points: Points) -> Ensemble:
         """The plants at some points."""
-        values = {p: np.full(len(points), getattr(self.nominal, p)[0]) for p in PARAMETERS}
+        values = {p: np.full(len(points), getattr(self.nominal, p)[0]) for p in PLANT}
         spans = self.low + (self.high - self.low) * points.fraction
         for one, column in zip(self.box.ranges, spans.T, strict=True):
             values[FIELDS[one.name]] = column

@@ -23,7 +23,8 @@ from jaxact.analysis.sampled.margins import sampled_margins
 from jaxact.analysis.sampled.period_map import SampledLoop, delay_steps
 from jaxact.compilation.filling import in_chunks
 from jaxact.compilation.programs import Program
-from jaxact.tuning.joint.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
+from jaxact.parameters import OF_JOINT
+from jaxact.tuning.joint.ensemble import DEFAULT_PERIOD, PARAMETERS, PLANT, Ensemble, Sampling
 from jaxact.tuning.joint.noise import bandwidth, noise_gain
 
 # Loops are computed in batches of one size, so that one program is compiled.
@@ -33,7 +34,8 @@ _ALWAYS = (
     "log_gain_to_boundary",
 )  # fmt: skip
 _EXTRA = ("bandwidth", "noise_gain")
-_INPUTS = 2 + len(PARAMETERS)
+# The gains and a bare mass; the gains and any joint.
+_BARE, _INPUTS = 2 + len(PARAMETERS), 2 + len(PLANT)
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ class Exact:
     Attributes:
         stable: shape (...).
         log: ln of each metric by name, shape (...); `log_gain_to_boundary` is the metric itself.
-        slope: derivatives of `log` by (ln kp, ln kd, mass, wn, zeta, delay), shape (..., 6).
+        slope: derivatives of `log` by (ln kp, ln kd, mass, wn, zeta, delay, damping, stiffness),
+            shape (..., 8); 0 by the last two of bare masses.
     """
 
     stable: np.ndarray
@@ -68,15 +71,19 @@ def evaluate(
 
     Args:
         log_kp, log_kd: ln of the gains, any shape.
-        members: parameters that broadcast with them.
+        members: parameters that broadcast with them; of a mapping those of the joint may be
+            missing.
         sampling: of the controller.
         extra: metrics beyond the margins, "noise_gain" and "bandwidth"; other names change nothing.
         timed: static `jaxact.tuning.joint.response.Timed`, of what takes simulated time, or None.
     """
-    rows = [members[n] if isinstance(members, Mapping) else getattr(members, n) for n in PARAMETERS]
+    own = members if isinstance(members, Mapping) else {n: getattr(members, n) for n in PLANT}
+    rows = [own.get(name, np.zeros(())) for name in PLANT]
     arrays = np.broadcast_arrays(log_kp, log_kd, *rows)
     shape = arrays[0].shape
     flat = np.stack([np.asarray(a, dtype=float).reshape(-1) for a in arrays])
+    inputs = _INPUTS if flat[_BARE:].any() else _BARE
+    flat = flat[:inputs]
     steps = 0
     if sampling.control_period is not None and flat.shape[1]:
         steps = delay_steps(flat[5], sampling.control_period)
@@ -88,7 +95,12 @@ def evaluate(
     return Exact(
         stable.reshape(shape),
         {name: a.reshape(shape) for name, a in log.items()},
-        {name: np.moveaxis(a, 0, -1).reshape((*shape, _INPUTS)) for name, a in slope.items()},
+        {
+            name: np.pad(np.moveaxis(a, 0, -1), ((0, 0), (0, _INPUTS - inputs))).reshape(
+                (*shape, _INPUTS)
+            )
+            for name, a in slope.items()
+        },
     )
 
 
@@ -96,7 +108,7 @@ def evaluate(
 def _with_slopes(
     inputs: jax.Array, *, sampling: Sampling, steps: int, wanted: tuple[str, ...], timed: Any
 ) -> tuple[jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
-    """Which loops are stable, ln of all metrics, and its slopes; inputs (6, loops)."""
+    """Which loops are stable, ln of all metrics, and its slopes; inputs (6 or 8, loops)."""
 
     def logs(inputs: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         """ln of all metrics of loops, shape (loops,), and which loops are stable."""
@@ -109,7 +121,7 @@ def _with_slopes(
 
     value, push, stable = jax.linearize(logs, inputs, has_aux=True)
     # Each loop depends on its own inputs only: one pass for each kind of input does all loops.
-    basis = jnp.eye(_INPUTS, dtype=inputs.dtype)[:, :, None] * jnp.ones_like(inputs)[None]
+    basis = jnp.eye(len(inputs), dtype=inputs.dtype)[:, :, None] * jnp.ones_like(inputs)[None]
     return stable, value, jax.vmap(push)(basis)
 
 
@@ -123,24 +135,24 @@ def _metrics(
     timed: Any,
 ) -> dict[str, jax.Array]:
     """All metrics of a flat batch, with `stable`; the gains' own logarithms are not among them."""
-    mass, wn, zeta, delay = plant
+    (mass, wn, zeta, delay), joint = plant[:4], dict(zip(OF_JOINT, plant[4:], strict=False))
     found: Any
     finite = math.isfinite(sampling.velocity_filter)
     cutoff = jnp.full_like(kp, sampling.velocity_filter) if finite else None
     period, hold = DEFAULT_PERIOD, 0.0
     if sampling.control_period is None:
-        found = margins(JointLoop(kp, kd, mass, wn, zeta, delay, cutoff))
+        found = margins(JointLoop(kp, kd, mass, wn, zeta, delay, cutoff, **joint))
     else:
         period, hold = sampling.control_period, 0.5 * sampling.control_period
         loop = SampledLoop(
             kp, kd, mass, wn, zeta, delay,
             jnp.full_like(kp, period), jnp.full_like(kp, sampling.velocity_filter),
-            velocity=sampling.velocity,
+            velocity=sampling.velocity, **joint,
         )  # fmt: skip
         found = sampled_margins(loop, max_delay_steps=steps)
     result = {name: getattr(found, name) for name in _ALWAYS}
     # The hold delays by half a period: what is defined in continuous time sees it so.
-    held = JointLoop(kp, kd, mass, wn, zeta, delay + hold, cutoff)
+    held = JointLoop(kp, kd, mass, wn, zeta, delay + hold, cutoff, **joint)
 
     def settled(value: jax.Array) -> jax.Array:
         return jnp.where(found.stable, value, jnp.nan)

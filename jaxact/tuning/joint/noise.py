@@ -1,10 +1,10 @@
 """Force that the counts of an encoder make, and the closed loop's bandwidth; both differentiable.
 
-With measurement noise n the force is -C A S n = -m s^2 T n: what holds the joint on a noisy
-reading. Rounding to counts of size q is white noise of variance q^2/12 in samples a period T apart,
-so the force per count is
+With measurement noise n the force is -C A S n = -P T n, P = m s^2 + c s + k: what holds the joint
+on a noisy reading. Rounding to counts of size q is white noise of variance q^2/12 in samples a
+period T apart, so the force per count is
 
-    F = sqrt( T / (12 pi) * integral over 0 < w < pi/T of |m w^2 T(jw)|^2 dw ).
+    F = sqrt( T / (12 pi) * integral over 0 < w < pi/T of |P(jw) T(jw)|^2 dw ).
 
 The bandwidth is the first frequency at which the position follows the setpoint by less than
 1/sqrt(2): |kp Gp / (1 + L)| with Gp the response of the position to a command.
@@ -19,6 +19,7 @@ from jaxact.analysis.joint.frequency import (
     JointLoop,
     complementary_sensitivity,
     controller_response,
+    plant_parts,
     servo_denominator,
 )
 
@@ -37,7 +38,7 @@ def noise_gain(loop: JointLoop, period: float) -> jax.Array:
     top = jnp.pi / period
     w = top * jnp.logspace(-_DECADES, 0.0, _POINTS, dtype=loop.kp.dtype)[:, None]
     row = jax.tree.map(lambda a: a[None], loop)
-    force = row.mass * w * w * jnp.abs(complementary_sensitivity(row, w))
+    force = jnp.abs(_plant(row, w)) * jnp.abs(complementary_sensitivity(row, w))
     density = w * force * force  # over ln w
     step = jnp.log(w[1, 0] / w[0, 0])
     area = step * (jnp.sum(density, axis=0) - 0.5 * (density[0] + density[-1]))
@@ -53,8 +54,16 @@ def follows(loop: JointLoop, w: jax.Array) -> jax.Array:
     stiff, rate = controller_response(loop, w)
     control = jax.lax.complex(stiff + 0.0 * w, rate)
     shift = jax.lax.complex(jnp.cos(w * loop.delay), -jnp.sin(w * loop.delay))
-    open_part = -loop.mass * w * w * jax.lax.complex(real, imaginary)
+    open_part = -_plant(loop, w) * jax.lax.complex(real, imaginary)
     return jnp.log(loop.kp) - jnp.log(jnp.abs(open_part + control * shift))
+
+
+def _plant(loop: JointLoop, w: jax.Array) -> jax.Array:
+    """-P(jw) = m w^2 - k - j c w [N/m]."""
+    if not loop.sprung:
+        return loop.mass * w * w
+    against, damped = plant_parts(loop, w)
+    return jax.lax.complex(against, -damped)
 
 
 def bandwidth(loop: JointLoop) -> jax.Array:
@@ -65,7 +74,10 @@ def bandwidth(loop: JointLoop) -> jax.Array:
     """
     level = -0.5 * jnp.log(2.0)
     frozen = jax.lax.stop_gradient(loop)
-    rigid = jnp.sqrt(frozen.kp / frozen.mass)
+    stiffness = frozen.kp
+    if loop.sprung:
+        stiffness = jnp.maximum(frozen.kp + frozen.joint_stiffness, 1e-3 * frozen.kp)
+    rigid = jnp.sqrt(stiffness / frozen.mass)
     slow = frozen.kp / frozen.kd
     low, high = 1e-3 * jnp.minimum(rigid, slow), 1e3 * rigid
     fraction = jnp.linspace(0.0, 1.0, _POINTS, dtype=rigid.dtype)[:, None]

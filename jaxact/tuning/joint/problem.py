@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxact.tuning.goal import Goal, tail_weights
 from jaxact.tuning.joint import metrics
-from jaxact.tuning.joint.ensemble import PARAMETERS, Ensemble
+from jaxact.tuning.joint.ensemble import PLANT, Ensemble
 from jaxact.tuning.joint.metrics import Exact
 from jaxact.tuning.joint.spectrum import Spectrum, log_metrics, single_precision, tabulate
 from jaxact.tuning.objective import Smooth, combine
@@ -28,6 +28,8 @@ STARTS = (
     (0.08, 0.0015), (0.15, 0.005), (0.25, 0.02), (0.25, 0.06),
     (0.40, 0.04), (0.40, 0.10), (0.60, 0.08), (0.60, 0.25),
 )  # fmt: skip
+# How much stiffer than what just keeps a joint upright the starts are, at least.
+_HELD = 1.5
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,11 @@ def starts(case: Case, number: int) -> np.ndarray:
     # Stiffer than the table: with as much damping as could be stable, b < a.
     if stiffer.any():
         a = np.where(stiffer, np.linspace(low + 0.1, max(low + 1.0, 0.0), number), a)
-    return np.stack([b + np.log(mass / lag**2), a + np.log(mass / lag)], axis=1)
+    # On top of what keeps every member from toppling.
+    toppling = max(-float(case.members.joint_stiffness.min()), 0.0)
+    kp = b + np.log(mass / lag**2)
+    kp = np.log(np.exp(kp) + _HELD * toppling) if toppling else kp
+    return np.stack([kp, a + np.log(mass / lag)], axis=1)
 
 
 def log_bounds(goal: Goal) -> np.ndarray:
@@ -88,7 +94,7 @@ class Table:
         spectrum: of every member, float32.
         log_bounds: ln of the bounds of the constraints, shape (cases, rows).
         low, high: bounds of the log-gains, shape (cases, 2).
-        plant: of every member for metrics of simulated time, shape (cases, members, 4).
+        plant: of every member for metrics of simulated time, shape (cases, members, 6).
         tail: share of the members that counts, shape (cases,).
     """
 
@@ -118,7 +124,7 @@ def table(cases: Sequence[Case]) -> Table:
     ends = np.array([log_bounds(case.goal) for case in cases])
     # In float32 infinities are fine, but their gradients are not.
     ends = np.clip(ends, -80.0, 80.0)
-    plant = np.stack([np.stack([getattr(c.members, p) for p in PARAMETERS], 1) for c in cases])
+    plant = np.stack([np.stack([getattr(c.members, p) for p in PLANT], 1) for c in cases])
     return Table(
         single_precision(stacked),
         jnp.asarray(np.log(bounds), jnp.float32),
@@ -175,7 +181,7 @@ class JointSurrogate:
 
 def exact(cases: Sequence[Case], x: np.ndarray, timed: Any = None) -> Exact:
     """Exact metrics of every member of every case at its log-gains x, shape (cases, members)."""
-    plants = {p: np.stack([getattr(c.members, p) for c in cases]) for p in PARAMETERS}
+    plants = {p: np.stack([getattr(c.members, p) for c in cases]) for p in PLANT}
     first = cases[0]
     extra = tuple(name for name in first.goal.wanted if timed is None or name != timed.metric)
     return metrics.evaluate(x[:, :1], x[:, 1:], plants, first.members.sampling, extra, timed)

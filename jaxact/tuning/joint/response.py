@@ -26,7 +26,7 @@ from jaxact.loops.loop import Loop
 from jaxact.plants.mass import Mass
 from jaxact.simulation import rollout
 from jaxact.tuning.goal import Goal
-from jaxact.tuning.joint.ensemble import PARAMETERS, Ensemble, Sampling
+from jaxact.tuning.joint.ensemble import PLANT, Ensemble, Sampling
 
 # Half-width of the band that counts as settled, relative to the step.
 BAND = 0.02
@@ -47,6 +47,7 @@ class Timed:
         reference: setpoints at the ticks [m], shape (ticks,); a step to 1 where empty.
         options: of the drive.
         sampling: of the controller, for the velocity it sees.
+        sprung: whether joints have damping or stiffness of their own.
     """
 
     metric: str
@@ -55,16 +56,17 @@ class Timed:
     reference: tuple[float, ...]
     options: DriveOptions
     sampling: Sampling
+    sprung: bool = False
 
     def of_loops(self, kp: jax.Array, kd: jax.Array, plant: jax.Array) -> jax.Array:
-        """The metric of a flat batch of loops, shape (n,); plant: shape (4, n)."""
+        """The metric of a flat batch of loops, shape (n,); plant: shape (4 or 6, n)."""
         errors = jax.vmap(self.errors, (0, 0, 1))(kp, kd, plant)
         return jax.vmap(self._metric)(errors)
 
     def smooth(
         self, kp: jax.Array, kd: jax.Array, plant: jax.Array, sharpness: jax.Array
     ) -> jax.Array:
-        """ln of the metric of one loop, smooth; plant: shape (4,)."""
+        """ln of the metric of one loop, smooth; plant: shape (4,) or (6,)."""
         error = self.errors(kp, kd, plant)
         if self.metric == "tracking_error":
             return jnp.log(self._metric(error))
@@ -75,7 +77,8 @@ class Timed:
 
     def errors(self, kp: jax.Array, kd: jax.Array, plant: jax.Array) -> jax.Array:
         """Position less setpoint at the ticks [m], shape (ticks,)."""
-        mass, wn, zeta, delay = plant
+        mass, wn, zeta, delay, *joint = plant
+        own = Mass(mass, *joint) if self.sprung else Mass(mass)
         actuator = Actuator(natural_frequency=wn, damping_ratio=zeta, delay=delay)
         sensor = Sensor(velocity_filter=self.sampling.velocity_filter)
         drive = Drive(Controller(kp=kp, kd=kd), actuator, sensor, control_period=self.period)
@@ -83,7 +86,7 @@ class Timed:
         given = jnp.asarray(self.reference or step, kp.dtype)
         still = jnp.zeros_like(given)
         path = rollout.trajectory(
-            Loop(plant=Mass(mass), drive=drive), self.options, self.ticks, Setpoint(given[0]),
+            Loop(plant=own, drive=drive), self.options, self.ticks, Setpoint(given[0]),
             setpoints=Setpoint(given, still, still),
             position=given[0] if self.reference else 0.0,
         )  # fmt: skip
@@ -125,7 +128,9 @@ def timed(goal: Goal, ensembles: Sequence[Ensemble]) -> Timed | None:
     drive = Drive(Controller(1.0, 1.0), Actuator(delay=longest), control_period=period)
     differenced = sampling.velocity == "differenced"
     options = _drive.options(drive, differenced=differenced)
-    return Timed(goal.metric, ticks, period, tuple(map(float, reference)), options, sampling)
+    sprung = any(own.joint_damping.any() or own.joint_stiffness.any() for own in ensembles)
+    setpoints = tuple(map(float, reference))
+    return Timed(goal.metric, ticks, period, setpoints, options, sampling, sprung)
 
 
 def step_responses(
@@ -144,7 +149,7 @@ def step_responses(
     how = timed(goal, [members])
     assert how is not None
     how = replace(how, ticks=int(np.clip(duration / how.period, 50, _MOST_TICKS)))
-    plant = np.stack([getattr(members, name) for name in PARAMETERS])
+    plant = np.stack([getattr(members, name) for name in PLANT])
     with jax.enable_x64(True):
         gains = (jnp.full(len(members), gain) for gain in (kp, kd))
         errors = _errors(*gains, jnp.asarray(plant), how=how)
@@ -153,5 +158,5 @@ def step_responses(
 
 @Program
 def _errors(kp: jax.Array, kd: jax.Array, plant: jax.Array, *, how: Timed) -> jax.Array:
-    """Errors of a flat batch of loops, shape (n, ticks), from gains (n,) and plants (4, n)."""
+    """Errors of a flat batch of loops, shape (n, ticks), from gains (n,) and plants (6, n)."""
     return jax.vmap(how.errors, (0, 0, 1))(kp, kd, plant)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, fields
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +20,7 @@ from jaxact.analysis.joint.frequency import JointLoop, servo_denominator
 from jaxact.analysis.sampled.period_map import SampledLoop
 from jaxact.analysis.sampled.pulse import plant_response, pulse_transfer
 from jaxact.compilation.programs import Program
-from jaxact.tuning.joint.ensemble import DEFAULT_PERIOD, PARAMETERS, Ensemble, Sampling
+from jaxact.tuning.joint.ensemble import DEFAULT_PERIOD, PARAMETERS, PLANT, Ensemble, Sampling
 from jaxact.tuning.objective import softmax
 
 POINTS = 144
@@ -30,7 +31,7 @@ _TINY = 1e-30
 
 @functools.partial(
     jax.tree_util.register_dataclass,
-    data_fields=["frequency", "position", "velocity", "mass", "period"],
+    data_fields=["frequency", "position", "velocity", "mass", "period", "joint"],
     meta_fields=[],
 )
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class Spectrum:
         velocity: Gv as the controller sees it, likewise [m/s/N].
         mass: [kg], shape (...).
         period: between readings of the encoder [s], shape (...).
+        joint: its own stiffness and damping, shape (..., 2); of bare masses 0.
     """
 
     frequency: jax.Array
@@ -50,6 +52,7 @@ class Spectrum:
     velocity: jax.Array
     mass: jax.Array
     period: jax.Array
+    joint: jax.Array
 
 
 def tabulate(members: Ensemble, scale: np.ndarray, points: int = POINTS) -> Spectrum:
@@ -69,20 +72,25 @@ def tabulate(members: Ensemble, scale: np.ndarray, points: int = POINTS) -> Spec
         w = np.minimum(w, np.pi / period)
         position, velocity = _sampled(members, w)
     parts = (np.stack([g.real, g.imag], axis=1) for g in (position, velocity))
-    return Spectrum(w, *parts, members.mass, np.full(len(members), period))  # type: ignore[arg-type]
+    joint = np.stack([members.joint_stiffness, members.joint_damping], axis=1)
+    own: Any = (w, *parts, members.mass, np.full(len(members), period), joint)
+    return Spectrum(*own)
 
 
 def _continuous(members: Ensemble, w: np.ndarray) -> np.ndarray:
-    column = [getattr(members, name)[:, None] for name in PARAMETERS]
+    column = [getattr(members, name)[:, None] for name in PLANT]
     with jax.enable_x64(True):
-        real, imaginary = servo_denominator(JointLoop(0.0, 0.0, *column), w)  # type: ignore[arg-type]
+        real, imaginary = servo_denominator(JointLoop(0.0, 0.0, *column[:4]), w)  # type: ignore[arg-type]
     servo = np.asarray(real) + 1j * np.asarray(imaginary)
-    return -np.exp(-1j * w * column[3]) / (column[0] * w * w * servo)
+    mass, *_, delay, damping, stiffness = column
+    return -np.exp(-1j * w * delay) / ((mass * w * w - stiffness - 1j * w * damping) * servo)
 
 
 def _sampled(members: Ensemble, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     with jax.enable_x64(True):
-        plants = tuple(jnp.asarray(getattr(members, name)) for name in PARAMETERS)
+        bare = not (members.joint_damping.any() or members.joint_stiffness.any())
+        names = PARAMETERS if bare else PLANT
+        plants = tuple(jnp.asarray(getattr(members, name)) for name in names)
         both = _pulse_responses(plants, jnp.asarray(w), sampling=members.sampling)
     return np.asarray(both[0]), np.asarray(both[1])
 
@@ -96,7 +104,11 @@ def _pulse_responses(plants: tuple[jax.Array, ...], w: jax.Array, *, sampling: S
         period = jnp.asarray(sampling.control_period, w.dtype)
         cutoff = jnp.asarray(sampling.velocity_filter, w.dtype)
         zero = jnp.zeros((), w.dtype)
-        loop = SampledLoop(zero, zero, *plant, period, cutoff, velocity=sampling.velocity)
+        own = dict(zip(PLANT, plant, strict=False))
+        loop = SampledLoop(
+            zero, zero, control_period=period, velocity_filter=cutoff, velocity=sampling.velocity,
+            **own,  # type: ignore[arg-type]
+        )  # fmt: skip
         transfer = pulse_transfer(loop)
         theta = w * period
         half = 0.5 * theta
@@ -121,11 +133,15 @@ def open_loop(spectrum: Spectrum, kp: jax.Array, kd: jax.Array) -> tuple[jax.Arr
     return response[0], response[1]
 
 
-def is_stable(real: jax.Array, imaginary: jax.Array) -> jax.Array:
+def is_stable(
+    real: jax.Array, imaginary: jax.Array, stiffness: jax.Array | float = 0.0
+) -> jax.Array:
     """Whether L, as tabulated, winds around -1 no time: no unstable root.
 
     The double pole at the origin starts the curve at -180 degrees: above it the loop is stable
-    for small gains. Every passage of the real axis left of -1 counts, upwards against downwards.
+    for small gains. Every passage of the real axis left of -1 counts, upwards against downwards. A
+    joint's own `stiffness` k [N/m] starts it at kp/k instead: above the axis counts only left of
+    -1, where it must start if k < 0.
     """
     above = imaginary > 0.0
     changed = above[1:] != above[:-1]
@@ -133,7 +149,9 @@ def is_stable(real: jax.Array, imaginary: jax.Array) -> jax.Array:
     beyond = changed & (real_there < -1.0)
     passages = jnp.where(beyond, jnp.where(above[1:], 1, -1), 0)
     at_end = real[-1] < -1.0
-    return (above[0].astype(passages.dtype) + jnp.sum(passages) == 0) & ~at_end
+    begun = above[0] & ((stiffness == 0.0) | (real[0] < -1.0))
+    held = (stiffness >= 0.0) | (real[0] < -1.0)
+    return (begun.astype(passages.dtype) + jnp.sum(passages) == 0) & ~at_end & held
 
 
 def _on_axis(real: jax.Array, imaginary: jax.Array) -> jax.Array:
@@ -174,7 +192,7 @@ def log_metrics(
         found["noise_gain"] = _log_noise_gain(spectrum, gain / (plus + _TINY))
     if "bandwidth" in names:
         found["bandwidth"] = _log_bandwidth(spectrum, kp, plus)
-    return found, is_stable(real, imaginary)
+    return found, is_stable(real, imaginary, spectrum.joint[0])
 
 
 def _log_gain_margin(real: jax.Array, imaginary: jax.Array) -> jax.Array:
@@ -207,7 +225,8 @@ def _log_noise_gain(spectrum: Spectrum, square: jax.Array) -> jax.Array:
     """ln of `jaxact.tuning.joint.noise.noise_gain` from |T|^2 on the table."""
     w = spectrum.frequency
     top = jnp.pi / spectrum.period
-    force = (spectrum.mass * w * w) ** 2 * square
+    stiffness, damping = spectrum.joint
+    force = ((spectrum.mass * w * w - stiffness) ** 2 + (damping * w) ** 2) * square
     inside = jnp.clip((jnp.minimum(w[1:], top) - w[:-1]) / jnp.maximum(w[1:] - w[:-1], _TINY), 0, 1)
     area = jnp.sum(0.5 * (force[1:] + force[:-1]) * (w[1:] - w[:-1]) * inside)
     return 0.5 * jnp.log(spectrum.period / (12.0 * jnp.pi) * area + _TINY)
