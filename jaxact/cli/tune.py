@@ -258,14 +258,19 @@ def main(
     print(tuning_tables.as_json(document) if json else result.text(document))
     if out is not None and not json:
         print(f"wrote {out}")
-    stable, of = (0, 0) if rollouts is None else rollouts.stable
+    if rollouts is not None:
+        _warn_of(*rollouts.stable)
+    if not best.certified:
+        raise SystemExit(NOT_MET)
+
+
+def _warn_of(stable: int, of: int) -> None:
+    """Say so where rollouts contradict the certificate."""
     if stable < of:
         _warnings.warn(
             f"{of - stable} of {of} rollouts with these gains are not stable, whatever "
             "is certified at rest: add the postures that the robot comes to, or lower --max-peak"
         )
-    if not best.certified:
-        raise SystemExit(NOT_MET)
 
 
 def _tuned(loops: list[ControlLoop], goal: Goal, search: Search, robot: Robot, phase: Any) -> Tuned:
