@@ -2,7 +2,7 @@
 
 The short names are used in specifications, on the command line, in result stores and in pictures;
 the long names, with underscores, are accepted there as well. The units are those of a joint that
-slides; `turned` gives those of a rotary one, for whatever is written of it.
+slides; `jaxact.units` gives those of a rotary one, for whatever is written of it.
 """
 
 from __future__ import annotations
@@ -12,8 +12,49 @@ import re
 from dataclasses import dataclass, replace
 
 from jaxact.errors import UserError, nearest, shown
+from jaxact.units import turned
 
 INF = math.inf
+
+# The parameters' short names, each written here and nowhere else.
+KP = "kp"
+KD = "kd"
+GAIN_SCALE = "gain_scale"
+FEEDFORWARD = "feedforward"
+MASS = "mass"
+WN = "wn"
+ZETA = "zeta"
+DELAY = "delay"
+SETPOINT_DELAY = "setpoint_delay"
+MEASUREMENT_DELAY = "measurement_delay"
+OUTPUT_DELAY = "output_delay"
+CONTROL_RATE = "control_rate"
+POLICY_RATE = "policy_rate"
+POSITION_RESOLUTION = "position_resolution"
+VELOCITY_RESOLUTION = "velocity_resolution"
+COMMAND_RESOLUTION = "command_resolution"
+POSITION_NOISE = "position_noise"
+VELOCITY_NOISE = "velocity_noise"
+POSITION_BIAS = "position_bias"
+VELOCITY_BIAS = "velocity_bias"
+POSITION_BIAS_WALK = "position_bias_walk"
+VELOCITY_BIAS_WALK = "velocity_bias_walk"
+VELOCITY_FILTER = "velocity_filter"
+FORCE_LIMIT = "force_limit"
+FORCE_RATE_LIMIT = "force_rate_limit"
+STALL_FORCE = "stall_force"
+NO_LOAD_SPEED = "no_load_speed"
+SETPOINT = "setpoint"
+INITIAL_POSITION = "initial_position"
+INITIAL_VELOCITY = "initial_velocity"
+REST_AMPLITUDE = "rest_amplitude"
+PAYLOAD = "payload"
+INERTIA_SCALE = "inertia_scale"
+JOINT_DAMPING = "joint_damping"
+JOINT_STIFFNESS = "joint_stiffness"
+JOINT_ARMATURE = "joint_armature"
+JOINT_FRICTION = "joint_friction"
+CONTACT_FRICTION = "contact_friction"
 
 
 @dataclass(frozen=True)
@@ -67,141 +108,141 @@ def _at_least_zero(
 
 
 _TABLE = (
-    _any("kp", "stiffness", "N/m", 400.0, 1e9, "Proportional gain of the PD controller."),
-    _any("kd", "damping", "N s/m", 20.0, 1e9, "Derivative gain of the PD controller."),
+    _any(KP, "stiffness", "N/m", 400.0, 1e9, "Proportional gain of the PD controller."),
+    _any(KD, "damping", "N s/m", 20.0, 1e9, "Derivative gain of the PD controller."),
     _at_least_zero(
-        "gain_scale", "gain scale", "1", 1.0, 1e9, "Factor on both gains, of all joints alike."
+        GAIN_SCALE, "gain scale", "1", 1.0, 1e9, "Factor on both gains, of all joints alike."
     ),
-    _any("feedforward", "feedforward force", "N", 0.0, 1e9, "Constant force added to the command."),
+    _any(FEEDFORWARD, "feedforward force", "N", 0.0, 1e9, "Constant force added to the command."),
     Parameter(
-        "mass", "moved mass", "kg", 0.7, 1e-9, 1e9, False, "Mass that the joint moves."
+        MASS, "moved mass", "kg", 0.7, 1e-9, 1e9, False, "Mass that the joint moves."
     ),
     Parameter(
-        "wn", "natural frequency", "rad/s", INF, 1e-3, 1e9, True,
+        WN, "natural frequency", "rad/s", INF, 1e-3, 1e9, True,
         "Natural frequency of the actuator's closed force loop; inf: ideal, no dynamics.",
     ),
     Parameter(
-        "zeta", "damping ratio", "1", 1.0, 1e-6, 1e3, False,
+        ZETA, "damping ratio", "1", 1.0, 1e-6, 1e3, False,
         "Damping ratio of the actuator's closed force loop.",
     ),
     _at_least_zero(
-        "delay", "command delay", "s", 0.0, 10.0,
+        DELAY, "command delay", "s", 0.0, 10.0,
         "Delay from the controller's command to the actuator's dynamics.",
     ),
     _at_least_zero(
-        "setpoint_delay", "setpoint delay", "s", 0.0, 10.0,
+        SETPOINT_DELAY, "setpoint delay", "s", 0.0, 10.0,
         "Delay of the setpoint before the controller.",
     ),
     _at_least_zero(
-        "measurement_delay", "measurement delay", "s", 0.0, 10.0,
+        MEASUREMENT_DELAY, "measurement delay", "s", 0.0, 10.0,
         "Delay of the sensed position and velocity.",
     ),
     _at_least_zero(
-        "output_delay", "output delay", "s", 0.0, 10.0,
+        OUTPUT_DELAY, "output delay", "s", 0.0, 10.0,
         "Delay of the force after the actuator's dynamics.",
     ),
     Parameter(
-        "control_rate", "control rate", "Hz", 1000.0, 0.1, 1e6, False,
+        CONTROL_RATE, "control rate", "Hz", 1000.0, 0.1, 1e6, False,
         "Rate at which the controller runs; its output is held in between.",
     ),
     Parameter(
-        "policy_rate", "policy rate", "Hz", INF, 0.1, 1e6, True,
+        POLICY_RATE, "policy rate", "Hz", INF, 0.1, 1e6, True,
         "Rate at which setpoints are given, held in between; divides the control rate, and changes"
         " neither stability nor margins; inf: as the control rate.",
     ),
     _at_least_zero(
-        "position_resolution", "position resolution", "m", 0.0, 1e6,
+        POSITION_RESOLUTION, "position resolution", "m", 0.0, 1e6,
         "Size of one count of the position encoder; 0: none.",
     ),
     _at_least_zero(
-        "velocity_resolution", "velocity resolution", "m/s", 0.0, 1e6,
+        VELOCITY_RESOLUTION, "velocity resolution", "m/s", 0.0, 1e6,
         "Size of one count of the velocity sensor; 0: none.",
     ),
     _at_least_zero(
-        "command_resolution", "command resolution", "N", 0.0, 1e9,
+        COMMAND_RESOLUTION, "command resolution", "N", 0.0, 1e9,
         "Size of one step of the D/A converter of the command; 0: none.",
     ),
     _at_least_zero(
-        "position_noise", "position noise", "m", 0.0, 1e6,
+        POSITION_NOISE, "position noise", "m", 0.0, 1e6,
         "Standard deviation of the white noise on each sensed position.",
     ),
     _at_least_zero(
-        "velocity_noise", "velocity noise", "m/s", 0.0, 1e6,
+        VELOCITY_NOISE, "velocity noise", "m/s", 0.0, 1e6,
         "Standard deviation of the white noise on each sensed velocity.",
     ),
-    _any("position_bias", "position bias", "m", 0.0, 1e6, "Constant error of the sensed position."),
+    _any(POSITION_BIAS, "position bias", "m", 0.0, 1e6, "Constant error of the sensed position."),
     _any(
-        "velocity_bias", "velocity bias", "m/s", 0.0, 1e6, "Constant error of the sensed velocity."
+        VELOCITY_BIAS, "velocity bias", "m/s", 0.0, 1e6, "Constant error of the sensed velocity."
     ),
     _at_least_zero(
-        "position_bias_walk", "position bias walk", "m/s^0.5", 0.0, 1e6,
+        POSITION_BIAS_WALK, "position bias walk", "m/s^0.5", 0.0, 1e6,
         "Random walk of the position bias: its standard deviation after one second.",
     ),
     _at_least_zero(
-        "velocity_bias_walk", "velocity bias walk", "m/s^1.5", 0.0, 1e6,
+        VELOCITY_BIAS_WALK, "velocity bias walk", "m/s^1.5", 0.0, 1e6,
         "Random walk of the velocity bias: its standard deviation after one second.",
     ),
     Parameter(
-        "velocity_filter", "velocity filter cutoff", "rad/s", INF, 1e-3, 1e9, True,
+        VELOCITY_FILTER, "velocity filter cutoff", "rad/s", INF, 1e-3, 1e9, True,
         "Cutoff of the first-order filter of the differenced velocity; inf: none.",
     ),
     Parameter(
-        "force_limit", "force limit", "N", INF, 1e-9, 1e12, True,
+        FORCE_LIMIT, "force limit", "N", INF, 1e-9, 1e12, True,
         "Largest force of the actuator, in either direction; inf: none.",
     ),
     Parameter(
-        "force_rate_limit", "force rate limit", "N/s", INF, 1e-9, 1e15, True,
+        FORCE_RATE_LIMIT, "force rate limit", "N/s", INF, 1e-9, 1e15, True,
         "Largest rate of change of the force; inf: none.",
     ),
     Parameter(
-        "stall_force", "stall force", "N", INF, 1e-9, 1e12, True,
+        STALL_FORCE, "stall force", "N", INF, 1e-9, 1e12, True,
         "Force of the torque-speed line at zero speed; inf: no such line.",
     ),
     Parameter(
-        "no_load_speed", "no-load speed", "m/s", INF, 1e-9, 1e9, True,
+        NO_LOAD_SPEED, "no-load speed", "m/s", INF, 1e-9, 1e9, True,
         "Speed at which the torque-speed line reaches zero force; inf: no such line.",
     ),
     _any(
-        "setpoint", "setpoint", "m", 0.1, 1e6,
+        SETPOINT, SETPOINT, "m", 0.1, 1e6,
         "Height of the setpoint's step at time 0, or amplitude of its motion; of a robot, from its"
         " posture (default there: 0).",
     ),
     _any(
-        "initial_position", "initial position", "m", 0.0, 1e6,
+        INITIAL_POSITION, "initial position", "m", 0.0, 1e6,
         "Position at time 0; of a robot, from its posture.",
     ),
-    _any("initial_velocity", "initial velocity", "m/s", 0.0, 1e6, "Velocity at time 0."),
+    _any(INITIAL_VELOCITY, "initial velocity", "m/s", 0.0, 1e6, "Velocity at time 0."),
     _at_least_zero(
-        "rest_amplitude", "amplitude at rest", "m", 0.0, 1e6,
+        REST_AMPLITUDE, "amplitude at rest", "m", 0.0, 1e6,
         "Motion at the end that counts as at rest, where noise never lets it end; of a robot:"
         " 0.002, or a tenth of a count where there is quantisation and no noise.",
     ),
     _at_least_zero(
-        "payload", "payload", "kg", 0.0, 1e6, "Robots only: mass added to the body of the payload."
+        PAYLOAD, PAYLOAD, "kg", 0.0, 1e6, "Robots only: mass added to the body of the payload."
     ),
     Parameter(
-        "inertia_scale", "inertia scale", "1", 1.0, 1e-3, 1e3, False,
+        INERTIA_SCALE, "inertia scale", "1", 1.0, 1e-3, 1e3, False,
         "Robots only: factor on mass and inertia of the bodies that the driven joints move.",
     ),
     _at_least_zero(
-        "joint_damping", "joint damping", "N s/m", 0.0, 1e9,
+        JOINT_DAMPING, "joint damping", "N s/m", 0.0, 1e9,
         "Viscous damping of the joint itself; of a robot: added to that of the driven joints.",
     ),
     _any(
-        "joint_stiffness", "joint stiffness", "N/m", 0.0, 1e9,
+        JOINT_STIFFNESS, "joint stiffness", "N/m", 0.0, 1e9,
         "Stiffness of the joint itself about position 0: a spring, or gravity, negative where that"
         " topples the joint.",
     ),
     _at_least_zero(
-        "joint_armature", "added armature", "kg", 0.0, 1e6,
+        JOINT_ARMATURE, "added armature", "kg", 0.0, 1e6,
         "Robots only: rotor inertia added to the driven joints.",
     ),
     _at_least_zero(
-        "joint_friction", "added joint friction", "N", 0.0, 1e9,
+        JOINT_FRICTION, "added joint friction", "N", 0.0, 1e9,
         "Robots only: dry friction added to the driven joints.",
     ),
     _at_least_zero(
-        "contact_friction", "contact friction scale", "1", 1.0, 1e3,
+        CONTACT_FRICTION, "contact friction scale", "1", 1.0, 1e3,
         "Robots only: factor on the friction of all contacts.",
     ),
 )  # fmt: skip
@@ -209,37 +250,33 @@ _TABLE = (
 PARAMETERS: dict[str, Parameter] = {parameter.name: parameter for parameter in _TABLE}
 
 # What a robot's model may bring itself; not a number where it does not.
-OF_MODEL = ("kp", "kd", "wn", "zeta", "delay", "setpoint_delay", "force_limit")
+OF_MODEL = (KP, KD, WN, ZETA, DELAY, SETPOINT_DELAY, FORCE_LIMIT)
 # Other defaults for a robot: it holds its posture, and trembles a little where it is noisy, which
 # `jaxact.simulation.starts.rest_amplitude` puts a number to.
-OF_ROBOTS = {"setpoint": 0.0, "rest_amplitude": math.nan}
+OF_ROBOTS = {SETPOINT: 0.0, REST_AMPLITUDE: math.nan}
 # What changes the model of a robot, and has no meaning for a joint.
 ROBOT_ONLY = (
-    "payload",
-    "inertia_scale",
-    "joint_armature",
-    "joint_friction",
-    "contact_friction",
+    PAYLOAD,
+    INERTIA_SCALE,
+    JOINT_ARMATURE,
+    JOINT_FRICTION,
+    CONTACT_FRICTION,
 )
 # What makes a joint more than a bare mass. A robot has the springs of its model, and no others.
-OF_JOINT = ("joint_damping", "joint_stiffness")
-JOINT_ONLY = ("joint_stiffness",)
+OF_JOINT = (JOINT_DAMPING, JOINT_STIFFNESS)
+JOINT_ONLY = (JOINT_STIFFNESS,)
 # What changes the model of a plant that MuJoCo simulates.
 OF_PLANT = (*ROBOT_ONLY, *OF_JOINT)
+# What may be uncertain of a drive.
+OF_DRIVES = (WN, ZETA, DELAY, MEASUREMENT_DELAY, OUTPUT_DELAY)
 # What one number serves for all joints of a robot.
 SHARED = (
-    "gain_scale", "mass", "control_rate", "policy_rate", "payload", "contact_friction",
-    "rest_amplitude",
+    GAIN_SCALE, MASS, CONTROL_RATE, POLICY_RATE, PAYLOAD, CONTACT_FRICTION,
+    REST_AMPLITUDE,
 )  # fmt: skip
 
-# What a joint's position is measured in: it slides, or it turns.
-UNITS = ("m", "rad")
+# Given instead of the mass, it says that the joint is rotary.
 INERTIA = "inertia"
-# The units of a rotary joint, by how those of one that slides begin.
-_TURNED = (
-    ("N/m", "N m/rad"), ("N s/m", "N m s/rad"), ("N^2", "(N m)^2"), ("N", "N m"), ("kg", "kg m^2"),
-    ("m/s", "rad/s"), ("m", "rad"),
-)  # fmt: skip
 
 # Actuators by name: (wn [rad/s], zeta), as the reference study identified them.
 PRESETS: dict[str, tuple[float, float]] = {
@@ -249,16 +286,16 @@ PRESETS: dict[str, tuple[float, float]] = {
 }
 
 _ALIASES = {parameter.long_name.replace(" ", "_"): parameter.name for parameter in _TABLE} | {
-    "effort_limit": "force_limit",
-    "added_joint_damping": "joint_damping",
+    "effort_limit": FORCE_LIMIT,
+    "added_joint_damping": JOINT_DAMPING,
     # Given so, it says that the joint is rotary.
-    INERTIA: "mass",
+    INERTIA: MASS,
 }
 
 
 LINEAR = (
-    "kp", "kd", "mass", "wn", "zeta", "delay", "measurement_delay", "output_delay",
-    "velocity_filter", *OF_JOINT,
+    KP, KD, MASS, WN, ZETA, DELAY, MEASUREMENT_DELAY, OUTPUT_DELAY,
+    VELOCITY_FILTER, *OF_JOINT,
 )  # fmt: skip
 """What the stability of a linear loop depends on, beside its control rate."""
 
@@ -274,22 +311,9 @@ def base(key: str) -> str:
     return key.partition("@")[0]
 
 
-def turned(units: str) -> str:
-    """A unit of a rotary joint, from that of one that slides: `N s/m` is `N m s/rad`."""
-    for slide, hinge in _TURNED:
-        if units.startswith(slide) and not units.removeprefix(slide)[:1].isalpha():
-            return hinge + units.removeprefix(slide)
-    return units
-
-
-def in_unit(units: str, unit: str | None) -> str:
-    """A unit as it is written for a joint whose position is in `unit`; None: m."""
-    return turned(units) if unit == "rad" else units
-
-
 def mass_word(unit: str | None) -> str:
     """What the mass of a joint is called whose position is in `unit`."""
-    return INERTIA if unit == "rad" else "mass"
+    return INERTIA if unit == "rad" else MASS
 
 
 def of(key: str, unit: str | None = None) -> Parameter:
@@ -301,7 +325,7 @@ def of(key: str, unit: str | None = None) -> Parameter:
     name, _, pattern = key.partition("@")
     parameter = PARAMETERS[name]
     if unit == "rad":
-        words = "moved inertia" if name == "mass" else parameter.long_name
+        words = "moved inertia" if name == MASS else parameter.long_name
         parameter = replace(parameter, unit=turned(parameter.unit), long_name=words)
     if not pattern:
         return parameter

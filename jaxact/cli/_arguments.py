@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from tyro.conf import UseAppendAction, arg
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.parameters import INERTIA, PARAMETERS, PRESETS, of
+from jaxact.parameters import CONTROL_RATE, INERTIA, MASS, PARAMETERS, PRESETS, of
 
 # Default of a number that was not given; told from any number by being this very object. A type
 # with None in it would make tyro's complaint about a mistyped number unreadable.
@@ -19,7 +19,7 @@ UNSET = float("nan")
 UNSET_NUMBER = -(10**30)
 _UNSET_NAME = "\0"
 _ROTARY = dataclasses.replace(
-    of("mass", "rad"), description="Inertia that a rotary joint moves, instead of a mass."
+    of(MASS, "rad"), description="Inertia that a rotary joint moves, instead of a mass."
 )
 
 
@@ -207,7 +207,7 @@ def parameters(names: Iterable[str], *, several: bool) -> type:
         parameter = _ROTARY if name == INERTIA else PARAMETERS[name]
         units = "" if parameter.unit == "1" else f" [{parameter.unit}]"
         default = f"{parameter.default:g}"
-        if several and name == "control_rate":
+        if several and name == CONTROL_RATE:
             default = "continuous time only"
         if name == INERTIA:
             default = "none"

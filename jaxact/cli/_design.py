@@ -8,6 +8,7 @@ from typing import Annotated
 
 from jaxact.cli._arguments import option
 from jaxact.errors import UserError, shown
+from jaxact.parameters import DELAY, WN, ZETA
 
 
 @dataclass(frozen=True)
@@ -49,8 +50,8 @@ def run(bench: Bench, plant: str, out: Path) -> None:
     from jaxact.identification import design
 
     asked = design.Bench(
-        plant=plant, wn=_range("wn", bench.wn), zeta=_range("zeta", bench.zeta),
-        delay=_range("delay", bench.delay), duration=bench.duration, rate=bench.rate,
+        plant=plant, wn=_range(WN, bench.wn), zeta=_range(ZETA, bench.zeta),
+        delay=_range(DELAY, bench.delay), duration=bench.duration, rate=bench.rate,
         amplitude=bench.amplitude, noise=bench.noise, mass=bench.mass, kp=bench.kp, kd=bench.kd,
     )  # fmt: skip
     found = design.design(asked)

@@ -10,18 +10,33 @@ from typing import TYPE_CHECKING, Any
 from jaxact.cli import _arguments, _warnings
 from jaxact.cli._arguments import typed
 from jaxact.errors import UserError
-from jaxact.parameters import INERTIA, LINEAR, PARAMETERS, PRESETS
+from jaxact.parameters import (
+    CONTROL_RATE,
+    FEEDFORWARD,
+    GAIN_SCALE,
+    INERTIA,
+    INITIAL_POSITION,
+    INITIAL_VELOCITY,
+    LINEAR,
+    MASS,
+    PARAMETERS,
+    PRESETS,
+    REST_AMPLITUDE,
+    SETPOINT,
+    WN,
+    ZETA,
+)
 
 if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
     from jaxact.loops.specification import Specification
 
 # Every option takes several values: all combinations are meant.
-Linear = _arguments.parameters((*LINEAR, "control_rate"), several=True)
+Linear = _arguments.parameters((*LINEAR, CONTROL_RATE), several=True)
 # Parameters that a picture of linear loops, or their margins, need not mention: what the loop
 # starts from, how far it goes, and what shifts it without changing how it responds.
 _NO_MATTER = (
-    "gain_scale", "setpoint", "initial_position", "initial_velocity", "rest_amplitude",
+    GAIN_SCALE, SETPOINT, INITIAL_POSITION, INITIAL_VELOCITY, REST_AMPLITUDE,
 )  # fmt: skip
 
 
@@ -66,11 +81,11 @@ def linear(chosen: Any, file: Path | None, velocity: str) -> ControlLoop:
     import numpy as np
 
     loop = joints(chosen, file, velocity)
-    if file is None and "control_rate" not in loop.values:
+    if file is None and CONTROL_RATE not in loop.values:
         check_continuous(loop)
     left_out = sorted(
         name for name, value in loop.values.items()
-        if name not in (*LINEAR, "control_rate", *_NO_MATTER)
+        if name not in (*LINEAR, CONTROL_RATE, *_NO_MATTER)
         and np.any(value != PARAMETERS[name].default)
     )  # fmt: skip
     if left_out:
@@ -119,10 +134,10 @@ def specified(
         base = reading.load(robot.spec, ["axes.feedforward=[0.0]"]).document
     own = base.pop("parameters", {})
     if "actuator" in given:
-        own = {name: value for name, value in own.items() if name not in ("wn", "zeta")}
-    elif {"wn", "zeta"} & set(given) and "actuator" in own:
+        own = {name: value for name, value in own.items() if name not in (WN, ZETA)}
+    elif {WN, ZETA} & set(given) and "actuator" in own:
         # of a preset, so that one of the two can be given otherwise
-        own |= dict(zip(("wn", "zeta"), PRESETS[own.pop("actuator")], strict=True))
+        own |= dict(zip((WN, ZETA), PRESETS[own.pop("actuator")], strict=True))
     values = {n: v if isinstance(v, tuple) else (v,) for n, v in given.items()}
     fixed = {name: value[0] for name, value in values.items() if len(value) == 1}
     varied = {name: list(value) for name, value in values.items() if len(value) > 1}
@@ -132,7 +147,7 @@ def specified(
     document |= {} if push is None else {"push": dict(push)}
     document |= {
         "parameters": {name: value for name, value in own.items() if name not in varied} | fixed,
-        "axes": varied or {"feedforward": [0.0]},
+        "axes": varied or {FEEDFORWARD: [0.0]},
     }
     document.pop("sampling", None)
     try:
@@ -151,7 +166,7 @@ def of_robot(
 
     Raises UserError without a robot, and as `specified`.
     """
-    for name in ("mass", INERTIA, "unit"):
+    for name in (MASS, INERTIA, "unit"):
         if name in given:
             raise UserError(
                 f"--{name}: a robot's masses and units are its model's; change the masses with"

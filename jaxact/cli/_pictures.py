@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxact.cli import _loops
+from jaxact.parameters import CONTROL_RATE
 
 
 def draw(
@@ -34,7 +35,7 @@ def draw(
     from jaxact.verbs import naming
     from jaxact.verbs.responses import responses
 
-    drawn = responses(loop, sampled="control_rate" in loop.values)
+    drawn = responses(loop, sampled=CONTROL_RATE in loop.values)
     figure = picture(drawn, title=title, footer=naming.in_common(loop))
     theme.write(figure, out, title=title or f"jaxact {picture.__name__}")
     print(f"wrote {out}")

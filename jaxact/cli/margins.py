@@ -11,6 +11,7 @@ from tyro.conf import arg
 from jaxact.cli import _arguments, _files, _loops, _options, _progress, _warnings
 from jaxact.cli._arguments import LoopsFile, Velocity, option
 from jaxact.errors import UserError
+from jaxact.parameters import CONTROL_RATE
 
 ENGINES = ("mujoco", "mjx")
 
@@ -104,7 +105,7 @@ def main(
 
     if store is not None:
         atomic_store.refuse_existing(store, overwrite=overwrite)
-    found = margins(loop, sampled="both" if "control_rate" in loop.values else False)
+    found = margins(loop, sampled="both" if CONTROL_RATE in loop.values else False)
     if csv is not None:
         text = margin_tables.csv_text(loop, found.found)
         _files.write(csv, lambda file: file.write(text.encode()))

@@ -13,7 +13,7 @@ from tyro.conf import arg
 from jaxact.cli import _arguments, _files, _loops, _warnings, _xla
 from jaxact.cli._arguments import UNSET, UNSET_NUMBER, Robot, option
 from jaxact.errors import UserError
-from jaxact.parameters import PARAMETERS
+from jaxact.parameters import PARAMETERS, POSITION_RESOLUTION
 from jaxact.plants.engines import best_precision
 
 if TYPE_CHECKING:
@@ -178,6 +178,6 @@ def _write(
         title=name + naming.loop_name(specification, run.values),
         footer=caption.loop(run.values, run.results, dataclasses.asdict(specification), units[0]),
         units=units,
-        resolution=run.values["position_resolution"],
+        resolution=run.values[POSITION_RESOLUTION],
     )
     theme.write(figure, out, title="jaxact: one loop over time")

@@ -13,7 +13,7 @@ from jaxact.errors import UserError
 from jaxact.parameters import PARAMETERS
 
 MOST_LOOPS = 12
-ENGINES = ("mass", "mjx")
+ENGINES = "mass|mjx"
 Parameters = _arguments.parameters(PARAMETERS, several=True)
 
 
@@ -21,7 +21,9 @@ def main(
     parameters: Parameters,  # type: ignore[valid-type]
     *,
     loops: LoopsFile = None,
-    engine: Annotated[str, option("mass|mjx", "Plant: an exact mass, or MuJoCo in JAX.")] = "mass",
+    engine: Annotated[
+        str, option(ENGINES, "Plant: an exact mass, or MuJoCo in JAX.")
+    ] = ENGINES.split("|")[0],
     velocity: Velocity = "sampled",
     duration: Annotated[float, option("SECONDS", "Simulated time [s].")] = 0.5,
     seed: Annotated[int, arg(metavar="NUMBER", help="Of the noise.")] = 0,
@@ -40,7 +42,7 @@ def main(
     from jaxact.plotting import theme
 
     theme.check_output(out)
-    _arguments.one_of("engine", engine, ENGINES)
+    _arguments.one_of("engine", engine, ENGINES.split("|"))
     loop = _loops.joints(parameters, loops, velocity)
 
     from jaxact.plotting.step import step

@@ -14,7 +14,7 @@ from tyro.conf import arg
 from jaxact.cli import _arguments, _cache, _folders, _loops, _progress, _warnings
 from jaxact.cli._arguments import UNSET, UNSET_NUMBER, option
 from jaxact.errors import UserError
-from jaxact.parameters import LINEAR
+from jaxact.parameters import CONTROL_RATE, LINEAR
 
 if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # Exit code of a result that does not meet what was asked.
 NOT_MET = 1
 
-Parameters = _arguments.parameters((*LINEAR, "control_rate"), several=False)
+Parameters = _arguments.parameters((*LINEAR, CONTROL_RATE), several=False)
 
 
 @dataclass(frozen=True)
@@ -294,7 +294,7 @@ def _joint(given: dict[str, Any], velocity: str) -> ControlLoop:
     from jaxact.loops.building import joint
 
     loop = joint(velocity=velocity, **given)  # type: ignore[arg-type]
-    if "control_rate" not in given:
+    if CONTROL_RATE not in given:
         _loops.check_continuous(loop)
     return loop
 

@@ -26,8 +26,9 @@ import numpy as np
 from jaxact.errors import UserError, nearest, shown
 from jaxact.identification import joint_motion, torque_loop
 from jaxact.identification.joint_motion import Recording, Structure
+from jaxact.parameters import DELAY, FORCE_LIMIT, KP, MASS, WN, ZETA
 
-PLANTS = ("none", "mass")
+PLANTS = ("none", MASS)
 _LONGEST = 300_000
 
 
@@ -110,12 +111,12 @@ def design(bench: Bench, *, seed: int = 0) -> list[Promise]:
 def _check(bench: Bench) -> None:
     if bench.plant not in PLANTS:
         raise UserError(f"plant = {shown(bench.plant)}; {nearest(bench.plant, PLANTS)}")
-    for name in ("wn", "zeta", "delay"):
+    for name in (WN, ZETA, DELAY):
         low, high = getattr(bench, name)
-        least = 0.0 if name == "delay" else 1e-6
+        least = 0.0 if name == DELAY else 1e-6
         if not least <= low <= high < math.inf:
             raise UserError(f"`{name}` = {low:g}..{high:g} is not a range of finite values, rising")
-    for name in ("duration", "rate", "amplitude", "noise", "mass", "kp"):
+    for name in ("duration", "rate", "amplitude", "noise", MASS, KP):
         if not 0.0 < getattr(bench, name) < math.inf:
             raise UserError(f"`{name}` = {getattr(bench, name):g} must be positive and finite")
     if not 200 <= bench.duration * bench.rate <= _LONGEST:
@@ -188,7 +189,7 @@ def _slopes_of(bench: Bench) -> Callable[..., jax.Array]:
 
 def _drive(point: jax.Array) -> dict[str, jax.Array | float]:
     return {
-        "wn": jnp.exp(point[0]), "zeta": point[1], "delay": point[2], "gain": point[3],
+        WN: jnp.exp(point[0]), ZETA: point[1], DELAY: point[2], "gain": point[3],
         "offset": point[4],
     }  # fmt: skip
 
@@ -196,7 +197,7 @@ def _drive(point: jax.Array) -> dict[str, jax.Array | float]:
 @jax.jit
 def _force_slopes(point: jax.Array, time: jax.Array, signal: jax.Array) -> jax.Array:
     def measured(at: jax.Array) -> jax.Array:
-        own = {"force_limit": jnp.inf, "initial_force": 0.0}
+        own = {FORCE_LIMIT: jnp.inf, "initial_force": 0.0}
         return torque_loop.simulate(time, signal, _drive(at) | own)
 
     return jax.jacfwd(measured)(point)
@@ -219,7 +220,7 @@ def _position_slopes(
 
     def measured(at: jax.Array) -> jax.Array:
         own = {
-            "inertia": mass, "force_limit": 1e15, "viscous": 0.0, "coulomb": 0.0, "gravity": 0.0,
+            "inertia": mass, FORCE_LIMIT: 1e15, "viscous": 0.0, "coulomb": 0.0, "gravity": 0.0,
             "zero": 0.0,
         }  # fmt: skip
         return joint_motion.simulate(_drive(at) | own, recording, structure)[0]

@@ -21,6 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
+from jaxact.parameters import DELAY
+
 Values = Mapping[str, jax.Array]
 
 # The most promising pieces are solved; from a solution at a tick the search goes on beyond it.
@@ -33,7 +35,6 @@ _LANES = 4
 _LARGEST_EXPONENT = 700.0
 # At most so many starts are looked at before the best ones are solved.
 _MOST_STARTS = 256
-DELAY = "delay"
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,11 @@ from jaxact.identification import inspection, torque_loop
 from jaxact.identification.fitting import Unknown
 from jaxact.identification.log import Log
 from jaxact.identification.model import DYNAMICS, NEUTRAL_DRIVE, Family, Rung, drive_unknowns
+from jaxact.parameters import FORCE_LIMIT, WN, ZETA
 
 _ALWAYS = ("gain", "offset")
 _MOST_TICKS_OF_DELAY = 12
-_NEUTRAL = {"gain": 1.0, "offset": 0.0, "force_limit": math.inf, **NEUTRAL_DRIVE}
+_NEUTRAL = {"gain": 1.0, "offset": 0.0, FORCE_LIMIT: math.inf, **NEUTRAL_DRIVE}
 
 
 def family(logs: Sequence[Log]) -> Family:
@@ -34,7 +35,7 @@ def family(logs: Sequence[Log]) -> Family:
                 " measured force; for what moved, give a `plant`"
             )
     limited = any(inspection.saturation(log["force"]) is not None for log in logs)
-    always = (*_ALWAYS, "force_limit") if limited else _ALWAYS
+    always = (*_ALWAYS, FORCE_LIMIT) if limited else _ALWAYS
     rungs = tuple(
         Rung(name, name, "", (*always, *free), fixed) for name, (free, fixed) in DYNAMICS.items()
     )
@@ -42,7 +43,7 @@ def family(logs: Sequence[Log]) -> Family:
         rungs=rungs,
         unknowns=_unknowns,
         neutral=_NEUTRAL,
-        positive=frozenset(("wn", "zeta", "force_limit")),
+        positive=frozenset((WN, ZETA, FORCE_LIMIT)),
         inputs=_inputs,
         simulate=_simulate,
         measured=lambda log: log["force"],
@@ -61,7 +62,7 @@ def _unknowns(logs: Sequence[Log]) -> dict[str, Unknown]:
     sought = (
         Unknown("gain", "1", -100.0 * ratio, 100.0 * ratio, (ratio,)),
         Unknown("offset", unit, -size, size, (0.0,)),
-        Unknown("force_limit", unit, 0.3 * size, 3.0 * size, (0.99 * size,), positive=True),
+        Unknown(FORCE_LIMIT, unit, 0.3 * size, 3.0 * size, (0.99 * size,), positive=True),
         *drive_unknowns(logs, _MOST_TICKS_OF_DELAY),
     )
     return {unknown.name: unknown for unknown in sought}

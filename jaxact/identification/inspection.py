@@ -10,6 +10,7 @@ import numpy as np
 from scipy import signal as _signal
 
 from jaxact.identification.log import Log
+from jaxact.parameters import FEEDFORWARD, SETPOINT
 
 # Where more than this share of the samples is at the extreme, it is a limit and no peak; where most
 # are, or there are few levels at all, the signal switches between them, as a PRBS does.
@@ -85,7 +86,7 @@ def inspect(log: Log) -> Inspection:
         if name in log and (limit := saturation(log[name])) is not None
     }
     stimulus = log["command"] if "force" in log and "command" in log else (
-        log["setpoint"] if "setpoint" in log else log["command"]
+        log[SETPOINT] if SETPOINT in log else log["command"]
     )  # fmt: skip
     answer = log["force"] if "force" in log and "command" in log else log["position"]
     found = Inspection(
@@ -172,15 +173,15 @@ def recomputed(log: Log) -> Controller | None:
 
     None where the log lacks setpoint, position or command.
     """
-    if not {"setpoint", "position", "command"} <= set(log.signals):
+    if not {SETPOINT, "position", "command"} <= set(log.signals):
         return None
     speed = velocity(log)
-    error = log["setpoint"] - log["position"]
+    error = log[SETPOINT] - log["position"]
     columns = [error, -speed, np.ones(len(log))]
     names = ["error", "velocity", "offset"]
-    if "feedforward" in log:
-        columns.append(log["feedforward"])
-        names.append("feedforward")
+    if FEEDFORWARD in log:
+        columns.append(log[FEEDFORWARD])
+        names.append(FEEDFORWARD)
     command = log["command"]
     inside = np.ones(len(log), bool)
     limit = saturation(command)
@@ -195,16 +196,16 @@ def recomputed(log: Log) -> Controller | None:
     missing = "" if explained > 0.999 else _missing(log, rest, inside)
     found = dict(zip(names, solved.tolist(), strict=True))
     return Controller(
-        kp=found["error"], kd=found["velocity"], feedforward=found.get("feedforward", 0.0),
+        kp=found["error"], kd=found["velocity"], feedforward=found.get(FEEDFORWARD, 0.0),
         offset=found["offset"], explained=explained, missing=missing,
     )  # fmt: skip
 
 
 def _missing(log: Log, rest: np.ndarray, inside: np.ndarray) -> str:
     """What the unexplained rest of a command goes with most."""
-    error = log["setpoint"] - log["position"]
+    error = log[SETPOINT] - log["position"]
     rows = np.diff(log.time, prepend=log.time[0])
-    wanted = np.gradient(log["setpoint"], log.time)
+    wanted = np.gradient(log[SETPOINT], log.time)
     candidates = {
         "an integral of the error": np.cumsum(error * rows),
         "the setpoint's velocity": wanted,

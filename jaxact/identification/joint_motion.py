@@ -22,6 +22,18 @@ from jaxact.drive import actuator as _actuator
 from jaxact.drive import controller as _controller
 from jaxact.drive.controller import Controller, Setpoint
 from jaxact.identification.schedule import schedule
+from jaxact.parameters import (
+    DELAY,
+    FEEDFORWARD,
+    FORCE_LIMIT,
+    INITIAL_POSITION,
+    INITIAL_VELOCITY,
+    KD,
+    KP,
+    SETPOINT,
+    WN,
+    ZETA,
+)
 
 _NO_LIMIT = 1e15
 
@@ -105,13 +117,13 @@ def simulate(
     Returns:
         Position [m or rad] and command [N or N m], each of shape (rows,).
     """
-    plan = schedule(recording.time, jnp.asarray(values["delay"], recording.time.dtype))
-    wn, zeta = (jnp.asarray(values[name], plan.length.dtype) for name in ("wn", "zeta"))
+    plan = schedule(recording.time, jnp.asarray(values[DELAY], recording.time.dtype))
+    wn, zeta = (jnp.asarray(values[name], plan.length.dtype) for name in (WN, ZETA))
     free = jax.vmap(lambda length: _actuator.free_response(wn, zeta, length))(plan.length)
     tick = jnp.cumsum(plan.is_row) - 1
     own = {
-        "setpoint": recording.setpoint[tick],
-        "feedforward": recording.feedforward[tick],
+        SETPOINT: recording.setpoint[tick],
+        FEEDFORWARD: recording.feedforward[tick],
         "controls": plan.is_row & recording.controls[tick],
         "is_row": plan.is_row,
         "held": plan.held,
@@ -138,8 +150,8 @@ def simulate(
 
 def _begin(values: Mapping[str, Any], recording: Recording, structure: Structure) -> _Carry:
     dtype = recording.time.dtype
-    position = jnp.asarray(values.get("initial_position", recording.position), dtype)
-    velocity = jnp.asarray(values.get("initial_velocity", recording.velocity), dtype)
+    position = jnp.asarray(values.get(INITIAL_POSITION, recording.position), dtype)
+    velocity = jnp.asarray(values.get(INITIAL_VELOCITY, recording.velocity), dtype)
     zero = jnp.zeros((), dtype)
     period = (recording.time[-1] - recording.time[0]) / (recording.time.shape[0] - 1)
     number = structure.difference_ticks
@@ -167,15 +179,15 @@ def _control(
     """The controller at a tick; between ticks nothing changes."""
     if not structure.closed:
         return carry, now["command"]
-    kp = values.get("kp", recording.kp)
-    kd = values.get("kd", recording.kd)
+    kp = values.get(KP, recording.kp)
+    kd = values.get(KD, recording.kd)
     speed = carry.velocity
     if structure.difference_ticks:
         period = (recording.time[-1] - recording.time[0]) / (recording.time.shape[0] - 1)
         speed = (carry.position - carry.seen[-1]) / (structure.difference_ticks * period)
     asked = _controller.step(
         Controller(kp=kp, kd=kd),
-        Setpoint(now["setpoint"], force=now["feedforward"]),
+        Setpoint(now[SETPOINT], force=now[FEEDFORWARD]),
         carry.position,
         speed,
         quantised=False,
@@ -215,7 +227,7 @@ def _move(
     impulse = value * length + over.Ic * e + over.Is * g
     moment = 0.5 * value * length * length + over.Jc * e + over.Js * g
     # Finite, as it is multiplied by times that may be zero.
-    limit = jnp.minimum(values["force_limit"], _NO_LIMIT)
+    limit = jnp.minimum(values[FORCE_LIMIT], _NO_LIMIT)
     impulse = jnp.clip(impulse, -limit * length, limit * length)
     moment = jnp.clip(moment, -0.5 * limit * length**2, 0.5 * limit * length**2)
     force = value + over.c * e + over.s * g

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from jaxact.identification import uncertainty
-from jaxact.identification.fitting import DELAY, Fit, Problem, solve
+from jaxact.identification.fitting import Fit, Problem, solve
+from jaxact.parameters import DELAY, WN, ZETA
 
 # A number is identified where its interval is narrower than this share of it, in either direction.
 _LARGEST_SHARE = 0.4
@@ -233,11 +234,11 @@ def profile(problem: Problem, fit: Fit, name: str, values: np.ndarray) -> np.nda
 def _lag(fit: Fit, covariance: np.ndarray) -> tuple[float, float] | None:
     """``delay + 2 zeta / wn`` and its standard deviation, to first order."""
     names = [u.model_name for u in fit.problem.unknowns]
-    if "wn" not in names and DELAY not in names:
+    if WN not in names and DELAY not in names:
         return None
     values = fit.problem.model_values(fit.point)
-    late = 2.0 * values["zeta"] / values["wn"]
+    late = 2.0 * values[ZETA] / values[WN]
     slope = np.zeros(len(names))
     for index, name in enumerate(names):
-        slope[index] = {DELAY: 1.0, "wn": -late, "zeta": late}.get(name, 0.0)
+        slope[index] = {DELAY: 1.0, WN: -late, ZETA: late}.get(name, 0.0)
     return values[DELAY] + late, float(np.sqrt(max(slope @ covariance @ slope, 0.0)))

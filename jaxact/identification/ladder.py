@@ -12,6 +12,7 @@ from jaxact.identification.fitting import Fit, solve
 from jaxact.identification.knowledge import Knowledge
 from jaxact.identification.log import Log
 from jaxact.identification.model import Family, Rung, of_rung, predicted
+from jaxact.parameters import DELAY
 
 # A simpler model is preferred where its error is within this share of the best one's.
 _AS_GOOD = 0.01
@@ -136,9 +137,9 @@ def stages(family: Family, found: list[Candidate]):
     if len(frictions) == 1:
         yield from family.rungs
         return
-    yield from (rung for rung in family.rungs if rung.dynamics == "delay")
+    yield from (rung for rung in family.rungs if rung.dynamics == DELAY)
     best = choose(found).rung.friction
-    yield from (rung for rung in family.rungs if rung.friction == best and rung.dynamics != "delay")
+    yield from (rung for rung in family.rungs if rung.friction == best and rung.dynamics != DELAY)
 
 
 def _candidate(

@@ -8,17 +8,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from jaxact.errors import UserError
+from jaxact.parameters import FEEDFORWARD, SETPOINT
 
 FEWEST_ROWS = 200
 """A log with fewer rows says too little of a drive."""
 
 SIGNALS: dict[str, str] = {
-    "setpoint": "position that the joint was told to take [m or rad]",
+    SETPOINT: "position that the joint was told to take [m or rad]",
     "position": "measured position [m or rad]",
     "velocity": "measured velocity [m/s or rad/s]",
     "command": "force that the drive was told to give [N or N m]",
     "force": "measured force [N or N m]",
-    "feedforward": "force added to the command beside the controller's [N or N m]",
+    FEEDFORWARD: "force added to the command beside the controller's [N or N m]",
     "supply": "supply voltage [V]",
     "powered": "1 where the drive was switched on, 0 where not",
 }
@@ -109,9 +110,9 @@ def check(log: Log) -> None:
         raise UserError(
             f"{where}: time does not rise in {_rows(late + 1)}; sort the rows, or take them out"
         )
-    still = [name for name in ("command", "setpoint", "force", "position") if name in log
+    still = [name for name in ("command", SETPOINT, "force", "position") if name in log
              and np.ptp(log[name]) == 0.0]  # fmt: skip
-    moves = [name for name in ("command", "setpoint") if name in log and name not in still]
+    moves = [name for name in ("command", SETPOINT) if name in log and name not in still]
     answers = [name for name in ("force", "position") if name in log and name not in still]
     if not moves or not answers:
         said = ", ".join(f"{name} is {log[name][0]:g} throughout" for name in still)

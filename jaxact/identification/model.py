@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxact.identification.fitting import Problem, Unknown
 from jaxact.identification.log import Log
+from jaxact.parameters import DELAY, WN, ZETA
 
 
 @dataclass(frozen=True)
@@ -71,13 +72,13 @@ FIRST_ORDER_ZETA = 100.0
 # Names of the drive's numbers that each kind of dynamics leaves free, and those it fixes.
 DYNAMICS: dict[str, tuple[tuple[str, ...], tuple[tuple[str, float], ...]]] = {
     "gain": ((), ()),
-    "delay": (("delay",), ()),
-    "first order": (("lag",), (("zeta", FIRST_ORDER_ZETA),)),
-    "first order with delay": (("lag", "delay"), (("zeta", FIRST_ORDER_ZETA),)),
-    "second order": (("wn", "zeta"), ()),
-    "second order with delay": (("wn", "zeta", "delay"), ()),
+    DELAY: ((DELAY,), ()),
+    "first order": (("lag",), ((ZETA, FIRST_ORDER_ZETA),)),
+    "first order with delay": (("lag", DELAY), ((ZETA, FIRST_ORDER_ZETA),)),
+    "second order": ((WN, ZETA), ()),
+    "second order with delay": ((WN, ZETA, DELAY), ()),
 }
-NEUTRAL_DRIVE = {"wn": math.inf, "zeta": 1.0, "delay": 0.0}
+NEUTRAL_DRIVE = {WN: math.inf, ZETA: 1.0, DELAY: 0.0}
 
 
 def drive_unknowns(logs: Sequence[Log], most_ticks: int) -> tuple[Unknown, ...]:
@@ -89,12 +90,12 @@ def drive_unknowns(logs: Sequence[Log], most_ticks: int) -> tuple[Unknown, ...]:
     middle = [math.pi / period * share for share in (0.05, 0.2, 0.8)]
     both = 2.0 * FIRST_ORDER_ZETA
     return (
-        Unknown("delay", "s", 0.0, ticks * period,
+        Unknown(DELAY, "s", 0.0, ticks * period,
                 tuple((at + 0.5) * period for at in range(ticks))),
         Unknown("lag", "s", 1.0 / fast, 1.0 / slow, tuple(1.0 / w for w in middle),
-                positive=True, inverse_of=("wn", both)),
-        Unknown("wn", "rad/s", slow, fast, tuple(middle), positive=True),
-        Unknown("zeta", "1", 0.02, 50.0, (0.4, 1.0), positive=True),
+                positive=True, inverse_of=(WN, both)),
+        Unknown(WN, "rad/s", slow, fast, tuple(middle), positive=True),
+        Unknown(ZETA, "1", 0.02, 50.0, (0.4, 1.0), positive=True),
     )  # fmt: skip
 
 
@@ -104,7 +105,7 @@ def effective_lag(values: Mapping[str, float]) -> float:
     Args:
         values: of the model.
     """
-    return float(values["delay"] + 2.0 * values["zeta"] / values["wn"])
+    return float(values[DELAY] + 2.0 * values[ZETA] / values[WN])
 
 
 def of_rung(family: Family, rung: Rung, logs: Sequence[Log]) -> Problem:

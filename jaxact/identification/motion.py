@@ -21,8 +21,20 @@ from jaxact.identification.fitting import Unknown
 from jaxact.identification.joint_motion import Recording, Structure
 from jaxact.identification.log import Log
 from jaxact.identification.model import DYNAMICS, NEUTRAL_DRIVE, Family, Rung, drive_unknowns
+from jaxact.parameters import (
+    FEEDFORWARD,
+    FORCE_LIMIT,
+    INITIAL_POSITION,
+    INITIAL_VELOCITY,
+    KD,
+    KP,
+    MASS,
+    SETPOINT,
+    WN,
+    ZETA,
+)
 
-PLANTS = ("mass", "pendulum")
+PLANTS = (MASS, "pendulum")
 GRAVITY = 9.81
 _MOST_TICKS_OF_DELAY = 6
 # Logs that are few each begin where the fit puts them; of many, where they were measured.
@@ -43,12 +55,12 @@ FRICTION: dict[str, tuple[str, ...]] = {
 """Names of the numbers that each kind of friction leaves free."""
 
 _NEUTRAL: dict[str, float] = {
-    "inertia": 1.0, "gain": 1.0, "force_limit": 1e12, "viscous": 1e-12, "coulomb": 1e-12,
+    "inertia": 1.0, "gain": 1.0, FORCE_LIMIT: 1e12, "viscous": 1e-12, "coulomb": 1e-12,
     "viscous_asymmetry": 0.0, "coulomb_asymmetry": 0.0, "loaded": 0.0, "carried": 0.0,
     "stribeck": 0.0, "stribeck_speed": 1.0, "gravity": 0.0, "zero": 0.0, "offset": 0.0,
-    "kp": 1.0, "kd": 0.0, **NEUTRAL_DRIVE,
+    KP: 1.0, KD: 0.0, **NEUTRAL_DRIVE,
 }  # fmt: skip
-_POSITIVE = frozenset(("inertia", "viscous", "coulomb", "stribeck_speed", "wn", "zeta"))
+_POSITIVE = frozenset(("inertia", "viscous", "coulomb", "stribeck_speed", WN, ZETA))
 
 
 @dataclass(frozen=True)
@@ -72,7 +84,7 @@ class Simulate:
         }
         whole = {**values, **turned}
         if not self.sought_gains:
-            whole = {name: value for name, value in whole.items() if name not in ("kp", "kd")}
+            whole = {name: value for name, value in whole.items() if name not in (KP, KD)}
         return joint_motion.simulate(whole, recording, self.structure)
 
 
@@ -90,11 +102,11 @@ def family(logs: Sequence[Log], plant: str, control_rate: float | None = None) -
     for log in logs:
         if "position" not in log:
             raise UserError(f"{log.title}: has no position; a {plant} needs one")
-        if "setpoint" not in log and "command" not in log:
+        if SETPOINT not in log and "command" not in log:
             raise UserError(f"{log.title}: has neither setpoint nor command; map one of them")
     first = logs[0]
     known_gains = all(log.gains[0] is not None for log in logs)
-    closed = "setpoint" in first and (known_gains or "command" not in first)
+    closed = SETPOINT in first and (known_gains or "command" not in first)
     sought = closed and not known_gains
     ticks, _ = cut(first, control_rate)
     longest = _MOST_TICKS_OF_DELAY * ticks + 2
@@ -109,7 +121,7 @@ def family(logs: Sequence[Log], plant: str, control_rate: float | None = None) -
         inputs=context.inputs,
         simulate=Simulate(structure, sought),
         measured=lambda log: log["position"],
-        stimulus=lambda log: log["setpoint"] if closed else log["command"],
+        stimulus=lambda log: log[SETPOINT] if closed else log["command"],
         signal="position",
         unit=unit,
         nuisances=context.nuisances,
@@ -145,8 +157,8 @@ class _Context:
         found: dict[str, float] = {}
         if "inertia" in details:
             found["inertia"] = details["inertia"]
-        if self.structure.gravity and {"mass", "length"} <= set(details):
-            found["gravity"] = details["mass"] * GRAVITY * details["length"]
+        if self.structure.gravity and {MASS, "length"} <= set(details):
+            found["gravity"] = details[MASS] * GRAVITY * details["length"]
         return found
 
     def always(self) -> tuple[str, ...]:
@@ -155,7 +167,7 @@ class _Context:
         names = ["offset"] if not self.structure.gravity else ["zero"]
         if self.sought_gains:
             # Without a force in the log only ratios to the inertia can be known.
-            return (*names, "kp", "kd", *(("gravity",) if self.structure.gravity else ()))
+            return (*names, KP, KD, *(("gravity",) if self.structure.gravity else ()))
         if "inertia" not in known:
             names.append("inertia")
         if self.structure.gravity and "gravity" not in known:
@@ -207,8 +219,8 @@ class _Context:
             Unknown("offset", force, -size, size, (guess["offset"],)),
             Unknown("gravity", force, -10.0 * size, 10.0 * size, (guess["gravity"],)),
             Unknown("zero", "rad", -0.5, 0.5, (0.0,)),
-            Unknown("kp", "1/s^2", 1.0, 1e7, guess["kp"], positive=False),
-            Unknown("kd", "1/s", 0.0, 1e5, (guess["kd"],)),
+            Unknown(KP, "1/s^2", 1.0, 1e7, guess[KP], positive=False),
+            Unknown(KD, "1/s", 0.0, 1e5, (guess[KD],)),
             *drive_unknowns(logs, _MOST_TICKS_OF_DELAY),
         )  # fmt: skip
         return {unknown.name: unknown for unknown in sought}
@@ -223,8 +235,8 @@ class _Context:
             room = 0.05 * float(np.ptp(log["position"]))
             fast = max(float(np.max(np.abs(smooth_velocity(log)))), 1e-9)
             for name, value, reach, unit in (
-                ("initial_position", position, room, log.unit),
-                ("initial_velocity", velocity, fast, f"{log.unit}/s"),
+                (INITIAL_POSITION, position, room, log.unit),
+                (INITIAL_VELOCITY, velocity, fast, f"{log.unit}/s"),
             ):
                 found.append(
                     Unknown(f"{name}[{number}]", unit, value - reach, value + reach, (value,),
@@ -249,9 +261,9 @@ class _Context:
         position, velocity = beginning(log)
         return joint_motion.recording(
             log.time,
-            setpoint=log["setpoint"] if "setpoint" in log else zero,
+            setpoint=log[SETPOINT] if SETPOINT in log else zero,
             command=log["command"] if "command" in log else zero,
-            feedforward=log["feedforward"] if "feedforward" in log else zero,
+            feedforward=log[FEEDFORWARD] if FEEDFORWARD in log else zero,
             strength=strength,
             position=np.append(position, log["position"][1:]),
             velocity=velocity,
@@ -309,7 +321,7 @@ def _guess(logs: Sequence[Log], context: _Context) -> dict[str, Any]:
         "inertia": inertia, "viscous": scaled["viscous"], "coulomb": scaled["coulomb"],
         "offset": float(np.clip(scaled["offset"], -0.5 * gain * size, 0.5 * gain * size)),
         "gravity": scaled.get("gravity", 0.0), "gain": gain, "size": gain * size,
-        "speed": fastest, "kp": (30.0, 300.0, 3000.0), "kd": 20.0,
+        "speed": fastest, KP: (30.0, 300.0, 3000.0), KD: 20.0,
     }  # fmt: skip
 
 
@@ -320,9 +332,9 @@ def _force(log: Log, context: _Context) -> np.ndarray:
     kp, kd = (0.0 if gain is None else gain for gain in log.gains)
     if context.sought_gains:
         kp, kd = 300.0, 20.0
-    force = kp * (log["setpoint"] - log["position"]) - kd * inspection.velocity(log)
-    if "feedforward" in log:
-        force = force + log["feedforward"]
+    force = kp * (log[SETPOINT] - log["position"]) - kd * inspection.velocity(log)
+    if FEEDFORWARD in log:
+        force = force + log[FEEDFORWARD]
     limit = log.details.get("command_limit", math.inf)
     return np.clip(force, -limit, limit)
 

@@ -10,6 +10,7 @@ from jaxact.identification.inspection import Inspection
 from jaxact.identification.knowledge import Estimate
 from jaxact.identification.ladder import Candidate
 from jaxact.identification.log import Log
+from jaxact.parameters import DELAY, WN, ZETA
 
 if TYPE_CHECKING:
     from jaxact.identification.result import Identified
@@ -122,7 +123,7 @@ def combined(chosen: Candidate, log: Log) -> list[str]:
         f"{' and '.join(names)} cannot be told apart by these logs" for names in known.combinations
         if len(names) > 1
     ]  # fmt: skip
-    unsure = [e for e in known.estimates if e.name in ("delay", "wn", "zeta", "lag")
+    unsure = [e for e in known.estimates if e.name in (DELAY, WN, ZETA, "lag")
               and not e.identified]  # fmt: skip
     if unsure and known.lag is not None:
         value, deviation = known.lag
@@ -141,9 +142,9 @@ def unstable_delay(identified: Identified) -> list[str]:
     said: list[str] = []
     ladder = identified.ladder
     delays = {
-        one.rung.friction: one.knowledge["delay"]
+        one.rung.friction: one.knowledge[DELAY]
         for one in ladder.candidates
-        if one.rung.dynamics == "delay" and one.rung.friction
+        if one.rung.dynamics == DELAY and one.rung.friction
     }
     if len(delays) < 2:
         return said

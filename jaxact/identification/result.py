@@ -16,7 +16,19 @@ from jaxact.identification.model import effective_lag
 from jaxact.identification.verdict import Verdict
 from jaxact.loops.building import joint
 from jaxact.loops.control_loop import ControlLoop
-from jaxact.parameters import of
+from jaxact.parameters import (
+    CONTROL_RATE,
+    DELAY,
+    FORCE_LIMIT,
+    JOINT_DAMPING,
+    KD,
+    KP,
+    MASS,
+    POSITION_RESOLUTION,
+    WN,
+    ZETA,
+    of,
+)
 
 _MOST_TRIES = 50
 
@@ -89,28 +101,26 @@ class Identified:
     def _loop_values(self, numbers: dict[str, float]) -> dict[str, float]:
         log = self.ladder.fitted[0]
         values = {
-            "wn": min(numbers["wn"], of("wn").maximum)
-            if math.isfinite(numbers["wn"])
-            else math.inf,
-            "zeta": numbers["zeta"],
-            "delay": numbers["delay"],
+            WN: min(numbers[WN], of(WN).maximum) if math.isfinite(numbers[WN]) else math.inf,
+            ZETA: numbers[ZETA],
+            DELAY: numbers[DELAY],
         }
-        limit = numbers.get("force_limit", math.inf)
-        values["force_limit"] = math.inf if limit >= 1e12 else limit
+        limit = numbers.get(FORCE_LIMIT, math.inf)
+        values[FORCE_LIMIT] = math.inf if limit >= 1e12 else limit
         gain = abs(numbers.get("gain", 1.0))
         if self.plant != "none":
-            values["mass"] = numbers["inertia"]
-            values["joint_damping"] = numbers["viscous"]
+            values[MASS] = numbers["inertia"]
+            values[JOINT_DAMPING] = numbers["viscous"]
             kp, kd = log.gains
-            if kp is None and "kp" in self.chosen.rung.free:
-                kp, kd = numbers["kp"], numbers["kd"]
+            if kp is None and KP in self.chosen.rung.free:
+                kp, kd = numbers[KP], numbers[KD]
             if kp is not None:
-                values["kp"] = gain * kp
-                values["kd"] = gain * (kd or 0.0)
+                values[KP] = gain * kp
+                values[KD] = gain * (kd or 0.0)
         quanta = self.inspections[0].quanta
         if "position" in quanta:
-            values["position_resolution"] = quanta["position"]
-        values["control_rate"] = 1.0 / log.period
+            values[POSITION_RESOLUTION] = quanta["position"]
+        values[CONTROL_RATE] = 1.0 / log.period
         return values
 
     def document(self) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from jaxact.drive import actuator as _actuator
 from jaxact.identification.schedule import schedule
+from jaxact.parameters import DELAY, FORCE_LIMIT, WN, ZETA
 
 
 def simulate(
@@ -31,8 +32,8 @@ def simulate(
         [N or N m], shape (rows,). An ideal drive's force at a row is the one just after a command
         that arrives at that instant.
     """
-    plan = schedule(time, jnp.asarray(values["delay"], time.dtype))
-    wn, zeta = (jnp.asarray(values[name], time.dtype) for name in ("wn", "zeta"))
+    plan = schedule(time, jnp.asarray(values[DELAY], time.dtype))
+    wn, zeta = (jnp.asarray(values[name], time.dtype) for name in (WN, ZETA))
     # Before the first command arrives it acts already: of those before it nothing is known.
     inputs = values["gain"] * command[jnp.maximum(plan.held, 0)]
     free = jax.vmap(lambda length: _actuator.free_response(wn, zeta, length))(plan.length)
@@ -50,7 +51,7 @@ def simulate(
     start = jnp.asarray(values["initial_force"], time.dtype)
     _, forces = jax.lax.scan(advance, (start, jnp.zeros_like(start)), (free, inputs))
     followed = jnp.where(jnp.isinf(wn), inputs[_last_of_instant(plan)], forces[plan.row])
-    limit = values["force_limit"]
+    limit = values[FORCE_LIMIT]
     return jnp.clip(followed, -limit, limit) + values["offset"]
 
 

@@ -14,6 +14,7 @@ from jaxact.identification.inspection import excited_band
 from jaxact.identification.ladder import Candidate, Ladder
 from jaxact.identification.log import Log
 from jaxact.identification.model import Family, predicted
+from jaxact.parameters import DELAY, WN, ZETA
 
 # A share of amplitude in error up to which a model is usable at a frequency, and for being good.
 _USABLE = 0.35
@@ -87,13 +88,13 @@ def judge(ladder: Ladder) -> Verdict:
         reasons.append(f"it does not carry over: {own:.1f} % of the fitted logs is predicted")
     if correlated > _MOST_CORRELATED:
         reasons.append(f"its error follows the stimulus (correlation {correlated:.2f})")
-    bounds = [e.name for e in chosen.knowledge.estimates if e.at_bound and e.name != "delay"]
+    bounds = [e.name for e in chosen.knowledge.estimates if e.at_bound and e.name != DELAY]
     if bounds:
         reasons.append(f"{' and '.join(bounds)} at a bound")
     if ladder.kept_apart:
         reasons += _narrow(ladder)
     reasons += [f"{e.name} is not identified ({e.reason})" for e in chosen.knowledge.estimates
-                if not e.identified and e.name in ("delay", "wn", "zeta", "lag")]  # fmt: skip
+                if not e.identified and e.name in (DELAY, WN, ZETA, "lag")]  # fmt: skip
     if not reasons:
         level = Level.GOOD
     elif below is not None and score > _LEAST_SCORE:

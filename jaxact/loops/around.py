@@ -30,6 +30,7 @@ from jaxact.loops import loop as _loop
 from jaxact.loops.control_loop import ControlLoop, is_traced
 from jaxact.loops.conversion import drive_of
 from jaxact.loops.loop import Loop, LoopState, Output, Prepared
+from jaxact.parameters import GAIN_SCALE, KD, KP
 from jaxact.plants.linear import hermite
 
 Step = Callable[[Any, jax.Array], Any]
@@ -206,5 +207,5 @@ def _drive_in(loop: ControlLoop | Drive) -> Drive:
     if isinstance(loop, Drive):
         return loop
     values = loop.parameters
-    scale = values["gain_scale"]
-    return drive_of({**values, "kp": scale * values["kp"], "kd": scale * values["kd"]})
+    scale = values[GAIN_SCALE]
+    return drive_of({**values, KP: scale * values[KP], KD: scale * values[KD]})

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.parameters import PRESETS, check, check_actuator, of
+from jaxact.parameters import FEEDFORWARD, PRESETS, check, check_actuator, of
 
 # Values of an axis, and points drawn from ranges: they are kept in memory.
 MOST_SAMPLES = 10_000_000
@@ -78,7 +78,7 @@ class Axis:
         return {"min": self.low, "max": self.high, **number, "spacing": spacing}
 
 
-NO_AXIS = Axis("feedforward", listed=(0.0,))
+NO_AXIS = Axis(FEEDFORWARD, listed=(0.0,))
 """An axis that varies nothing: a specification must have one."""
 
 

@@ -18,7 +18,8 @@ from jaxact.loops.control_loop import ACTUATOR, ControlLoop, Kind, made, read, r
 from jaxact.loops.reading import explained, load
 from jaxact.loops.samples import expand
 from jaxact.loops.specification import Motion, Plant, Push, Specification
-from jaxact.parameters import INERTIA, UNITS
+from jaxact.parameters import INERTIA, WN, ZETA
+from jaxact.units import UNITS
 
 Velocity = Literal["sampled", "differenced"]
 _VELOCITIES = ("sampled", "differenced")
@@ -161,7 +162,7 @@ def loop_of(
     varied = {axis.name for axis in specification.axes if axis != NO_AXIS}
     given = {*specification.parameters, *varied}
     if ACTUATOR in given:
-        given |= {"wn", "zeta"}
+        given |= {WN, ZETA}
     values: dict[str, Any] = {
         name: array if array.size > 1 else float(array.item())
         for name, array in samples.along.items()

@@ -10,16 +10,36 @@ import numpy as np
 from jaxact.errors import UserError
 from jaxact.loops.axes import MOST_LOOPS, Axis
 from jaxact.loops.specification import Specification
-from jaxact.parameters import JOINT_ONLY, ROBOT_ONLY, base, of
+from jaxact.parameters import (
+    CONTROL_RATE,
+    DELAY,
+    JOINT_ONLY,
+    MEASUREMENT_DELAY,
+    NO_LOAD_SPEED,
+    OUTPUT_DELAY,
+    POLICY_RATE,
+    ROBOT_ONLY,
+    SETPOINT_DELAY,
+    STALL_FORCE,
+    VELOCITY_BIAS,
+    VELOCITY_BIAS_WALK,
+    VELOCITY_FILTER,
+    VELOCITY_NOISE,
+    VELOCITY_RESOLUTION,
+    WN,
+    ZETA,
+    base,
+    of,
+)
 
 SPRINGS_OF_MODEL = "a robot's springs are those of its model"
 # Longest history of a signal that a loop keeps, in control periods.
 LONGEST_HISTORY = 4096
-_DELAYS = ("delay", "output_delay", "measurement_delay", "setpoint_delay")
+_DELAYS = (DELAY, OUTPUT_DELAY, MEASUREMENT_DELAY, SETPOINT_DELAY)
 # The filter of the differenced velocity, and the sensor of the sampled one.
-_FILTER = "velocity_filter"
+_FILTER = VELOCITY_FILTER
 OF_VELOCITY = (
-    _FILTER, "velocity_resolution", "velocity_noise", "velocity_bias", "velocity_bias_walk",
+    _FILTER, VELOCITY_RESOLUTION, VELOCITY_NOISE, VELOCITY_BIAS, VELOCITY_BIAS_WALK,
 )  # fmt: skip
 # Most physics steps of one rollout.
 MOST_STEPS = 100_000_000
@@ -88,7 +108,7 @@ def _check_robot_only(specification: Specification, axes: dict[str, Axis]) -> No
 
 def _check_actuator(specification: Specification, axes: dict[str, Axis]) -> None:
     given = {*axes, *specification.parameters}
-    twice = [name for name in ("wn", "zeta") if name in given]
+    twice = [name for name in (WN, ZETA) if name in given]
     if "actuator" in given and twice:
         raise UserError(f"{twice[0]}: the actuator preset sets it already; remove one of the two")
 
@@ -98,8 +118,8 @@ def _check_torque_speed_line(specification: Specification, axes: dict[str, Axis]
         values = axes[name].ends if name in axes else (specification.nominal[name],) * 2
         return math.isinf(values[1])
 
-    if off("stall_force") != off("no_load_speed"):
-        missing = "stall_force" if off("stall_force") else "no_load_speed"
+    if off(STALL_FORCE) != off(NO_LOAD_SPEED):
+        missing = STALL_FORCE if off(STALL_FORCE) else NO_LOAD_SPEED
         raise UserError(
             f"{missing}: a torque-speed line needs stall_force and no_load_speed, both finite"
         )
@@ -140,9 +160,9 @@ def check_velocity(name: str, values: Iterable[float], key: str, *, differenced:
 
 def _rates(specification: Specification, axes: dict[str, Axis]) -> np.ndarray:
     """Control rates [Hz] that occur, the ends only where they are drawn from a range."""
-    if "control_rate" not in axes:
-        return np.array([specification.nominal["control_rate"]])
-    axis = axes["control_rate"]
+    if CONTROL_RATE not in axes:
+        return np.array([specification.nominal[CONTROL_RATE]])
+    axis = axes[CONTROL_RATE]
     engine = specification.simulator
     whatever = engine is not None and engine.exact and specification.physics_step is None
     if axis.sampled and not whatever:
@@ -155,14 +175,14 @@ def _rates(specification: Specification, axes: dict[str, Axis]) -> np.ndarray:
 
 def _check_policy(specification: Specification, axes: dict[str, Axis], rates: np.ndarray) -> None:
     """A policy ticks with the controller, every so many periods."""
-    policy = axes.get("policy_rate")
-    given = np.array([specification.nominal["policy_rate"]]) if policy is None else policy.values
+    policy = axes.get(POLICY_RATE)
+    given = np.array([specification.nominal[POLICY_RATE]]) if policy is None else policy.values
     if policy is not None and policy.sampled:
         raise UserError("axes.policy_rate: drawn from a range it divides no rate; give a list")
     slow = given[np.isfinite(given)]
     if not len(slow):
         return
-    if "control_rate" in axes and axes["control_rate"].sampled:
+    if CONTROL_RATE in axes and axes[CONTROL_RATE].sampled:
         raise UserError("axes.control_rate: drawn from a range, no policy_rate divides it")
     for rate in rates:
         for policy_rate in slow:
@@ -236,11 +256,11 @@ def check_history(values: Mapping[str, float], rate: float, where: str = "") -> 
     """
     longest = {name: values[name] for name in _DELAYS}
     # the command and the output delay are one line
-    longest["output_delay"] += longest["delay"]
+    longest[OUTPUT_DELAY] += longest[DELAY]
     most = LONGEST_HISTORY / rate
     for name, value in longest.items():
         if value > most * (1 + 1e-9):
-            words = "delay + output_delay" if name == "output_delay" else name
+            words = "delay + output_delay" if name == OUTPUT_DELAY else name
             raise UserError(
                 f"{where}{words} = {value:g}: a loop's history holds {LONGEST_HISTORY} control"
                 f" periods; allowed: up to {most:g} s at {rate:g} Hz"

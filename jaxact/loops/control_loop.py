@@ -25,9 +25,12 @@ from jaxact.loops.specification import Motion, Plant, Push, Specification
 from jaxact.parameters import (
     INERTIA,
     JOINT_ONLY,
+    MASS,
     PARAMETERS,
     PRESETS,
     ROBOT_ONLY,
+    WN,
+    ZETA,
     base,
     canonical,
     check,
@@ -38,7 +41,7 @@ from jaxact.parameters import (
 
 ACTUATOR = "actuator"
 """The name under which a preset sets wn and zeta."""
-_PRESET_SETS = ("wn", "zeta")
+_PRESET_SETS = (WN, ZETA)
 # Values of an array that a `repr` shows.
 _SHOWN = 5
 
@@ -247,8 +250,8 @@ def _preset(value: Any) -> dict[str, Any]:
         [PRESETS[check_actuator(name, "`actuator`")] for name in names.ravel().tolist()], float
     )
     if not names.ndim:
-        return {"wn": float(pairs[0, 0]), "zeta": float(pairs[0, 1])}
-    return {"wn": pairs[:, 0].reshape(names.shape), "zeta": pairs[:, 1].reshape(names.shape)}
+        return {WN: float(pairs[0, 0]), ZETA: float(pairs[0, 1])}
+    return {WN: pairs[:, 0].reshape(names.shape), ZETA: pairs[:, 1].reshape(names.shape)}
 
 
 def _checked(name: str, value: Any, *, robot: bool) -> Any:
@@ -300,7 +303,7 @@ def rotary(given: Iterable[str], unit: str | None) -> str:
     """
     if unit == "m":
         raise UserError('inertia: is that of a rotary joint; drop unit = "m", or give mass')
-    if any(name != INERTIA and canonical(name) == "mass" for name in given):
+    if any(name != INERTIA and canonical(name) == MASS for name in given):
         raise UserError("inertia: mass says the same of a joint that slides; give one of the two")
     return "rad"
 
@@ -308,7 +311,7 @@ def rotary(given: Iterable[str], unit: str | None) -> str:
 def _described(name: str, value: Any, own_unit: str | None, *, units: bool) -> str:
     parameter = of(name, own_unit)
     unit = parameter.unit if units or parameter.unit in ("s", "Hz", "rad/s") else "1"
-    name = INERTIA if own_unit == "rad" and name == "mass" else name
+    name = INERTIA if own_unit == "rad" and name == MASS else name
     if isinstance(value, jax.core.Tracer):
         shown_value = "traced"
     elif not np.ndim(value):

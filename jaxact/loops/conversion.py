@@ -27,10 +27,42 @@ from jaxact.loops.control_loop import ACTUATOR, ControlLoop, is_traced
 from jaxact.loops.reading import explained
 from jaxact.loops.samples import Coordinate, Samples
 from jaxact.loops.specification import Specification
-from jaxact.parameters import OF_JOINT, PRESETS, of
+from jaxact.parameters import (
+    COMMAND_RESOLUTION,
+    CONTROL_RATE,
+    DELAY,
+    FEEDFORWARD,
+    FORCE_LIMIT,
+    FORCE_RATE_LIMIT,
+    GAIN_SCALE,
+    KD,
+    KP,
+    MASS,
+    MEASUREMENT_DELAY,
+    NO_LOAD_SPEED,
+    OF_JOINT,
+    OUTPUT_DELAY,
+    POLICY_RATE,
+    POSITION_BIAS,
+    POSITION_BIAS_WALK,
+    POSITION_NOISE,
+    POSITION_RESOLUTION,
+    PRESETS,
+    SETPOINT_DELAY,
+    STALL_FORCE,
+    VELOCITY_BIAS,
+    VELOCITY_BIAS_WALK,
+    VELOCITY_FILTER,
+    VELOCITY_NOISE,
+    VELOCITY_RESOLUTION,
+    WN,
+    ZETA,
+    of,
+)
+from jaxact.plants import engines
 
 # Rates must each fit the physics step; of what else varies the ends say enough.
-_EACH_COUNTS = ("control_rate", "policy_rate")
+_EACH_COUNTS = (CONTROL_RATE, POLICY_RATE)
 _LOOP = {"long_name": "loop", "units": "1", "description": "Number of the loop."}
 
 
@@ -40,43 +72,43 @@ def total_delay(values: Mapping[str, Any]) -> Any:
     Args:
         values: parameters by short name, numbers or arrays.
     """
-    return values["delay"] + values["measurement_delay"] + values["output_delay"]
+    return values[DELAY] + values[MEASUREMENT_DELAY] + values[OUTPUT_DELAY]
 
 
 def drive_of(values: Mapping[str, Any]) -> Drive:
     """The drive with these parameters, by their short names; scalars or arrays alike."""
     return Drive(
         controller=Controller(
-            kp=values["kp"],
-            kd=values["kd"],
-            feedforward=values["feedforward"],
-            command_resolution=values["command_resolution"],
-            setpoint_delay=values["setpoint_delay"],
+            kp=values[KP],
+            kd=values[KD],
+            feedforward=values[FEEDFORWARD],
+            command_resolution=values[COMMAND_RESOLUTION],
+            setpoint_delay=values[SETPOINT_DELAY],
         ),
         actuator=Actuator(
-            natural_frequency=values["wn"],
-            damping_ratio=values["zeta"],
-            delay=values["delay"],
-            force_limit=values["force_limit"],
-            force_rate_limit=values["force_rate_limit"],
-            stall_force=values["stall_force"],
-            no_load_speed=values["no_load_speed"],
+            natural_frequency=values[WN],
+            damping_ratio=values[ZETA],
+            delay=values[DELAY],
+            force_limit=values[FORCE_LIMIT],
+            force_rate_limit=values[FORCE_RATE_LIMIT],
+            stall_force=values[STALL_FORCE],
+            no_load_speed=values[NO_LOAD_SPEED],
         ),
         sensor=Sensor(
-            delay=values["measurement_delay"],
-            position_resolution=values["position_resolution"],
-            velocity_resolution=values["velocity_resolution"],
-            position_noise=values["position_noise"],
-            velocity_noise=values["velocity_noise"],
-            position_bias=values["position_bias"],
-            velocity_bias=values["velocity_bias"],
-            position_bias_walk=values["position_bias_walk"],
-            velocity_bias_walk=values["velocity_bias_walk"],
-            velocity_filter=values["velocity_filter"],
+            delay=values[MEASUREMENT_DELAY],
+            position_resolution=values[POSITION_RESOLUTION],
+            velocity_resolution=values[VELOCITY_RESOLUTION],
+            position_noise=values[POSITION_NOISE],
+            velocity_noise=values[VELOCITY_NOISE],
+            position_bias=values[POSITION_BIAS],
+            velocity_bias=values[VELOCITY_BIAS],
+            position_bias_walk=values[POSITION_BIAS_WALK],
+            velocity_bias_walk=values[VELOCITY_BIAS_WALK],
+            velocity_filter=values[VELOCITY_FILTER],
         ),
-        output_delay=values["output_delay"],
-        control_period=1.0 / values["control_rate"],
-        policy_period=1.0 / values["policy_rate"],
+        output_delay=values[OUTPUT_DELAY],
+        control_period=1.0 / values[CONTROL_RATE],
+        policy_period=1.0 / values[POLICY_RATE],
     )
 
 
@@ -86,14 +118,14 @@ def continuous(values: Mapping[str, Any]) -> JointLoop:
     Args:
         values: parameters by short name, numbers or arrays that broadcast; may be traced.
     """
-    cutoff = values["velocity_filter"]
+    cutoff = values[VELOCITY_FILTER]
     unfiltered = not isinstance(cutoff, jax.core.Tracer) and bool(np.isinf(cutoff).all())
     return JointLoop(
-        kp=values["gain_scale"] * jnp.asarray(values["kp"], float),
-        kd=values["gain_scale"] * jnp.asarray(values["kd"], float),
-        mass=jnp.asarray(values["mass"], float),
-        natural_frequency=jnp.asarray(values["wn"], float),
-        damping_ratio=jnp.asarray(values["zeta"], float),
+        kp=values[GAIN_SCALE] * jnp.asarray(values[KP], float),
+        kd=values[GAIN_SCALE] * jnp.asarray(values[KD], float),
+        mass=jnp.asarray(values[MASS], float),
+        natural_frequency=jnp.asarray(values[WN], float),
+        damping_ratio=jnp.asarray(values[ZETA], float),
         delay=jnp.asarray(total_delay(values), float),
         velocity_filter=None if unfiltered else jnp.asarray(cutoff, float),
         **{name: jnp.asarray(values[name], float) for name in own_motion(values)},
@@ -128,8 +160,8 @@ def sampled(values: Mapping[str, Any], velocity: str) -> SampledLoop:
         natural_frequency=own.natural_frequency,
         damping_ratio=own.damping_ratio,
         delay=own.delay,
-        control_period=1.0 / jnp.asarray(values["control_rate"], float),
-        velocity_filter=jnp.asarray(values["velocity_filter"], float),
+        control_period=1.0 / jnp.asarray(values[CONTROL_RATE], float),
+        velocity_filter=jnp.asarray(values[VELOCITY_FILTER], float),
         velocity=velocity,
         joint_damping=own.joint_damping,
         joint_stiffness=own.joint_stiffness,
@@ -152,7 +184,7 @@ def specification(loop: ControlLoop, **options: Any) -> Specification:
         raise TypeError("a simulation of this kind cannot be traced; call it outside jit and grad")
     fixed = {name: float(v) for name, v in loop.values.items() if not np.ndim(v)}
     axes = tuple(_axis(name, np.asarray(v)) for name, v in loop.values.items() if np.ndim(v))
-    options.setdefault("engine", "mass" if loop.kind.plant is None else "auto")
+    options.setdefault("engine", engines.MASS.name if loop.kind.plant is None else "auto")
     return described(**loop.kind.specified, **options, parameters=fixed, axes=axes or (NO_AXIS,))
 
 
@@ -163,7 +195,7 @@ def linear_specification(loop: ControlLoop, **options: Any) -> Specification:
     """
     still = dataclasses.replace(loop.kind, motion=None, push=None)
     loop = dataclasses.replace(loop, kind=still)
-    rates = loop.parameters["control_rate"]
+    rates = loop.parameters[CONTROL_RATE]
     slowest = 1.0 if is_traced(loop) else float(np.min(rates))
     return specification(loop, duration=checks.shortest_duration(slowest), **options)
 
@@ -221,7 +253,7 @@ def _dimensions(
     dims: list[str] = []
     for axis in range(len(shape)):
         along = [name for name, axes in varied.items() if axes == [axis]]
-        if preset is not None and sorted(along) == ["wn", "zeta"]:
+        if preset is not None and sorted(along) == [WN, ZETA]:
             along = [ACTUATOR]
         alone = len(along) == 1 and not any(axis in axes for name, axes in varied.items()
                                             if len(axes) > 1)  # fmt: skip
@@ -245,16 +277,16 @@ def preset_axis(arrays: Mapping[str, np.ndarray]) -> np.ndarray | None:
     Args:
         arrays: parameters by short name.
     """
-    if not {"wn", "zeta"} <= set(arrays) or arrays["wn"].size < 2:
+    if not {WN, ZETA} <= set(arrays) or arrays[WN].size < 2:
         return None
-    if arrays["wn"].shape != arrays["zeta"].shape:
+    if arrays[WN].shape != arrays[ZETA].shape:
         return None
-    pairs = list(zip(arrays["wn"].ravel().tolist(), arrays["zeta"].ravel().tolist(), strict=True))
+    pairs = list(zip(arrays[WN].ravel().tolist(), arrays[ZETA].ravel().tolist(), strict=True))
     names = {pair: name for name, pair in PRESETS.items()}
     if any(pair not in names for pair in pairs):
         return None
     found = np.array([names[pair] for pair in pairs], dtype=object)
-    return found.reshape(arrays["wn"].shape)
+    return found.reshape(arrays[WN].shape)
 
 
 def one(loop: ControlLoop) -> dict[str, float]:

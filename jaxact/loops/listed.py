@@ -12,9 +12,9 @@ import numpy as np
 from jaxact.errors import UserError, shown
 from jaxact.loops.checks import check_history
 from jaxact.loops.control_loop import read
-from jaxact.parameters import PARAMETERS
+from jaxact.parameters import CONTROL_RATE, PARAMETERS
 
-_RATE = "control_rate"
+_RATE = CONTROL_RATE
 
 
 def rows(path: Path) -> list[dict[str, Any]] | None:

@@ -18,7 +18,18 @@ import numpy as np
 from jaxact import files
 from jaxact.errors import UserError, nearest
 from jaxact.loops.specification import Plant
-from jaxact.parameters import OF_MODEL, PARAMETERS, base
+from jaxact.parameters import (
+    DELAY,
+    FORCE_LIMIT,
+    KD,
+    KP,
+    OF_MODEL,
+    PARAMETERS,
+    SETPOINT_DELAY,
+    WN,
+    ZETA,
+    base,
+)
 from jaxact.robots import friction as _friction
 from jaxact.robots import model as _model
 from jaxact.robots import posture as _posture
@@ -26,12 +37,12 @@ from jaxact.robots.model import Robot
 from jaxact.robots.posture import Posture
 
 _BROUGHT = {
-    "kp": "kp",
-    "kd": "kd",
-    "wn": "natural_frequency",
-    "zeta": "damping_ratio",
-    "delay": "delay",
-    "setpoint_delay": "setpoint_delay",
+    KP: KP,
+    KD: KD,
+    WN: "natural_frequency",
+    ZETA: "damping_ratio",
+    DELAY: DELAY,
+    SETPOINT_DELAY: SETPOINT_DELAY,
 }
 
 
@@ -212,7 +223,7 @@ def brought(scene: Scene) -> dict[str, np.ndarray]:
     """What the model brings of the drive's parameters, shape (joints,); NaN where nothing."""
     found = {}
     for name in OF_MODEL:
-        if name == "force_limit":
+        if name == FORCE_LIMIT:
             limits = [
                 joint.force_high if joint.force_high == -joint.force_low else np.inf
                 for joint in scene.robot.joints
@@ -220,7 +231,7 @@ def brought(scene: Scene) -> dict[str, np.ndarray]:
             found[name] = np.array(limits, float)
             continue
         own = np.array([getattr(joint, _BROUGHT[name]) for joint in scene.robot.joints], float)
-        if name not in ("kp", "kd"):
+        if name not in (KP, KD):
             own = np.where(np.isnan(own), PARAMETERS[name].default, own)
         found[name] = own
     return found
@@ -237,7 +248,7 @@ def check(scene: Scene, keys: Sequence[str], given: set[str]) -> None:
     Raises:
         UserError: otherwise.
     """
-    covered = {name: np.zeros(len(scene.labels), bool) for name in ("kp", "kd")}
+    covered = {name: np.zeros(len(scene.labels), bool) for name in (KP, KD)}
     for key in keys:
         which = matched(scene, key)
         if base(key) in covered:

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxact.loops.axes import Axis
 from jaxact.loops.specification import Sampling, Specification
-from jaxact.parameters import PARAMETERS, PRESETS, of
+from jaxact.parameters import PARAMETERS, PRESETS, WN, ZETA, of
 
 SAMPLE = "sample"
 _ACTUATOR = {"long_name": "actuator", "description": "Actuator preset, which sets wn and zeta."}
@@ -138,8 +138,8 @@ def _along(
     wn, zeta = np.array([PRESETS[str(name)] for name in values]).T
     return {
         "actuator": Coordinate(dims, values, _ACTUATOR),
-        "wn": Coordinate(dims, wn, PARAMETERS["wn"].attributes),
-        "zeta": Coordinate(dims, zeta, PARAMETERS["zeta"].attributes),
+        WN: Coordinate(dims, wn, PARAMETERS[WN].attributes),
+        ZETA: Coordinate(dims, zeta, PARAMETERS[ZETA].attributes),
     }
 
 

@@ -29,7 +29,7 @@ from pydantic.dataclasses import dataclass
 
 from jaxact.loops import toml
 from jaxact.loops.axes import MOST_SAMPLES, Axis
-from jaxact.parameters import OF_MODEL, OF_ROBOTS, PARAMETERS, PRESETS
+from jaxact.parameters import OF_MODEL, OF_ROBOTS, PARAMETERS, PRESETS, WN, ZETA
 from jaxact.plants.engines import Engine, known
 
 _STRICT = ConfigDict(extra="forbid", strict=True)
@@ -201,7 +201,7 @@ class Specification:
         values |= {axis.name: math.nan for axis in self.axes if "@" in axis.name}
         for name, value in self.parameters.items():
             if isinstance(value, str):
-                values["wn"], values["zeta"] = PRESETS[value]
+                values[WN], values[ZETA] = PRESETS[value]
             else:
                 values[name] = value
         return values

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxact.loops.specification import Setting
+from jaxact.parameters import JOINT_FRICTION
 from jaxact.plants.engines import Engine
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ def _placed(setting: Setting, scene: Scene, varied: tuple[str, ...], impl: str) 
         scene.robot,
         scene.posture,
         payload_body=scene.payload_body,
-        dry_friction="joint_friction" in varied,
+        dry_friction=JOINT_FRICTION in varied,
         impl=impl,
     )
     plant = replace(plant, corrected=setting.corrected)

@@ -160,9 +160,5 @@ class SprungMass:
         return moved(force.partial_motion, before)
 
 
-for _class, _fields in (
-    (Mass, ["mass", "damping", "stiffness"]),
-    (SprungMass, ["joint"]),
-    (SteppedMass, ["step", "mean_gain", "moment_gain", "compliance"]),
-):
-    jax.tree_util.register_dataclass(_class, data_fields=_fields, meta_fields=[])
+for _class in (Mass, SprungMass, SteppedMass):
+    jax.tree_util.register_dataclass(_class)

@@ -14,14 +14,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact.parameters import (
+    CONTACT_FRICTION,
+    INERTIA_SCALE,
+    JOINT_ARMATURE,
+    JOINT_DAMPING,
+    JOINT_FRICTION,
+    JOINT_STIFFNESS,
+    PAYLOAD,
+)
+
 NEUTRAL = {
-    "payload": 0.0,
-    "inertia_scale": 1.0,
-    "joint_damping": 0.0,
-    "joint_stiffness": 0.0,
-    "joint_armature": 0.0,
-    "joint_friction": 0.0,
-    "contact_friction": 1.0,
+    PAYLOAD: 0.0,
+    INERTIA_SCALE: 1.0,
+    JOINT_DAMPING: 0.0,
+    JOINT_STIFFNESS: 0.0,
+    JOINT_ARMATURE: 0.0,
+    JOINT_FRICTION: 0.0,
+    CONTACT_FRICTION: 1.0,
 }
 """The value of each change that changes nothing."""
 
@@ -92,10 +102,10 @@ def changed(
         new["body_subtreemass"] = model.body_subtreemass + above @ (mass - before)
     joints = np.asarray(model.dof_jntid)[at]
     for name, field, where in (
-        ("joint_damping", "dof_damping", at),
-        ("joint_stiffness", "jnt_stiffness", joints),
-        ("joint_armature", "dof_armature", at),
-        ("joint_friction", "dof_frictionloss", at),
+        (JOINT_DAMPING, "dof_damping", at),
+        (JOINT_STIFFNESS, "jnt_stiffness", joints),
+        (JOINT_ARMATURE, "dof_armature", at),
+        (JOINT_FRICTION, "dof_frictionloss", at),
     ):
         added = getattr(variation, name)
         if added is not None:

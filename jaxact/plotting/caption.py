@@ -9,7 +9,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from jaxact.parameters import OF_JOINT, mass_word, of
+from jaxact.parameters import (
+    COMMAND_RESOLUTION,
+    CONTROL_RATE,
+    FORCE_LIMIT,
+    FORCE_RATE_LIMIT,
+    GAIN_SCALE,
+    KD,
+    KP,
+    MASS,
+    OF_JOINT,
+    POSITION_BIAS_WALK,
+    POSITION_NOISE,
+    POSITION_RESOLUTION,
+    STALL_FORCE,
+    VELOCITY_BIAS_WALK,
+    VELOCITY_FILTER,
+    VELOCITY_NOISE,
+    VELOCITY_RESOLUTION,
+    mass_word,
+    of,
+)
 from jaxact.plants import engines
 from jaxact.plotting import wording
 from jaxact.status import Verdict
@@ -19,16 +39,16 @@ if TYPE_CHECKING:
 
 # Where any of these is active the loop is not linear: parameter, and its value when it is off.
 _NONLINEAR = {
-    "position_resolution": 0.0,
-    "velocity_resolution": 0.0,
-    "command_resolution": 0.0,
-    "position_noise": 0.0,
-    "velocity_noise": 0.0,
-    "position_bias_walk": 0.0,
-    "velocity_bias_walk": 0.0,
-    "force_limit": math.inf,
-    "force_rate_limit": math.inf,
-    "stall_force": math.inf,
+    POSITION_RESOLUTION: 0.0,
+    VELOCITY_RESOLUTION: 0.0,
+    COMMAND_RESOLUTION: 0.0,
+    POSITION_NOISE: 0.0,
+    VELOCITY_NOISE: 0.0,
+    POSITION_BIAS_WALK: 0.0,
+    VELOCITY_BIAS_WALK: 0.0,
+    FORCE_LIMIT: math.inf,
+    FORCE_RATE_LIMIT: math.inf,
+    STALL_FORCE: math.inf,
 }
 
 
@@ -42,7 +62,7 @@ def simulated(results: xr.Dataset) -> str:
     engine = _engine(specification["engine"])
     if "plant" in specification:
         engine += f" with {specification['plant']['model']}"
-    rates = np.unique(_parameter(results, "control_rate"))
+    rates = np.unique(_parameter(results, CONTROL_RATE))
     rate = wording.quantity(rates[0], "Hz") if len(rates) == 1 else f"{len(rates)} rates"
     words = [
         f"Simulated: {engine}",
@@ -73,10 +93,10 @@ def exact(results: xr.Dataset) -> str:
     specification = json.loads(results.attrs["specification"])
     words = [f"Exact margins, {results.attrs['margins']}"]
     if results.attrs["margins"] == "sampled":
-        rates = np.unique(_parameter(results, "control_rate"))
+        rates = np.unique(_parameter(results, CONTROL_RATE))
         rate = wording.quantity(rates[0], "Hz") if len(rates) == 1 else f"{len(rates)} rates"
         words += [f"control at {rate}", f"{specification['velocity']} velocity"]
-    cutoffs = np.unique(_parameter(results, "velocity_filter"))
+    cutoffs = np.unique(_parameter(results, VELOCITY_FILTER))
     if len(cutoffs) == 1 and np.isfinite(cutoffs[0]):
         words.append(f"velocity filtered at {wording.quantity(cutoffs[0], 'rad/s')}")
     return ", ".join([*words, f"{results['verdict'].size:,} loops"]) + "."
@@ -133,21 +153,21 @@ def loop(
         unit: of the joint's position.
     """
     engine = _engine(str(static["engine"]))
-    rate = wording.quantity(values["control_rate"], "Hz")
+    rate = wording.quantity(values[CONTROL_RATE], "Hz")
     gains = ", ".join(
         f"{words} {values[name]:g} {of(name, unit).unit}"
-        for name, words in (("kp", "kp"), ("kd", "kd"), ("mass", mass_word(unit)))
+        for name, words in ((KP, KP), (KD, KD), (MASS, mass_word(unit)))
     )
     for name in OF_JOINT:
         if values.get(name, 0.0) != 0.0:
             gains += f", {name.replace('_', ' ')} {values[name]:g} {of(name, unit).unit}"
     if static.get("plant") is not None:
-        gains = f"kp {_own(values['kp'], 'N m/rad')}, kd {_own(values['kd'], 'N m s/rad')}"
-    if values["gain_scale"] != 1.0:
-        gains = f"{values['gain_scale']:g} times {gains}"
+        gains = f"kp {_own(values[KP], 'N m/rad')}, kd {_own(values[KD], 'N m s/rad')}"
+    if values[GAIN_SCALE] != 1.0:
+        gains = f"{values[GAIN_SCALE]:g} times {gains}"
     asked = f"{gains}; {engine}, control at {rate}, {static['velocity']} velocity"
-    if static["velocity"] == "differenced" and math.isfinite(values["velocity_filter"]):
-        asked += f" filtered at {wording.quantity(values['velocity_filter'], 'rad/s')}"
+    if static["velocity"] == "differenced" and math.isfinite(values[VELOCITY_FILTER]):
+        asked += f" filtered at {wording.quantity(values[VELOCITY_FILTER], 'rad/s')}"
     force = "N m" if unit == "rad" else "N"
     for name, own in (("position", unit), ("velocity", f"{unit}/s"), ("command", force)):
         step = values.get(f"{name}_resolution", 0.0)

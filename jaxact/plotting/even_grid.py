@@ -8,6 +8,8 @@ import json
 import numpy as np
 import xarray as xr
 
+from jaxact.parameters import WN, ZETA
+
 # Cells of the grid along an axis, by the number of refined axes.
 _CELLS = {1: 1024, 2: 320, 3: 48}
 
@@ -99,7 +101,6 @@ def _with_servo(grid: xr.Dataset, results: xr.Dataset) -> xr.Dataset:
     names = results["actuator"].values
     first = [int(np.flatnonzero(names == name)[0]) for name in grid["actuator"].values]
     servo = {
-        name: ("actuator", results[name].values[first], results[name].attrs)
-        for name in ("wn", "zeta")
+        name: ("actuator", results[name].values[first], results[name].attrs) for name in (WN, ZETA)
     }
     return grid.assign_coords(servo)

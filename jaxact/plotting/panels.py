@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from jaxact.errors import UserError, nearest
+from jaxact.parameters import KD, KP, WN, ZETA
 from jaxact.plotting import wording
 
 Kind = Literal["map", "scatter", "lines"]
@@ -268,7 +269,7 @@ def _axes(
     free = [name for name in many if name not in (x, y, *facet)]
     free.sort(key=lambda name: name not in preferred)
     numeric = [name for name in free if _scale(_distinct(swept[name])) != "category"]
-    gains = [name for name in ("kp", "kd") if name in numeric]
+    gains = [name for name in (KP, KD) if name in numeric]
     queue = gains + [name for name in numeric if name not in gains]
     queue += [name for name in free if name not in queue]
     if x is None:
@@ -364,6 +365,6 @@ def _caption(facet: Axis, value: object, part: xr.Dataset) -> str:
     if facet.name != "actuator":
         return f"{facet.name.replace('_', ' ')} {wording.quantity(value, facet.units)}"
     text = wording.display_name(value)
-    if "wn" in part.coords and part["wn"].size == 1 and np.isfinite(part["wn"].item()):
-        text += f" ({part['wn'].item():.4g} rad/s, ζ {part['zeta'].item():.3g})"
+    if WN in part.coords and part[WN].size == 1 and np.isfinite(part[WN].item()):
+        text += f" ({part[WN].item():.4g} rad/s, ζ {part[ZETA].item():.3g})"
     return text

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from jaxact.parameters import KD, KP
 from jaxact.plotting import theme, ticks
 from jaxact.plotting.page import page
 from jaxact.plotting.tuning import AFTER, BEFORE
@@ -63,7 +64,7 @@ def draw(
 ) -> list[Artist]:
     """As `gains`, on given axes: of kp, and of kd. Returns a legend."""
     places = np.arange(len(names))
-    for row, (panel, symbol) in enumerate(zip(axes, ("kp", "kd"), strict=True)):
+    for row, (panel, symbol) in enumerate(zip(axes, (KP, KD), strict=True)):
         given = [] if before is None else [before[row]]
         low, high = limits(np.concatenate([after[row], *given, ends[:, row].ravel()]))
         panel.set_yscale("log")

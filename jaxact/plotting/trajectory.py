@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from jaxact.parameters import SETPOINT
 from jaxact.plotting import theme, wording
 from jaxact.plotting.axis_spans import note as at_rest
 from jaxact.plotting.axis_spans import spans, widen
@@ -88,7 +89,7 @@ def draw(
     run = replace(run, **{item.name: getattr(run, item.name)[:kept] for item in fields(run)})
     top, middle, bottom = axes
     time, label = seconds_or_milliseconds(run.time)
-    top.plot(time, run.setpoint, "--", color=theme.INK, linewidth=1.1, label="setpoint")
+    top.plot(time, run.setpoint, "--", color=theme.INK, linewidth=1.1, label=SETPOINT)
     top.plot(time, run.position, color=theme.BLUE, label="position")
     top.set_ylabel(f"position [{length}]")
     middle.plot(time, run.velocity, color=theme.BLUE)

@@ -17,6 +17,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 from scipy.ndimage import distance_transform_edt
 
 from jaxact.analysis.boundary.curves import BoundaryCurve
+from jaxact.parameters import KD, KP
 from jaxact.plotting import theme, ticks, wording
 from jaxact.plotting.page import page
 from jaxact.plotting.tuning import BEFORE, star
@@ -160,8 +161,8 @@ def _deepest(mask: np.ndarray) -> tuple[int, int]:
 def _dress(axes: Axes, plane: Plane) -> None:
     axes.set_xlim(plane.kp[0], plane.kp[-1])
     axes.set_ylim(plane.kd[0], plane.kd[-1])
-    axes.set_xlabel(wording.axis_label("kp", plane.units[0], "stiffness"))
-    axes.set_ylabel(wording.axis_label("kd", plane.units[1], "damping"))
+    axes.set_xlabel(wording.axis_label(KP, plane.units[0], "stiffness"))
+    axes.set_ylabel(wording.axis_label(KD, plane.units[1], "damping"))
     ticks.label(axes.xaxis)
     ticks.label(axes.yaxis)
 

@@ -20,11 +20,12 @@ from jaxact.errors import UserError
 from jaxact.loops import robots
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Plant, Specification
+from jaxact.parameters import CONTROL_RATE
 from jaxact.robot_margins import whole_robot
 from jaxact.robots import friction, mounting
 from jaxact.robots.robot import Joint, Robot
 
-CONTROL_RATE = 1000.0
+USUAL_CONTROL_RATE = 1000.0
 """At which a robot is looked at where nothing else is asked [Hz]."""
 
 
@@ -96,7 +97,7 @@ def brings_gains(robot: Robot) -> bool:
     )
 
 
-def loop(plant: Plant, control_rate: float = CONTROL_RATE) -> Loop:
+def loop(plant: Plant, control_rate: float = USUAL_CONTROL_RATE) -> Loop:
     """The loop of the gains that the model brings.
 
     Args:
@@ -110,7 +111,7 @@ def loop(plant: Plant, control_rate: float = CONTROL_RATE) -> Loop:
     specification = Specification(
         engine="mujoco",
         plant=plant,
-        parameters={"control_rate": parameters.check("control_rate", control_rate)},
+        parameters={CONTROL_RATE: parameters.check(CONTROL_RATE, control_rate)},
         integrator_correction=model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4,
     )
     along = {name: np.array([value]) for name, value in specification.nominal.items()}
@@ -119,7 +120,7 @@ def loop(plant: Plant, control_rate: float = CONTROL_RATE) -> Loop:
     return Loop(found.delay_borne, found.robot.names)
 
 
-def on_stand(plant: Plant, robot: Robot, control_rate: float = CONTROL_RATE) -> OnStand:
+def on_stand(plant: Plant, robot: Robot, control_rate: float = USUAL_CONTROL_RATE) -> OnStand:
     """What the gains that the model brings bear.
 
     Args:

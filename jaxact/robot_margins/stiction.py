@@ -21,6 +21,21 @@ from jaxact.loops import robots
 from jaxact.loops.robots import Scene
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
+from jaxact.parameters import (
+    COMMAND_RESOLUTION,
+    INITIAL_POSITION,
+    INITIAL_VELOCITY,
+    JOINT_FRICTION,
+    POSITION_BIAS,
+    POSITION_BIAS_WALK,
+    POSITION_NOISE,
+    POSITION_RESOLUTION,
+    SETPOINT,
+    VELOCITY_BIAS,
+    VELOCITY_BIAS_WALK,
+    VELOCITY_NOISE,
+    VELOCITY_RESOLUTION,
+)
 from jaxact.plants.mujoco import JointPush
 from jaxact.robot_margins import whole_robot
 from jaxact.robot_margins.whole_robot import WholeRobot
@@ -46,9 +61,9 @@ _OUT_OF_RANGE = 100.0
 _LASTING, _TURNS, _REST = 0.95, 3, 1e-6
 # What is left out of a simulation that is about friction.
 _ERRORS = (
-    "position_resolution", "velocity_resolution", "command_resolution", "position_noise",
-    "velocity_noise", "position_bias", "velocity_bias", "position_bias_walk",
-    "velocity_bias_walk", "setpoint", "initial_position", "initial_velocity",
+    POSITION_RESOLUTION, VELOCITY_RESOLUTION, COMMAND_RESOLUTION, POSITION_NOISE,
+    VELOCITY_NOISE, POSITION_BIAS, VELOCITY_BIAS, POSITION_BIAS_WALK,
+    VELOCITY_BIAS_WALK, SETPOINT, INITIAL_POSITION, INITIAL_VELOCITY,
 )  # fmt: skip
 
 
@@ -188,13 +203,13 @@ def _rubs(scene: Scene, values: Mapping[str, float]) -> bool:
 
 def _added(values: Mapping[str, float]) -> list[float]:
     """Dry friction that the parameters add to joints [N or N m]."""
-    own = [value for key, value in values.items() if key.partition("@")[0] == "joint_friction"]
+    own = [value for key, value in values.items() if key.partition("@")[0] == JOINT_FRICTION]
     return np.nan_to_num(own).tolist()
 
 
 def _at_joint(scene: Scene, values: Mapping[str, float], place: int) -> float:
     """Dry friction of a driven joint [N or N m], with what the parameters add for all joints."""
-    return float(_friction.at_joints(scene.robot)[place]) + float(values["joint_friction"])
+    return float(_friction.at_joints(scene.robot)[place]) + float(values[JOINT_FRICTION])
 
 
 def _largest(scene: Scene, values: Mapping[str, float]) -> float:

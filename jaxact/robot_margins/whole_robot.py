@@ -20,6 +20,7 @@ from jaxact.loops.robots import Scene
 from jaxact.loops.samples import Samples, expand
 from jaxact.loops.specification import Setting, Specification
 from jaxact.loops.template import Template
+from jaxact.parameters import CONTROL_RATE, JOINT_FRICTION
 from jaxact.plants.engines import MUJOCO
 from jaxact.robots import friction, mounting
 from jaxact.simulation import engines, kernel, mujoco_batch, plans, robot_loop
@@ -127,7 +128,7 @@ def _left_out(setting: Setting, scene: Scene, values: dict[str, float]) -> float
     """Dry friction that is not in the linear plant [N or N m]; see `jaxact.robots.friction`."""
     if setting.plant is None or setting.plant.friction == "stuck":
         return 0.0
-    added = [value for key, value in values.items() if key.partition("@")[0] == "joint_friction"]
+    added = [value for key, value in values.items() if key.partition("@")[0] == JOINT_FRICTION]
     return friction.largest(scene.robot.model) + float(np.max(np.nan_to_num(added), initial=0.0))
 
 
@@ -154,7 +155,7 @@ def _one(
         velocities=found.velocities,
         inertias=inertias,
         names=scene.labels,
-        period=1.0 / values["control_rate"],
+        period=1.0 / values[CONTROL_RATE],
         later_by=matrices,
         delay=float(delay.min()),
     )

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
+from jaxact.parameters import DELAY
 from jaxact.robots import (
     actuators,
     assets,
@@ -339,7 +340,7 @@ def _lifted(model: mujoco.MjModel, driven: Driven) -> list[Finding]:
         advice = f"the drive's {which} is {law.delay:g} s"
         if abs(law.delay - given) > 1e-9:
             advice += f", which MuJoCo makes of {given:g} s in whole steps and its buffer"
-        findings.append(Finding(where, "delay", f"{given:g} s", "ignores it", LIFTED, advice))
+        findings.append(Finding(where, DELAY, f"{given:g} s", "ignores it", LIFTED, advice))
     if law.integrated:
         findings.append(
             Finding(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from jaxact.parameters import DELAY
 from jaxact.robots.findings import EMULATED, HARMLESS, MJX, REFUSED, WARP, Finding, named
 
 Places = Iterable[tuple[str, str]]
@@ -220,7 +221,7 @@ CLAIMS = (
           _IGNORES, REFUSED, f"give one damping only, {_MUJOCO_CAN}"),
     Claim(ACTUATOR_TYPE, _undriven(unknown_to_mjx), _NOT_AT_ALL, REFUSED,
           f"this undriven actuator has no counterpart in MJX; remove it, {_MUJOCO_CAN}", _BOTH),
-    Claim("delay", _undriven(_delayed), _IGNORES, HARMLESS,
+    Claim(DELAY, _undriven(_delayed), _IGNORES, HARMLESS,
           "undriven: its control is constant, so a delay of it changes nothing"),
     Claim("actearly", _undriven(lambda model, i: bool(model.actuator_actearly[i])), _IGNORES,
           HARMLESS, "undriven: its force comes one physics step later, in every engine"),

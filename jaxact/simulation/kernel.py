@@ -23,7 +23,18 @@ from jaxact.loops.conversion import drive_of
 from jaxact.loops.loop import Loop, LoopState, Prepared
 from jaxact.loops.specification import Setting
 from jaxact.loops.template import Template
-from jaxact.parameters import OF_JOINT
+from jaxact.parameters import (
+    CONTROL_RATE,
+    GAIN_SCALE,
+    INITIAL_POSITION,
+    INITIAL_VELOCITY,
+    JOINT_FRICTION,
+    KD,
+    KP,
+    MASS,
+    OF_JOINT,
+    SETPOINT,
+)
 from jaxact.plants.engines import Engine
 from jaxact.plants.mass import Mass
 from jaxact.simulation import metrics as _metrics
@@ -119,7 +130,7 @@ def rubs(setting: Setting, along: Mapping[str, np.ndarray]) -> bool:
 
     model = robots.scene(setting.plant).robot.model
     own = [model.dof_frictionloss, model.tendon_frictionloss]
-    own += [value for key, value in along.items() if key.partition("@")[0] == "joint_friction"]
+    own += [value for key, value in along.items() if key.partition("@")[0] == JOINT_FRICTION]
     return any(bool(np.any(np.nan_to_num(part) > 0.0)) for part in own)
 
 
@@ -147,16 +158,16 @@ def resolved(template: Template, values: Values) -> Values:
         from jaxact.loops import robots
 
         values = robots.each_joint(values, template.defaults, template.masks)
-    scale = values["gain_scale"]
-    return {**values, "kp": scale * values["kp"], "kd": scale * values["kd"]}
+    scale = values[GAIN_SCALE]
+    return {**values, KP: scale * values[KP], KD: scale * values[KD]}
 
 
 def _plant_of(case: Case, template: Template, values: Values) -> Any:
     """The plant with the sample's own parameters filled in."""
     if case.engine.exact:
         own = (values[name] if name in case.varied else None for name in OF_JOINT)
-        return Mass(values["mass"], *own)
-    plant = template.plant.with_mass(values["mass"]) if case.own_mass else template.plant
+        return Mass(values[MASS], *own)
+    plant = template.plant.with_mass(values[MASS]) if case.own_mass else template.plant
     if not case.varied:
         return plant
     from jaxact.plants.variation import Variation
@@ -187,11 +198,11 @@ def begun(
     state = _loop.init(
         prepared,
         case.drive,
-        rest + values["initial_position"],
-        values["initial_velocity"],
+        rest + values[INITIAL_POSITION],
+        values[INITIAL_VELOCITY],
         command=force,
     )
-    return prepared, state, Setpoint(rest + values["setpoint"], force=force)
+    return prepared, state, Setpoint(rest + values[SETPOINT], force=force)
 
 
 def setpoints(template: Template, values: Values, ticks: int) -> Setpoint | None:
@@ -199,13 +210,13 @@ def setpoints(template: Template, values: Values, ticks: int) -> Setpoint | None
     if template.profile is None and template.track is None:
         return None
     values = resolved(template, values)
-    rest = jnp.asarray(template.position, values["setpoint"].dtype)
+    rest = jnp.asarray(template.position, values[SETPOINT].dtype)
     shape = (ticks, *rest.shape)
     if template.track is not None:
         moved = jnp.asarray(template.track, rest.dtype).reshape(shape)
     else:
         over_time = jnp.asarray(template.profile, rest.dtype).reshape((ticks, *(1,) * rest.ndim))
-        moved = over_time * jnp.broadcast_to(values["setpoint"], rest.shape)[None]
+        moved = over_time * jnp.broadcast_to(values[SETPOINT], rest.shape)[None]
     zero, force = jnp.zeros(shape, rest.dtype), jnp.asarray(template.force, rest.dtype)
     return Setpoint(rest[None] + moved, zero, force[None] + zero)
 
@@ -277,7 +288,7 @@ def log_radius(case: Case, template: Template, values: Values) -> jax.Array:
     bases = values["bases"]
     if bases.ndim > 2:
         bases = bases[values["place"]]
-    mixed = bases[0] + values["kp"] * bases[1] + values["kd"] * bases[2]
+    mixed = bases[0] + values[KP] * bases[1] + values[KD] * bases[2]
     return _characteristic.log_largest_root([*mixed], case.growth.squarings)
 
 
@@ -361,4 +372,4 @@ def active_ticks(case: Case, values: Values) -> jax.Array | None:
     """Ticks of the sample's duration, where samples differ in it."""
     if not case.masked:
         return None
-    return jnp.ceil(case.duration * values["control_rate"] - 1e-4)
+    return jnp.ceil(case.duration * values[CONTROL_RATE] - 1e-4)

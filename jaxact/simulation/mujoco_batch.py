@@ -26,6 +26,15 @@ from jaxact.loops.conversion import drive_of
 from jaxact.loops.robots import Scene
 from jaxact.loops.specification import Setting
 from jaxact.loops.template import Template
+from jaxact.parameters import (
+    CONTACT_FRICTION,
+    CONTROL_RATE,
+    INITIAL_POSITION,
+    INITIAL_VELOCITY,
+    KP,
+    PAYLOAD,
+    SETPOINT,
+)
 from jaxact.plants import linearize, variation
 from jaxact.plants.engines import MUJOCO
 from jaxact.plants.mujoco import Impulse, JointPush, Simulations
@@ -123,7 +132,7 @@ def _changed(case: Case, scene: Scene, row: np.ndarray) -> Any:
 def _fields(case: Case, scene: Scene, row: np.ndarray) -> dict[str, np.ndarray]:
     """The model's fields that a sample's changes replace."""
     given = {
-        name: values[0] if name in ("payload", "contact_friction") else values
+        name: values[0] if name in (PAYLOAD, CONTACT_FRICTION) else values
         for name, values in zip(case.varied, row, strict=True)
     }
     joints = scene.robot.joints
@@ -237,7 +246,7 @@ def _rolled(
         corrected=setting.corrected,
     )
     coefficients, state, begun, setpoint, setpoints, keys, rest = prepared
-    active = np.ceil(case.duration * np.asarray(values["control_rate"], float) - 1e-4)
+    active = np.ceil(case.duration * np.asarray(values[CONTROL_RATE], float) - 1e-4)
     return batch_rollout.evaluate(
         simulations,
         coefficients,
@@ -288,14 +297,14 @@ def _prepare(*, case: Case, setting: Setting) -> Callable:
         if case.starts:
             given = _starts.given(case.starts, resolved, drive, _starts.friction(made))
             resolved = {**resolved, **{name: row[0] for name, row in given.items()}}
-        rest = jnp.asarray(made.position, values["kp"].dtype)
+        rest = jnp.asarray(made.position, values[KP].dtype)
         force = jnp.asarray(made.force, rest.dtype)
         coefficients = _drive.prepare(drive, case.drive, rest.shape)
-        position = rest + resolved["initial_position"]
-        velocity = jnp.broadcast_to(resolved["initial_velocity"], rest.shape)
+        position = rest + resolved[INITIAL_POSITION]
+        velocity = jnp.broadcast_to(resolved[INITIAL_VELOCITY], rest.shape)
         state = _drive.init(coefficients, case.drive, position, velocity, command=force)
         zero = jnp.zeros_like(rest)
-        setpoint = Setpoint(rest + resolved["setpoint"], zero, force)
+        setpoint = Setpoint(rest + resolved[SETPOINT], zero, force)
         return (
             coefficients,
             state,
@@ -352,7 +361,7 @@ def followed(
     found, judged = _judged(
         case, setting, values, growth_rate, seed, numbers, watch=watch, push=push
     )
-    names = ("setpoint", "position", "velocity", "command", "delayed_command", "force")
+    names = (SETPOINT, "position", "velocity", "command", "delayed_command", "force")
     columns = zip(names, zip(*rows, strict=True), strict=True)
     arrays: dict[str, Any] = {name: np.stack(column, axis=1) for name, column in columns}
     arrays["time"] = np.broadcast_to(case.step * np.arange(len(rows)), (len(numbers), len(rows)))

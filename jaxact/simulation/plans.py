@@ -21,7 +21,15 @@ from jaxact.errors import UserError
 from jaxact.loops.conversion import drive_of, own_motion
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Motion, Specification
-from jaxact.parameters import OF_PLANT, base
+from jaxact.parameters import (
+    CONTROL_RATE,
+    INITIAL_POSITION,
+    INITIAL_VELOCITY,
+    MASS,
+    OF_PLANT,
+    SETPOINT,
+    base,
+)
 from jaxact.simulation import engines, kernel
 from jaxact.simulation import rollout as _rollout
 from jaxact.simulation import starts as _starts
@@ -153,7 +161,7 @@ def groups(
     """
     specification = engines.resolved(specification)
     _refuse_deadlock(specification)
-    rates = samples.along["control_rate"].ravel()
+    rates = samples.along[CONTROL_RATE].ravel()
     steps = substeps(specification, rates)
     engine = engines.of(specification)
     # A robot is linearised, and compiled, for its own physics step.
@@ -164,7 +172,7 @@ def groups(
     for kind in np.unique(kinds):
         own, count = rates[kinds == kind], steps[kinds == kind][0]
         apart = own.reshape(-1, *(1,) * len(samples.dims))
-        case = _case(specification, samples.along | {"control_rate": apart}, int(count))
+        case = _case(specification, samples.along | {CONTROL_RATE: apart}, int(count))
         size = together
         if size is None:
             # Batches of equal size, so that the last one is not mostly filling.
@@ -176,7 +184,7 @@ def groups(
 
 def _case(specification: Specification, values: dict[str, np.ndarray], count: int) -> Case:
     """The static options that serve all samples with these values, which broadcast."""
-    rates = values["control_rate"]
+    rates = values[CONTROL_RATE]
     fastest = float(np.max(rates))
     engine = engines.of(specification)
     options = _drive.options(
@@ -208,7 +216,7 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
         masked=bool(np.any(np.ceil(specification.duration * rates - 1e-4) < ticks)),
         duration=specification.duration,
         model=kernel.model_digest(specification.setting),
-        own_mass=not engine.robot or "mass" in varied,
+        own_mass=not engine.robot or MASS in varied,
         varied=tuple(name for name in OF_PLANT if name in changed),
         step=1.0 / (fastest * count) if engine.robot else 0.0,
         growth=_growth(
@@ -222,7 +230,7 @@ def _disturbed(specification: Specification, values: dict[str, np.ndarray]) -> b
     """Whether every loop is moved by something: its setpoint, its initial state, or a push."""
     if specification.push is not None or (specification.motion or _STEP).kind == "file":
         return True
-    moving = ("setpoint", "initial_position", "initial_velocity")
+    moving = (SETPOINT, INITIAL_POSITION, INITIAL_VELOCITY)
     return any(base(key) in moving and bool(np.all(given != 0.0)) for key, given in values.items())
 
 
@@ -248,7 +256,7 @@ def batches(
     if numbers is None:
         numbers = np.arange(len(samples))
     if plan.rates is not None:
-        numbers = numbers[np.isin(samples.take(numbers)["control_rate"], plan.rates)]
+        numbers = numbers[np.isin(samples.take(numbers)[CONTROL_RATE], plan.rates)]
     for first in range(0, numbers.size, plan.batch):
         part = numbers[first : first + plan.batch]
         yield filled(part, plan.batch), part.size

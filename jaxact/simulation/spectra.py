@@ -24,6 +24,7 @@ from jaxact.analysis.robot.modes import swinging
 from jaxact.drive.step import DriveOptions
 from jaxact.loops.samples import SAMPLE, Samples
 from jaxact.loops.specification import Setting, Specification
+from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, VELOCITY_FILTER, WN
 from jaxact.plants.engines import MASS, MUJOCO
 from jaxact.simulation import kernel, tiles
 from jaxact.simulation.growth.delayed_roots import polynomial_doubt
@@ -32,7 +33,7 @@ from jaxact.simulation.kernel import Case
 from jaxact.simulation.plans import Plan
 from jaxact.simulation.rollout import RolloutOptions
 
-_GAINS = ("kp", "kd", "gain_scale")
+_GAINS = (KP, KD, GAIN_SCALE)
 # Fewest samples for each set of the other parameters, and most of such sets.
 _FEWEST, _MOST = 16, 1024
 # Pairs of gains, as multiples of usual ones: three that span all others, and one more to check.
@@ -130,7 +131,7 @@ def _of_robots(
         inputs.append([part.reshape(*rows, *part.shape[1:]) for part in moved])
     modes = jax.tree.map(np.asarray, tiles.run(*inputs, **static))
     modes = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), modes)
-    rate = samples.take(numbers, {"control_rate"})["control_rate"]
+    rate = samples.take(numbers, {CONTROL_RATE})[CONTROL_RATE]
     return Rates(modes.growth * rate, _shaking(modes, rate) * rate)
 
 
@@ -172,7 +173,7 @@ def _sets(plan: Plan, specification: Specification, samples: Samples) -> _Sets |
     short = plan.case.growth.block < 8
     if number > _MOST or number * _FEWEST > len(samples) or not short:
         return None
-    usual = _usual(samples, "kp"), _usual(samples, "kd")
+    usual = _usual(samples, KP), _usual(samples, KD)
     rows = tuple((name, array.shape, array.tobytes()) for name, array in others.items())
     table = _polynomials(replace(plan, rates=None), specification.setting, usual, shape, rows)
     if table is None:
@@ -190,11 +191,11 @@ def _told_apart(
     others: dict[str, np.ndarray], shape: tuple[int, ...], differenced: bool
 ) -> np.ndarray:
     """Whether a polynomial's coefficients in z tell slow modes apart, shape (sets,)."""
-    rate = others["control_rate"]
+    rate = others[CONTROL_RATE]
     with np.errstate(over="ignore"):
-        poles = np.minimum((others["wn"] / rate) ** 2, 1.0)
+        poles = np.minimum((others[WN] / rate) ** 2, 1.0)
     if differenced:
-        poles = poles * np.minimum(others["velocity_filter"] / rate, 1.0)
+        poles = poles * np.minimum(others[VELOCITY_FILTER] / rate, 1.0)
     doubt = polynomial_doubt(np.broadcast_to(poles, shape)) * rate
     return np.broadcast_to(doubt <= TOLERANCE, shape).reshape(-1)
 
@@ -222,7 +223,7 @@ def _polynomials(
     lead = (1,) * len(shape)
     along = {name: np.frombuffer(values).reshape(*size, 1) for name, size, values in others}
     kp, kd = (_PAIRS * usual).T.reshape(2, *lead, -1)
-    along |= {"kp": kp, "kd": kd, "gain_scale": np.ones((*lead, 1))}
+    along |= {KP: kp, KD: kd, GAIN_SCALE: np.ones((*lead, 1))}
     samples = Samples(along, ("set",) * len(shape) + ("pair",), (*shape, len(_PAIRS)), {})
     number = len(samples)
     few = replace(plan, tiles=-(-number // (plan.tile * plan.devices)))
@@ -272,12 +273,12 @@ def _of_gains(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Growth rates of samples, and whether their sets' polynomials are linear in the gains."""
     places = np.arange(sets.linear.size).reshape(sets.shape)
-    along = {name: samples.along[name] for name in (*_GAINS, "control_rate")}
+    along = {name: samples.along[name] for name in (*_GAINS, CONTROL_RATE)}
     values = replace(samples, along=along | {"place": places}).take(numbers)
     rows = plan.devices * plan.tiles, plan.tile
     own = {
-        name: ((values["gain_scale"] * values[name] / usual - 1.0) / _STRIDE).reshape(rows)
-        for name, usual in zip(("kp", "kd"), sets.usual, strict=True)
+        name: ((values[GAIN_SCALE] * values[name] / usual - 1.0) / _STRIDE).reshape(rows)
+        for name, usual in zip((KP, KD), sets.usual, strict=True)
     }
     shared = {"bases": sets.bases[0]}
     if len(sets.bases) > 1:
@@ -285,4 +286,4 @@ def _of_gains(
         own["place"] = values["place"].reshape(rows).astype(np.int32)
     static = tiles.static(plan, "log_radius", _of_any(plan.case), _NO_ROBOT)
     found = np.asarray(tiles.run(shared, own, **static)).reshape(-1)
-    return found * values["control_rate"], sets.linear[values["place"]]
+    return found * values[CONTROL_RATE], sets.linear[values["place"]]

@@ -29,6 +29,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxact.drive.options import Drive, DriveOptions
+from jaxact.parameters import (
+    INITIAL_POSITION,
+    INITIAL_VELOCITY,
+    JOINT_FRICTION,
+    MASS,
+    POSITION_RESOLUTION,
+    REST_AMPLITUDE,
+    SETPOINT,
+)
 from jaxact.simulation import verdicts
 from jaxact.simulation.verdicts import Judgement
 
@@ -118,7 +127,7 @@ def given(
     for name in names:
         velocity = jnp.zeros_like(like)
         if name in _COUNTS:
-            setpoint = _counted(count, jnp.asarray(values["position_resolution"]), *_COUNTS[name])
+            setpoint = _counted(count, jnp.asarray(values[POSITION_RESOLUTION]), *_COUNTS[name])
         elif name == "drift":
             setpoint, velocity = jnp.zeros_like(like), _drifting(count, values, drive)
         elif name == "slide":
@@ -131,9 +140,9 @@ def given(
         velocities.append(velocity)
     stacked = jnp.stack(setpoints)
     return {
-        "setpoint": stacked,
-        "initial_position": jnp.zeros_like(stacked),
-        "initial_velocity": jnp.stack(velocities),
+        SETPOINT: stacked,
+        INITIAL_POSITION: jnp.zeros_like(stacked),
+        INITIAL_VELOCITY: jnp.stack(velocities),
     }
 
 
@@ -157,7 +166,7 @@ def _drifting(count: jax.Array, values: Mapping[str, Any], drive: Drive) -> jax.
 
     v = (n + 0.382) dF T / m,   n the whole part of count sqrt(kp / m) m / (dF T)
     """
-    mass = jnp.asarray(values["mass"])
+    mass = jnp.asarray(values[MASS])
     step = drive.controller.command_resolution * drive.control_period / mass
     swing = count * jnp.sqrt(jnp.abs(jnp.asarray(drive.controller.kp)) / mass)
     whole = jnp.floor(swing / jnp.where(step > 0.0, step, 1.0))
@@ -166,7 +175,7 @@ def _drifting(count: jax.Array, values: Mapping[str, Any], drive: Drive) -> jax.
 
 def _slide(values: Mapping[str, Any], drive: Drive, friction: np.ndarray | None) -> jax.Array:
     """A displacement that makes joints slide [m or rad]."""
-    held = values["joint_friction"] + jnp.asarray(0.0 if friction is None else friction)
+    held = values[JOINT_FRICTION] + jnp.asarray(0.0 if friction is None else friction)
     stiff = jnp.abs(jnp.asarray(drive.controller.kp))
     away = _SLIDE * held.astype(stiff.dtype) / jnp.where(stiff > 0.0, stiff, 1.0)
     return jnp.where(stiff > 0.0, jnp.minimum(away, _FARTHEST), 0.0)
@@ -232,7 +241,7 @@ def rest_amplitude(
     By default that of a bare joint is 0, and that of a robot 2 mm or mrad; where quantisation acts
     on a robot and noise does not, a tenth of a count if that is less.
     """
-    given = jnp.asarray(values["rest_amplitude"])
+    given = jnp.asarray(values[REST_AMPLITUDE])
     usual = jnp.asarray(_TREMBLE if robot else 0.0, given.dtype)
     if robot and options.quantised and not options.random:
         count = verdicts.count(drive)

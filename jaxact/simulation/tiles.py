@@ -13,12 +13,13 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxact.compilation.programs import building
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Setting
+from jaxact.parameters import KP
 from jaxact.simulation import kernel
 from jaxact.simulation.kernel import Case
 from jaxact.simulation.plans import Plan
 
 # So that there is always a parameter with an axis for the samples.
-NEVER_SHARED = "kp"
+NEVER_SHARED = KP
 
 
 @building

@@ -17,7 +17,20 @@ import numpy as np
 
 from jaxact.compilation import filling
 from jaxact.compilation.programs import Program
-from jaxact.parameters import OF_JOINT
+from jaxact.parameters import (
+    CONTROL_RATE,
+    DELAY,
+    GAIN_SCALE,
+    KD,
+    KP,
+    MASS,
+    MEASUREMENT_DELAY,
+    OF_JOINT,
+    OUTPUT_DELAY,
+    VELOCITY_FILTER,
+    WN,
+    ZETA,
+)
 from jaxact.status import Verdict
 from jaxact.sweeping import store
 
@@ -27,8 +40,8 @@ if TYPE_CHECKING:
     from jaxact.analysis.boundary.boundary import BoundaryCurve
 # What the stability of the linear loop depends on; the gains first.
 LINEAR_PARAMETERS = (
-    "kp", "kd", "mass", "wn", "zeta", "delay", "measurement_delay", "output_delay",
-    "control_rate", "velocity_filter", *OF_JOINT,
+    KP, KD, MASS, WN, ZETA, DELAY, MEASUREMENT_DELAY, OUTPUT_DELAY,
+    CONTROL_RATE, VELOCITY_FILTER, *OF_JOINT,
 )  # fmt: skip
 # |rho - 1| within rounding of the eigenvalues: on the boundary, neither side is wrong there.
 ON_BOUNDARY = 1e-9
@@ -95,7 +108,7 @@ def exact_boundary(
     """
     from jaxact.analysis.boundary.boundary import continuous_boundary, sampled_boundary
 
-    if not is_plain_mass(part) or np.any(store.parameter(part, "gain_scale").values != 1.0):
+    if not is_plain_mass(part) or np.any(store.parameter(part, GAIN_SCALE).values != 1.0):
         return None
     values = {}
     for name in LINEAR_PARAMETERS[2:]:
@@ -103,13 +116,13 @@ def exact_boundary(
         if len(found) != 1:
             return None
         values[name] = float(found[0])
-    servo = values["mass"], values["wn"], values["zeta"]
-    delay = values["delay"] + values["measurement_delay"] + values["output_delay"]
+    servo = values[MASS], values[WN], values[ZETA]
+    delay = values[DELAY] + values[MEASUREMENT_DELAY] + values[OUTPUT_DELAY]
     window: dict[str, Any] = {"kp_range": kp_range, "kd_range": kd_range}
-    window |= {name: values[name] for name in ("velocity_filter", *OF_JOINT)}
+    window |= {name: values[name] for name in (VELOCITY_FILTER, *OF_JOINT)}
     continuous = continuous_boundary(*servo, delay, **window)
     sampled = sampled_boundary(
-        *servo, delay, 1.0 / values["control_rate"], velocity=velocity_of(part), **window
+        *servo, delay, 1.0 / values[CONTROL_RATE], velocity=velocity_of(part), **window
     )
     return ExactBoundary(tuple(continuous), tuple(sampled))
 
@@ -121,10 +134,10 @@ def sweep_agreement(results: xr.Dataset) -> Agreement | None:
     shape = results["verdict"]
     values = {
         name: store.parameter(results, name).broadcast_like(shape).transpose(*shape.dims).values
-        for name in (*LINEAR_PARAMETERS, "gain_scale")
+        for name in (*LINEAR_PARAMETERS, GAIN_SCALE)
     }
-    scale = values.pop("gain_scale")
-    values |= {name: scale * values[name] for name in ("kp", "kd")}
+    scale = values.pop(GAIN_SCALE)
+    values |= {name: scale * values[name] for name in (KP, KD)}
     return agreement(values, shape.values, velocity=velocity_of(results))
 
 
@@ -159,7 +172,7 @@ def agreement(
     wrong = decided & (simulated != exact) & (verdict[chosen] != Verdict.LIMIT_CYCLE)
     furthest = fastest = 0.0
     if wrong.any():
-        rates = np.log(radius[wrong]) * loops["control_rate"][wrong]
+        rates = np.log(radius[wrong]) * loops[CONTROL_RATE][wrong]
         fastest = float(np.abs(rates).max())
         distances = gain_distances(_take(loops, wrong), exact[wrong], velocity=velocity)
         furthest = float(distances.max())
@@ -216,8 +229,8 @@ def gain_distances(
         crossed = np.zeros(open_.size, dtype=bool)
         for on_kp, on_kd in _DIRECTIONS:
             moved = part | {
-                "kp": part["kp"] * factor**on_kp,
-                "kd": part["kd"] * factor**on_kd,
+                KP: part[KP] * factor**on_kp,
+                KD: part[KD] * factor**on_kd,
             }
             radius = spectral_radii(moved, velocity=velocity)
             crossed |= (radius < 1.0) != stable[open_]
@@ -228,11 +241,11 @@ def gain_distances(
 
 def total_delay(values: Mapping[str, np.ndarray]) -> np.ndarray:
     """Command + measurement + output delay [s]: what the loop's stability depends on."""
-    return values["delay"] + values["measurement_delay"] + values["output_delay"]
+    return values[DELAY] + values[MEASUREMENT_DELAY] + values[OUTPUT_DELAY]
 
 
 def _whole_steps(values: Mapping[str, np.ndarray]) -> np.ndarray:
-    return np.ceil(total_delay(values) * values["control_rate"] - 1e-9).astype(int)
+    return np.ceil(total_delay(values) * values[CONTROL_RATE] - 1e-9).astype(int)
 
 
 def _stride(values: Mapping[str, np.ndarray], chosen: np.ndarray) -> int:
@@ -253,11 +266,11 @@ def _matrices(values: Mapping[str, np.ndarray], velocity: str, most: int, chunk:
     from jaxact.loops import conversion
 
     # Padded to one of two sizes: compiling takes longer than computing.
-    count = len(values["kp"])
+    count = len(values[KP])
     own = {name: values[name] for name in LINEAR_PARAMETERS if name in values}
     own = filling.filled(own, min(256, chunk) if count <= 256 else chunk)
     with jax.enable_x64(True):
-        loop = conversion.sampled(own | {"gain_scale": 1.0}, velocity)
+        loop = conversion.sampled(own | {GAIN_SCALE: 1.0}, velocity)
         return np.asarray(_matrices_of(loop, most=most))[:count]
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxact.compilation import filling
 from jaxact.compilation.programs import Program
+from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP
 from jaxact.sweeping import agreement, store
 from jaxact.sweeping.tracing import Curve, trace
 
@@ -25,7 +26,7 @@ _CHUNK = 2048
 # Seconds of eigenvalues that the boundary of one panel may take on one core.
 _PATIENCE = 4.0
 _GRIDS = (97, 65, 49, 33, 25)
-NAMES = (*agreement.LINEAR_PARAMETERS, "gain_scale")
+NAMES = (*agreement.LINEAR_PARAMETERS, GAIN_SCALE)
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def exact_lines(part: xr.Dataset, x: Window, y: Window) -> ExactLines | None:
     """
     if not agreement.is_plain_mass(part) or not {x.name, y.name} & set(NAMES):
         return None
-    if {x.name, y.name} == {"kp", "kd"}:
+    if {x.name, y.name} == {KP, KD}:
         found = _gain_plane(part, x, y)
         if found is not None:
             return found
@@ -91,7 +92,7 @@ def exact_lines(part: xr.Dataset, x: Window, y: Window) -> ExactLines | None:
 
 def _gain_plane(part: xr.Dataset, x: Window, y: Window) -> ExactLines | None:
     windows = {window.name: (window.low, window.high) for window in (x, y)}
-    found = agreement.exact_boundary(part, windows["kp"], windows["kd"])
+    found = agreement.exact_boundary(part, windows[KP], windows[KD])
     if found is None:
         return None
     return ExactLines(*(
@@ -104,8 +105,8 @@ def _traced(fixed: Mapping[str, float], x: Window, y: Window, velocity: str) -> 
     def values(first: np.ndarray, second: np.ndarray) -> dict[str, np.ndarray]:
         loops = {name: np.full(len(first), value) for name, value in fixed.items()}
         loops |= {x.name: x.values(first), y.name: y.values(second)}
-        scale = loops.pop("gain_scale")
-        return loops | {name: scale * loops[name] for name in ("kp", "kd")}
+        scale = loops.pop(GAIN_SCALE)
+        return loops | {name: scale * loops[name] for name in (KP, KD)}
 
     def sampled(first: np.ndarray, second: np.ndarray) -> np.ndarray:
         loops = {name: values(first, second)[name] for name in agreement.LINEAR_PARAMETERS}
@@ -123,7 +124,7 @@ def _traced(fixed: Mapping[str, float], x: Window, y: Window, velocity: str) -> 
 
 def _affordable(ends: Mapping[str, np.ndarray]) -> int:
     """Points of a grid's side whose eigenvalues take no longer than a picture may cost."""
-    steps = agreement.total_delay(ends) * ends["control_rate"]
+    steps = agreement.total_delay(ends) * ends[CONTROL_RATE]
     seconds = 1e-5 + 2e-8 * (8.0 + float(steps.max())) ** 3
     for points in _GRIDS:
         if (points**2 + 100 * points) * seconds <= _PATIENCE:
@@ -142,7 +143,7 @@ def stable_in_continuous_time(values: Mapping[str, np.ndarray]) -> np.ndarray:
     from jaxact.loops import conversion
 
     with jax.enable_x64(True):
-        loops = conversion.continuous(dict(values) | {"gain_scale": 1.0})
+        loops = conversion.continuous(dict(values) | {GAIN_SCALE: 1.0})
         return filling.in_chunks(_unstable_roots, loops, _CHUNK) == 0
 
 

@@ -23,13 +23,14 @@ import numpy as np
 from jaxact import __version__
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
-from jaxact.parameters import in_unit, of, turned
+from jaxact.parameters import of
 from jaxact.plants import engines
 from jaxact.status import Verdict
 from jaxact.sweeping import checksums
 from jaxact.sweeping.checksums import ChecksumState
 from jaxact.sweeping.layout import Layout
 from jaxact.sweeping.location import Location
+from jaxact.units import in_unit, turned
 
 if TYPE_CHECKING:
     import xarray as xr

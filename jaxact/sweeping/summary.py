@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxact.loops.samples import SAMPLE
+from jaxact.parameters import KD, KP
 from jaxact.status import Verdict
 
 if TYPE_CHECKING:
     import xarray as xr
 
 # Never a case of their own: the plane of a stability map, and the points of a random sample.
-_POOLED = ("kp", "kd", SAMPLE)
+_POOLED = (KP, KD, SAMPLE)
 _MOST_CASES = 40
 # Loops whose verdicts are read at once.
 _PART = 4_000_000

@@ -8,17 +8,40 @@ import numpy as np
 
 from jaxact.loops.samples import Samples, explicit
 from jaxact.loops.specification import Specification
-from jaxact.parameters import INF, base
+from jaxact.parameters import (
+    COMMAND_RESOLUTION,
+    DELAY,
+    FORCE_RATE_LIMIT,
+    INF,
+    MEASUREMENT_DELAY,
+    NO_LOAD_SPEED,
+    OUTPUT_DELAY,
+    POLICY_RATE,
+    POSITION_BIAS,
+    POSITION_BIAS_WALK,
+    POSITION_NOISE,
+    POSITION_RESOLUTION,
+    SETPOINT_DELAY,
+    STALL_FORCE,
+    VELOCITY_BIAS,
+    VELOCITY_BIAS_WALK,
+    VELOCITY_FILTER,
+    VELOCITY_NOISE,
+    VELOCITY_RESOLUTION,
+    WN,
+    ZETA,
+    base,
+)
 
 # An ideal actuator, no delays, perfect sensors and converters. What limits the force is the robot's
 # and stays.
 PERFECT = {
-    "wn": INF, "zeta": 1.0, "delay": 0.0, "setpoint_delay": 0.0, "measurement_delay": 0.0,
-    "output_delay": 0.0, "position_resolution": 0.0, "velocity_resolution": 0.0,
-    "command_resolution": 0.0, "position_noise": 0.0, "velocity_noise": 0.0, "position_bias": 0.0,
-    "velocity_bias": 0.0, "position_bias_walk": 0.0, "velocity_bias_walk": 0.0,
-    "velocity_filter": INF, "force_rate_limit": INF, "stall_force": INF, "no_load_speed": INF,
-    "policy_rate": INF,
+    WN: INF, ZETA: 1.0, DELAY: 0.0, SETPOINT_DELAY: 0.0, MEASUREMENT_DELAY: 0.0,
+    OUTPUT_DELAY: 0.0, POSITION_RESOLUTION: 0.0, VELOCITY_RESOLUTION: 0.0,
+    COMMAND_RESOLUTION: 0.0, POSITION_NOISE: 0.0, VELOCITY_NOISE: 0.0, POSITION_BIAS: 0.0,
+    VELOCITY_BIAS: 0.0, POSITION_BIAS_WALK: 0.0, VELOCITY_BIAS_WALK: 0.0,
+    VELOCITY_FILTER: INF, FORCE_RATE_LIMIT: INF, STALL_FORCE: INF, NO_LOAD_SPEED: INF,
+    POLICY_RATE: INF,
 }  # fmt: skip
 
 

@@ -19,13 +19,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.parameters import base, check, known
+from jaxact.parameters import (
+    CONTACT_FRICTION,
+    INERTIA_SCALE,
+    JOINT_FRICTION,
+    MASS,
+    WN,
+    ZETA,
+    base,
+    check,
+    known,
+)
 
-_FACTORS = ("wn", "zeta", "inertia_scale", "contact_friction")
+_FACTORS = (WN, ZETA, INERTIA_SCALE, CONTACT_FRICTION)
 # What cannot vary where it is not among the parameters that can, and why.
 _REFUSED = {
-    "mass": "a robot's masses are its model's; vary payload or inertia_scale",
-    "joint_friction": "any dry friction at all holds a linearised joint alike, so that bounds say "
+    MASS: "a robot's masses are its model's; vary payload or inertia_scale",
+    JOINT_FRICTION: "any dry friction at all holds a linearised joint alike, so that bounds say "
     "nothing of its amount; sweep it instead",
 }
 _ASCENTS = 24

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
+from jaxact.parameters import KP
 
 # Objective -> (metric, +1 if it is to be large, -1 if small; unit).
 OBJECTIVES = {
-    "stiffness": ("kp", 1.0, "N/m"),
+    "stiffness": (KP, 1.0, "N/m"),
     "bandwidth": ("bandwidth", 1.0, "rad/s"),
     "disk-margin": ("disk_margin", 1.0, "1"),
     "settling": ("settling_time", -1.0, "s"),
@@ -100,7 +101,7 @@ class Goal:
     @property
     def wanted(self) -> tuple[str, ...]:
         """Metrics that objective and constraints need, without the gains themselves."""
-        names = {metric for _, metric, _, _ in self.rows} | ({self.metric} - {"kp"})
+        names = {metric for _, metric, _, _ in self.rows} | ({self.metric} - {KP})
         return tuple(sorted(names))
 
     @property

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxact import __version__
 from jaxact.loops import robots, toml
-from jaxact.parameters import base
+from jaxact.parameters import KD, KP, PAYLOAD, VELOCITY_FILTER, base
 from jaxact.robots import elements
 from jaxact.tuning.result import OfRobot, Tuned
 
@@ -34,7 +34,7 @@ def report(
     """
     certificate, robot = tuned.certificate, tuned.robot
     if robot is None:
-        own = {"kp": tuned.kp, "kd": tuned.kd, "units": list(tuned.units[:2])}
+        own = {KP: tuned.kp, KD: tuned.kd, "units": list(tuned.units[:2])}
         own |= {"margins": margins, "worst": None}
         if len(tuned.members) > 1:
             own["worst"] = {side: rows and rows[""] for side, rows in _sides(tuned).items()}
@@ -72,7 +72,7 @@ def _robot_report(tuned: Tuned, robot: OfRobot, rollouts: Rollouts | None) -> di
     groups, tracked = robot.case.groups, robot.tracked
     names, kp, kd = np.array(groups.joints), tuned.kp, tuned.kd
     rows = [
-        [{"name": n, "kp": float(p), "kd": float(d)} for n, p, d in zip(*each, strict=True)]
+        [{"name": n, KP: float(p), KD: float(d)} for n, p, d in zip(*each, strict=True)]
         for each in ((groups.names, kp[groups.first], kd[groups.first]), (names.tolist(), kp, kd))
     ]
     return {
@@ -191,7 +191,7 @@ def document(
     guaranteed |= {f"worst_{check.metric}": check.value for check in certificate.checks}
     versions = {"jaxact": __version__, "jax": jax.__version__}
     if robot is None:
-        gains, assumed = {"gains": {"kp": tuned.kp, "kd": tuned.kd}}, _of_joint(tuned)
+        gains, assumed = {"gains": {KP: tuned.kp, KD: tuned.kd}}, _of_joint(tuned)
         seen = {"nominal": {} if nominal is None else _known(nominal)}
         seen |= {"worst": _known(worst(tuned)[""])} if len(tuned.members) > 1 else {}
     else:
@@ -224,7 +224,7 @@ def _gains(tuned: Tuned, robot: OfRobot) -> dict[str, Any]:
         for number, name in enumerate(groups.names)
     }
     kp, kd = (dict(zip(groups.joints, map(float, k), strict=True)) for k in (tuned.kp, tuned.kd))
-    return {"kp": kp, "kd": kd, "groups": shared}
+    return {KP: kp, KD: kd, "groups": shared}
 
 
 def _of_joint(tuned: Tuned) -> dict[str, Any]:
@@ -245,7 +245,7 @@ def _of_joint(tuned: Tuned) -> dict[str, Any]:
     if sampling.control_period is not None:
         assumed |= {"control_period": sampling.control_period, "velocity": sampling.velocity}
     if math.isfinite(sampling.velocity_filter):
-        assumed |= {"velocity_filter": sampling.velocity_filter}
+        assumed |= {VELOCITY_FILTER: sampling.velocity_filter}
     return assumed
 
 
@@ -273,7 +273,7 @@ def box(situations: Sequence[Situation]) -> dict[str, Any]:
         for key, low, high in zip(one.keys, one.low, one.high, strict=True):
             known = found.get(key, [low, high])
             found[key] = [float(min(low, known[0])), float(max(high, known[1]))]
-    if "payload" in found:
+    if PAYLOAD in found:
         found["payload_body"] = situations[0].payload_body
     if any(base(key) in OF_BODY for key in found):
         found["setpoint_and_feedforward"] = "of the nominal robot"

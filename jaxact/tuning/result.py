@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact.parameters import turned
+from jaxact.parameters import KP
 from jaxact.tuning.certificate import (
     Certificate,
     Check,
@@ -22,6 +22,7 @@ from jaxact.tuning.certificate import (
 )
 from jaxact.tuning.goal import OBJECTIVES, Goal
 from jaxact.tuning.optimise import Descended
+from jaxact.units import turned
 
 if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
@@ -120,7 +121,7 @@ class Tuned:
         kd = "N s/m or N m s/rad" if len(rotary) > 1 else "N m s/rad" if True in rotary else "N s/m"
         of_goal = OBJECTIVES[self.goal.objective][2]
         of_goal = turned(of_goal) if rotary == {True} else of_goal
-        return kp, kd, kp if self.goal.metric == "kp" else of_goal
+        return kp, kd, kp if self.goal.metric == KP else of_goal
 
     def __repr__(self) -> str:
         """The loop with its gains, the verdict, and every constraint."""
@@ -225,7 +226,7 @@ def _value(goal: Goal, kp: Any, found: Metrics) -> float:
     """The objective, in its unit; NaN where a member is unstable."""
     if not found.stable.all():
         return math.nan
-    if goal.metric == "kp":
+    if goal.metric == KP:
         return float(np.exp(np.mean(np.log(kp)))) if np.size(kp) > 1 else float(np.ravel(kp)[0])
     return float(np.exp(-goal.sense * over_all(-goal.sense * found.log[goal.metric], goal)))
 

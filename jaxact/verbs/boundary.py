@@ -12,7 +12,7 @@ from jaxact.analysis.boundary.boundary import (
 from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
-from jaxact.parameters import OF_JOINT
+from jaxact.parameters import CONTROL_RATE, KD, KP, MASS, OF_JOINT, VELOCITY_FILTER, WN, ZETA
 
 Window = tuple[float, float]
 
@@ -45,16 +45,14 @@ def boundary(
     conversion.linear_specification(loop)  # what does not fit is said here
     own = conversion.one(loop)
     ranges: dict[str, Any] = {
-        "kp_range": _window("kp", kp, own["kp"]),
-        "kd_range": _window("kd", kd, own["kd"]),
+        "kp_range": _window(KP, kp, own[KP]),
+        "kd_range": _window(KD, kd, own[KD]),
     }
-    ranges |= {name: own[name] for name in ("velocity_filter", *OF_JOINT)}
-    plant = own["mass"], own["wn"], own["zeta"], conversion.total_delay(own)
+    ranges |= {name: own[name] for name in (VELOCITY_FILTER, *OF_JOINT)}
+    plant = own[MASS], own[WN], own[ZETA], conversion.total_delay(own)
     if not sampled:
         return continuous_boundary(*plant, **ranges)
-    return sampled_boundary(
-        *plant, 1.0 / own["control_rate"], velocity=loop.kind.velocity, **ranges
-    )
+    return sampled_boundary(*plant, 1.0 / own[CONTROL_RATE], velocity=loop.kind.velocity, **ranges)
 
 
 def _window(name: str, given: Window | None, own: float) -> Window:

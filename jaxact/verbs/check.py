@@ -11,6 +11,16 @@ from typing import TYPE_CHECKING, Any
 from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
+from jaxact.parameters import (
+    CONTROL_RATE,
+    DELAY,
+    JOINT_DAMPING,
+    JOINT_FRICTION,
+    KD,
+    KP,
+    SETPOINT,
+    SETPOINT_DELAY,
+)
 from jaxact.plants import warp
 from jaxact.plants.mjx import refusals as mjx_refusals
 from jaxact.robots import inertia as _inertia
@@ -70,20 +80,20 @@ class RobotCheck:
                 "name": joint.name,
                 "actuator": joint.actuator,
                 "kind": joint.kind,
-                "kp": _number(joint.kp),
-                "kd": _number(joint.kd),
+                KP: _number(joint.kp),
+                KD: _number(joint.kd),
                 "force_limits": [_number(joint.force_low), _number(joint.force_high)],
                 "setpoint_limits": [_number(joint.setpoint_low), _number(joint.setpoint_high)],
-                "setpoint": _number(joint.setpoint),
+                SETPOINT: _number(joint.setpoint),
                 "setpoint_velocity": joint.setpoint_velocity,
-                "delay": joint.delay,
-                "setpoint_delay": joint.setpoint_delay,
+                DELAY: joint.delay,
+                SETPOINT_DELAY: joint.setpoint_delay,
                 "natural_frequency": _number(joint.natural_frequency),
                 "damping_ratio": _number(joint.damping_ratio),
                 "inertia": float(free[row]),
                 "inertia_others_held": float(held[row]),
-                "joint_damping": float(model.dof_damping[joint.dof]),
-                "joint_friction": float(model.dof_frictionloss[joint.dof]),
+                JOINT_DAMPING: float(model.dof_damping[joint.dof]),
+                JOINT_FRICTION: float(model.dof_frictionloss[joint.dof]),
                 "armature": float(model.dof_armature[joint.dof]),
                 "bandwidth": _number(_inertia.bandwidth(joint.kp, joint.kd, float(free[row]))),
             }
@@ -132,7 +142,7 @@ def check(loop: ControlLoop) -> RobotCheck:
         raise UserError("only a robot is checked; make one with jaxact.robot(model, ...)")
     robot = read(plant.model, keyframe=plant.keyframe, joints=plant.joints, base=plant.base,
                  damping=plant.damping, settle=plant.posture == "settled")  # fmt: skip
-    known = check_gains.found(plant, robot, conversion.one(loop)["control_rate"])
+    known = check_gains.found(plant, robot, conversion.one(loop)[CONTROL_RATE])
     more = (*mjx_refusals.find(robot.model), *_of_warp(robot))
     return RobotCheck(loop, replace(robot, findings=(*robot.findings, *more)), known)
 

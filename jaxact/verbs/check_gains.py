@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from jaxact.errors import UserError
+from jaxact.parameters import CONTROL_RATE
 
 # Share of a joint in a motion from which on the motion is its own, and from which on it is named
 # beside others; and how many are.
@@ -40,7 +41,7 @@ def as_json(known: OnStand | str) -> dict[str, Any] | None:
         return None
     loops = {name: getattr(known, name) for name in ("as_it_is", "in_drive", "stuck", "free")}
     return {
-        "control_rate": known.control_rate,
+        CONTROL_RATE: known.control_rate,
         **{name: None if loop is None else _loop(loop) for name, loop in loops.items()},
         "outside": list(known.outside),
         "hidden_gains": [joint.name for joint in known.hidden],

@@ -7,6 +7,7 @@ import sys
 import textwrap
 from typing import TYPE_CHECKING, Any
 
+from jaxact.parameters import DELAY, JOINT_DAMPING, KD, KP, SETPOINT, SETPOINT_DELAY
 from jaxact.verbs import check_gains
 
 if TYPE_CHECKING:
@@ -81,28 +82,28 @@ def _joint_table(rows: list[dict[str, Any]]) -> str:
     from rich.table import Table
 
     named = any(row["actuator"] != row["name"] for row in rows)
-    delayed = any(row["delay"] or row["setpoint_delay"] for row in rows)
+    delayed = any(row[DELAY] or row[SETPOINT_DELAY] for row in rows)
     lagged = any(row["natural_frequency"] for row in rows)
-    damped = any(row["joint_damping"] for row in rows)
+    damped = any(row[JOINT_DAMPING] for row in rows)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     table.add_column("joint", overflow="fold")
     if named:
         table.add_column("actuator", overflow="fold")
-    units = ("found", "kp", "kd", "force", "setpoint", "inertia", "bandwidth")
+    units = ("found", KP, KD, "force", SETPOINT, "inertia", "bandwidth")
     for name in units:
         table.add_column(name, justify="left" if name == "found" else "right", no_wrap=True)
     if damped:
         table.add_column("damping", justify="right", no_wrap=True)
     if delayed:
-        table.add_column("delay", justify="right", no_wrap=True)
+        table.add_column(DELAY, justify="right", no_wrap=True)
     if lagged:
         table.add_column("force loop", justify="right", no_wrap=True)
     for row in rows:
         cells = [row["name"], *([row["actuator"]] if named else []), row["kind"]]
-        cells += [_short(row["kp"]), _short(row["kd"])]
+        cells += [_short(row[KP]), _short(row[KD])]
         cells += [_range(row["force_limits"]), _range(row["setpoint_limits"])]
         cells += [_short(row["inertia"]), _short(row["bandwidth"])]
-        cells += [_short(row["joint_damping"])] if damped else []
+        cells += [_short(row[JOINT_DAMPING])] if damped else []
         cells += [_delay(row)] if delayed else []
         cells += [_loop(row)] if lagged else []
         table.add_row(*cells)
@@ -112,7 +113,7 @@ def _joint_table(rows: list[dict[str, Any]]) -> str:
     )
     if damped:
         note += " damping: the joint's own."
-    if not any(row["kp"] or row["kd"] for row in rows):
+    if not any(row[KP] or row[KD] for row in rows):
         note += " No gains in the model: give kp and kd."
     return _rendered(table) + "\n" + note
 
@@ -131,9 +132,9 @@ def _range(bounds: list[float | None]) -> str:
 
 
 def _delay(row: dict[str, Any]) -> str:
-    if row["delay"]:
-        return f"{row['delay'] * 1e3:.3g} ms"
-    return f"{row['setpoint_delay'] * 1e3:.3g} ms (setpoint)" if row["setpoint_delay"] else _NONE
+    if row[DELAY]:
+        return f"{row[DELAY] * 1e3:.3g} ms"
+    return f"{row[SETPOINT_DELAY] * 1e3:.3g} ms (setpoint)" if row[SETPOINT_DELAY] else _NONE
 
 
 def _loop(row: dict[str, Any]) -> str:

@@ -7,13 +7,13 @@ import math
 import xarray as xr
 
 from jaxact.errors import UserError
-from jaxact.parameters import known, of
+from jaxact.parameters import KD, KP, MASS, known, of
 from jaxact.plotting.panels import Arrangement
 from jaxact.plotting.stability_map import cell_edges, place
 from jaxact.sweeping import exact_lines, store
 from jaxact.sweeping.exact_lines import ExactLines
 
-_GAINS = ("kp", "kd")
+_GAINS = (KP, KD)
 
 
 def boundaries(arrangement: Arrangement) -> list[ExactLines | None]:
@@ -49,7 +49,7 @@ def nominal(
         return None
     # The default gains are the reference study's, chosen for its mass.
     usual = any(own[axis.name] == of(axis.name).default for axis in axes if axis.name in _GAINS)
-    if not given and usual and own.get("mass") != of("mass").default:
+    if not given and usual and own.get(MASS) != of(MASS).default:
         return None
     point = list(given) or [own[axis.name] for axis in axes]
     if any(math.isnan(value) for value in point):

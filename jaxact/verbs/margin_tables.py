@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact.parameters import LINEAR, mass_word, of
+from jaxact.parameters import CONTROL_RATE, LINEAR, MASS, mass_word, of
 from jaxact.plotting.wording import quantity
 from jaxact.verbs import naming
 
@@ -38,7 +38,7 @@ UNITS = {
 NAMES = (*ALWAYS, *MARGINS)
 """All figures."""
 _MOST_COLUMNS = 4
-_OF_LOOP = (*LINEAR, "control_rate")
+_OF_LOOP = (*LINEAR, CONTROL_RATE)
 
 Figures = Mapping[str, np.ndarray]
 """Figures of loops by name, shape (n,) each; phase margins in degrees."""
@@ -52,7 +52,7 @@ def text(loop: ControlLoop, found: Mapping[str, Figures]) -> str:
         found: by the prefix of their names, "" or "sampled_".
     """
     loops = naming.named(loop)
-    return tables(loops.labels, loops.values["control_rate"], found)
+    return tables(loops.labels, loops.values[CONTROL_RATE], found)
 
 
 def dataset(loop: ControlLoop, figures: Figures) -> xr.Dataset:
@@ -149,7 +149,7 @@ def store(
 
 def _own(loops: naming.Loops, index: int) -> dict[str, float | str]:
     """The parameters that identify a linear loop in files; of a rotary one the inertia."""
-    called = {name: mass_word(loops.unit) if name == "mass" else name for name in _OF_LOOP}
+    called = {name: mass_word(loops.unit) if name == MASS else name for name in _OF_LOOP}
     values = {words: float(loops.values[name][index]) for name, words in called.items()}
     return {name: value if math.isfinite(value) else "inf" for name, value in values.items()}
 

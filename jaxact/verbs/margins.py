@@ -21,6 +21,7 @@ from jaxact.compilation.programs import Program
 from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop, is_traced
+from jaxact.parameters import CONTROL_RATE, KP
 from jaxact.verbs import margin_tables
 
 if TYPE_CHECKING:
@@ -198,7 +199,7 @@ def _traced(loop: ControlLoop, sampled: bool, steps: int | None) -> Margins | Sa
     if not sampled:
         return _continuous_margins(conversion.continuous(values))
     if steps is None:
-        delay, rate = conversion.total_delay(values), values["control_rate"]
+        delay, rate = conversion.total_delay(values), values[CONTROL_RATE]
         if any(isinstance(value, jax.core.Tracer) for value in (delay, rate)):
             raise TypeError(
                 "the delay or the control rate of a sampled loop is traced: give max_delay_steps, "
@@ -227,14 +228,14 @@ def _in_degrees(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def _rows(values: Mapping[str, np.ndarray], velocity: str | None) -> dict[str, np.ndarray]:
     """As `of_values`, phase margins in radians."""
-    number = len(values["kp"])
+    number = len(values[KP])
     with jax.enable_x64(True):
         if velocity is None:
             found, root = _continuous(values)
             return _arrays(found, number) | {"spectral_abscissa": np.asarray(root).real[:number]}
         arrays = _arrays(_sampled(values, velocity), number)
     with np.errstate(divide="ignore"):
-        rate = np.log(arrays["spectral_radius"]) * values["control_rate"]
+        rate = np.log(arrays["spectral_radius"]) * values[CONTROL_RATE]
     return arrays | {"spectral_abscissa": rate}
 
 
@@ -254,7 +255,7 @@ def _continuous(values: Mapping[str, np.ndarray]) -> tuple[Margins, jax.Array]:
 
 def _sampled(values: Mapping[str, np.ndarray], velocity: str) -> SampledMargins:
     """Margins of sampled loops and perhaps some more; to be called where float64 is on."""
-    steps = delay_steps(conversion.total_delay(values), 1.0 / values["control_rate"])
+    steps = delay_steps(conversion.total_delay(values), 1.0 / values[CONTROL_RATE])
     # Long delays take long to compute, so that one loop is not to wait for others.
     filled = _filled_up(values) if steps <= _STEPS else values
     loops = conversion.sampled(filled, velocity)
@@ -263,7 +264,7 @@ def _sampled(values: Mapping[str, np.ndarray], velocity: str) -> SampledMargins:
 
 def _filled_up(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Parameters of the loops, the last of which is repeated up to a round number of loops."""
-    number = len(values["kp"])
+    number = len(values[KP])
     size = _rounded_up(number, _FEW if number <= _FEW else _MANY)
     return filling.filled(dict(values), size)
 

@@ -14,6 +14,7 @@ from jaxact.analysis.robot.margins import JointMargins, WholeMargins
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
+from jaxact.parameters import KD, KP
 from jaxact.robot_margins import whole_robot
 from jaxact.robot_margins.whole_robot import WholeRobot
 from jaxact.verbs import naming, robot_tables
@@ -173,8 +174,8 @@ def margins_of_robot(loop: ControlLoop, engine: str = "mujoco") -> RobotLoopMarg
     } | {name: np.array([_whole(one, name) for one in found]).reshape(shape)[()] for name in _WHOLE}
     count = len(found[0].robot.names)
     of_joints = {
-        "kp": np.array([one.kp for one in found]),
-        "kd": np.array([one.kd for one in found]),
+        KP: np.array([one.kp for one in found]),
+        KD: np.array([one.kd for one in found]),
     }
     of_joints |= {
         name: np.array([_of_each(one, name, count) for one in found]) for name in _OF_JOINTS

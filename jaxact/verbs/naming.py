@@ -10,13 +10,28 @@ import numpy as np
 
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
-from jaxact.parameters import OF_JOINT, PRESETS, mass_word, of
+from jaxact.parameters import (
+    DELAY,
+    FEEDFORWARD,
+    KD,
+    KP,
+    MASS,
+    MEASUREMENT_DELAY,
+    OF_JOINT,
+    OUTPUT_DELAY,
+    PRESETS,
+    VELOCITY_FILTER,
+    WN,
+    ZETA,
+    mass_word,
+    of,
+)
 from jaxact.plotting.wording import quantity
 
 if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
 
-DELAYS = ("delay", "measurement_delay", "output_delay")
+DELAYS = (DELAY, MEASUREMENT_DELAY, OUTPUT_DELAY)
 """Delays within the loop: only their sum counts."""
 
 
@@ -48,11 +63,11 @@ def labels(samples: Samples) -> tuple[str, ...]:
     placed = sorted(samples.coords.items(), key=lambda item: samples.dims.index(item[1].dims[0]))
     for name, place in placed:
         hidden = (
-            name in ("sample", "loop", "feedforward")
+            name in ("sample", "loop", FEEDFORWARD)
             or name.startswith("loop_")
-            or (name in ("wn", "zeta") and "actuator" in samples.coords)
+            or (name in (WN, ZETA) and "actuator" in samples.coords)
         )
-        if hidden and not (name == "feedforward" and len(place.values) > 1):
+        if hidden and not (name == FEEDFORWARD and len(place.values) > 1):
             continue
         sizes = [
             n if dim in place.dims else 1
@@ -76,8 +91,8 @@ def _common_words(values: Mapping[str, float]) -> list[str]:
     values: that they have in common, by short name
     """
     words = []
-    if "wn" in values and ("zeta" in values or np.isinf(values["wn"])):
-        words.append(_actuator_name(values["wn"], values.get("zeta", 1.0)))
+    if WN in values and (ZETA in values or np.isinf(values[WN])):
+        words.append(_actuator_name(values[WN], values.get(ZETA, 1.0)))
     if all(name in values for name in DELAYS):
         words.append(f"delay {quantity(sum(values[name] for name in DELAYS), 's')}")
     return words
@@ -100,8 +115,8 @@ def loop_name(specification: Specification, values: Mapping[str, float] | None =
     What a robot's model says of each joint has no value here.
     """
     own = specification.nominal if values is None else values
-    actuator = _actuator_name(own["wn"], own["zeta"])
-    cutoff = own["velocity_filter"]
+    actuator = _actuator_name(own[WN], own[ZETA])
+    cutoff = own[VELOCITY_FILTER]
     words = f", velocity filter {quantity(cutoff, 'rad/s')}" if np.isfinite(cutoff) else ""
     delay = sum(own[name] for name in DELAYS)
     if np.isnan(delay):
@@ -123,7 +138,7 @@ def named(loop: ControlLoop) -> Loops:
 def of_pictures(loop: ControlLoop) -> Loops:
     """The same as pictures call them: with their velocity filters, where these differ."""
     loops = named(loop)
-    cutoff = loops.values["velocity_filter"]
+    cutoff = loops.values[VELOCITY_FILTER]
     if _common(cutoff):
         return loops
     names = [
@@ -137,13 +152,13 @@ def in_common(loop: ControlLoop) -> str:
     """What all loops have in common: gains, mass, actuator, delay, and how velocity is had."""
     loops = named(loop)
     own, words = loops.values, []
-    for name in ("kp", "kd", "mass", *OF_JOINT):
+    for name in (KP, KD, MASS, *OF_JOINT):
         if _common(own[name]) and (name not in OF_JOINT or own[name][0] != 0.0):
-            called = mass_word(loops.unit) if name == "mass" else name.replace("_", " ")
+            called = mass_word(loops.unit) if name == MASS else name.replace("_", " ")
             words.append(f"{called} {own[name][0]:g} {of(name, loops.unit).unit}")
     if len(loops) > 1:  # a single one is named by its actuator and its delay
         words += _common_words({name: v[0] for name, v in own.items() if _common(v)})
-    cutoff = own["velocity_filter"]
+    cutoff = own[VELOCITY_FILTER]
     how = ["differenced"] if loop.kind.velocity == "differenced" else []
     if _common(cutoff) and np.isfinite(cutoff[0]):
         how.append(f"filtered at {cutoff[0]:g} rad/s")

@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 
 from jaxact.errors import UserError
 from jaxact.loops.control_loop import ControlLoop
-from jaxact.parameters import of
+from jaxact.parameters import KD, KP, of
 from jaxact.plotting import bode as _bode
 from jaxact.plotting import nyquist as _nyquist
 from jaxact.plotting import robot as _robot
@@ -266,6 +266,6 @@ def boundary(
             ax.plot(curve.kp, curve.kd, **{"color": "black", **line})
     ax.plot(loop.kp, loop.kd, marker="*", color="black", linestyle="none")
     unit = loop.kind.unit
-    ax.set_xlabel(f"kp [{of('kp', unit).unit}]")
-    ax.set_ylabel(f"kd [{of('kd', unit).unit}]")
+    ax.set_xlabel(f"kp [{of(KP, unit).unit}]")
+    ax.set_ylabel(f"kd [{of(KD, unit).unit}]")
     return ax

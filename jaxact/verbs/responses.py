@@ -12,7 +12,17 @@ import numpy as np
 from jaxact.compilation.programs import Program
 from jaxact.errors import UserError
 from jaxact.loops import conversion
-from jaxact.parameters import OF_JOINT
+from jaxact.parameters import (
+    CONTROL_RATE,
+    JOINT_STIFFNESS,
+    KD,
+    KP,
+    MASS,
+    OF_JOINT,
+    VELOCITY_FILTER,
+    WN,
+    ZETA,
+)
 from jaxact.verbs import naming
 from jaxact.verbs.margins import of_values
 from jaxact.verbs.naming import Loops
@@ -72,7 +82,7 @@ def responses(loop: ControlLoop, *, sampled: bool) -> list[LoopResponse]:
 
 def _groups(loops: Loops) -> list[list[int]]:
     """Loops that differ in their control rate only, together: one loop in continuous time."""
-    names = ("kp", "kd", "mass", "wn", "zeta", "velocity_filter", *OF_JOINT)
+    names = (KP, KD, MASS, WN, ZETA, VELOCITY_FILTER, *OF_JOINT)
     rows = zip(
         *(loops.values[name] for name in names), conversion.total_delay(loops.values), strict=True
     )
@@ -96,12 +106,12 @@ def _frequencies(loops: Loops) -> np.ndarray:
 
 def _ends(values: Mapping[str, float]) -> tuple[float, float]:
     """From well below the crossover to well above whatever turns the phase [rad/s]."""
-    stiffness = abs(values["kp"]) + abs(values["joint_stiffness"])
-    stiff = math.sqrt(stiffness / values["mass"])
-    damped = abs(values["kd"]) / values["mass"]
+    stiffness = abs(values[KP]) + abs(values[JOINT_STIFFNESS])
+    stiff = math.sqrt(stiffness / values[MASS])
+    damped = abs(values[KD]) / values[MASS]
     delay = conversion.total_delay(values)
     scales = [stiff, damped, 3.0 / delay if delay > 0 else 0.0]
-    scales.append(values["wn"] if math.isfinite(values["wn"]) else 0.0)
+    scales.append(values[WN] if math.isfinite(values[WN]) else 0.0)
     high = 10.0 ** math.ceil(math.log10(3.0 * max(*scales, 1e-6)))
     low = 10.0 ** math.floor(math.log10(0.05 * (stiff or damped or high)))
     return low, min(high, _DECADES * low)
@@ -139,7 +149,7 @@ def _sampled(loops: Loops, found: dict[str, np.ndarray], index: int, velocity: s
     from jaxact.plotting.wording import quantity
 
     values = loops.one(index)
-    nyquist = math.pi * values["control_rate"]
+    nyquist = math.pi * values[CONTROL_RATE]
     # One program serves all rates: what is above half of it is computed there, and left out.
     w = np.append(np.minimum(_frequencies(loops), nyquist), nyquist)
     with jax.enable_x64(True):
@@ -147,7 +157,7 @@ def _sampled(loops: Loops, found: dict[str, np.ndarray], index: int, velocity: s
     shown = np.append(w[:-1] < nyquist, True)
     w, open_loop = w[shown], np.asarray(found_there)[shown]
     turned = np.degrees(np.unwrap(np.angle(open_loop)))
-    rate = quantity(values["control_rate"], "Hz")
+    rate = quantity(values[CONTROL_RATE], "Hz")
     return LoopResponse(
         label=_label(loops.labels[index], f"sampled at {rate}"),
         frequency=w,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
+from jaxact.parameters import KD, KP
 from jaxact.plotting.wording import quantity
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def as_json(
     names = found.robot.names
     row["all"] = None if margins.whole is None else dict(vars(margins.whole))
     row["joints"] = [
-        {"name": name, "kp": float(kp), "kd": float(kd)} | _of_joint(found, place)
+        {"name": name, KP: float(kp), KD: float(kd)} | _of_joint(found, place)
         for place, (name, kp, kd) in enumerate(zip(names, found.kp, found.kd, strict=True))
     ]
     row["changes"] = {
@@ -305,7 +306,7 @@ def _joint_table(found: WholeRobot) -> Any:
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
-    heads = ("joint", "kp", "kd", "disk", "Ms", "Mt", "gain", "down to",
+    heads = ("joint", KP, KD, "disk", "Ms", "Mt", "gain", "down to",
              "phase [°]", "delay [ms]", "shakes", "sways")  # fmt: skip
     for head in heads:
         table.add_column(head, justify="left" if head == "joint" else "right", no_wrap=True)

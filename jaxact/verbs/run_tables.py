@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.parameters import SETPOINT
 from jaxact.plotting.wording import quantity
 from jaxact.status import Verdict
 from jaxact.sweeping.store import VARIABLES, joint_units
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from jaxact.simulation.single import Single
 
 SIGNALS = {
-    "setpoint": ("m", "rad", "setpoint"),
+    SETPOINT: ("m", "rad", SETPOINT),
     "position": ("m", "rad", "position"),
     "velocity": ("m/s", "rad/s", "velocity"),
     "command": ("N", "N m", "command of the controller"),

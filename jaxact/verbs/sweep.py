@@ -20,7 +20,8 @@ from jaxact.loops.axes import Axis, read_axis
 from jaxact.loops.control_loop import ControlLoop, is_traced
 from jaxact.loops.conversion import described, preset_axis
 from jaxact.loops.specification import Sampling, Specification
-from jaxact.parameters import PARAMETERS, canonical, known
+from jaxact.parameters import PARAMETERS, WN, ZETA, canonical, known
+from jaxact.plants import engines
 from jaxact.sweeping import execution, location, opening
 from jaxact.verbs.sweep_options import Say, computed_by, options, settled
 
@@ -167,13 +168,13 @@ def _of_loop(
     if is_traced(loop):
         raise TypeError("a sweep cannot be traced; call it outside jit and grad")
     named = _read(axes, sampling)
-    replaced = {"wn", "zeta"} if "actuator" in named else set()
+    replaced = {WN, ZETA} if "actuator" in named else set()
     values = {name: v for name, v in loop.values.items() if name not in replaced}
     fixed = {name: float(value) for name, value in values.items() if not np.ndim(value)}
     varied = _own_axes({n: np.asarray(v, float) for n, v in values.items() if np.ndim(v)}, named)
     if not varied and not named:
         raise UserError("nothing varies; give an axis, e.g. kp = jaxact.log(10, 1e5, 64)")
-    options.setdefault("engine", "mass" if loop.kind.plant is None else "auto")
+    options.setdefault("engine", engines.MASS.name if loop.kind.plant is None else "auto")
     return described(
         **loop.kind.specified, **options, parameters=fixed, axes=tuple((varied | named).values()),
         sampling=sampling,
@@ -185,7 +186,7 @@ def _own_axes(arrays: Mapping[str, np.ndarray], named: Mapping[str, Axis]) -> di
     free = {name: array for name, array in arrays.items() if name not in named}
     preset = preset_axis(free)
     if preset is not None:
-        free = {name: array for name, array in free.items() if name not in ("wn", "zeta")}
+        free = {name: array for name, array in free.items() if name not in (WN, ZETA)}
     shapes = [array.shape for array in free.values()] + ([] if preset is None else [preset.shape])
     together = len(np.broadcast_shapes(*shapes)) if shapes else 0
     places = [int(np.argmax(np.array(shape))) - len(shape) for shape in shapes]

@@ -13,7 +13,19 @@ import numpy as np
 from jaxact.errors import UserError, shown
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
-from jaxact.parameters import OF_JOINT, base, canonical
+from jaxact.parameters import (
+    CONTROL_RATE,
+    GAIN_SCALE,
+    KD,
+    KP,
+    MASS,
+    OF_JOINT,
+    VELOCITY_FILTER,
+    WN,
+    ZETA,
+    base,
+    canonical,
+)
 from jaxact.tuning.box import read_box
 from jaxact.tuning.goal import MOST_PEAKS, Goal
 from jaxact.tuning.groups import group
@@ -139,7 +151,7 @@ def _of_joint(
     phase: Phase,
 ) -> Tuned:
     conversion.linear_specification(loop)  # what does not fit is said here
-    nominal = _nominal(loop, "control_rate" in loop.values if sampled is None else sampled)
+    nominal = _nominal(loop, CONTROL_RATE in loop.values if sampled is None else sampled)
     start = _start_of_joint(loop)
     how = Descent(steps=steps or _joint_search.STEPS)
     tuned = _joint_search.tune(
@@ -151,8 +163,8 @@ def _of_joint(
         phase("walking along the front")
         members: Any = tuned.members
         points = _joint_search.front(members, goal, front, starts=starts, how=how)
-    gains = {"kp": tuned.kp, "kd": tuned.kd}
-    scale = {"gain_scale": 1.0} if "gain_scale" in loop.values else {}
+    gains = {KP: tuned.kp, KD: tuned.kd}
+    scale = {GAIN_SCALE: 1.0} if GAIN_SCALE in loop.values else {}
     there = loop.replace(**gains, **scale)
     along = tuple(
         dataclasses.replace(one, loop=there.replace(kp=one.kp, kd=one.kd)) for one in points
@@ -162,7 +174,7 @@ def _of_joint(
 
 def _start_of_joint(loop: ControlLoop) -> tuple[float, float] | None:
     """The gains to be no worse than: both, or none."""
-    given = [name for name in ("kp", "kd") if name in loop.values]
+    given = [name for name in (KP, KD) if name in loop.values]
     if len(given) == 1:
         raise UserError(f"`{given[0]}`: give both `kp` and `kd` to start from, or none")
     if not given:
@@ -171,17 +183,17 @@ def _start_of_joint(loop: ControlLoop) -> tuple[float, float] | None:
     for name in given:
         if not 0.0 < own[name] < math.inf:
             raise UserError(f"`{name}` {own[name]:g}: a start must be positive and finite")
-    return own["gain_scale"] * own["kp"], own["gain_scale"] * own["kd"]
+    return own[GAIN_SCALE] * own[KP], own[GAIN_SCALE] * own[KD]
 
 
 def _nominal(loop: ControlLoop, sampled: bool) -> Ensemble:
     """The plant of a joint, as an ensemble of one."""
     own = conversion.one(loop)
-    period = 1.0 / own["control_rate"] if sampled else None
-    sampling = Sampling(period, loop.kind.velocity, own["velocity_filter"])
+    period = 1.0 / own[CONTROL_RATE] if sampled else None
+    sampling = Sampling(period, loop.kind.velocity, own[VELOCITY_FILTER])
     label = naming.loop_name(conversion.linear_specification(loop))
     joint = (own[name] for name in OF_JOINT)
-    return ensemble(own["mass"], own["wn"], own["zeta"], conversion.total_delay(own), *joint,
+    return ensemble(own[MASS], own[WN], own[ZETA], conversion.total_delay(own), *joint,
                     sampling=sampling, names=(label,))  # fmt: skip
 
 
@@ -248,7 +260,7 @@ def _of_robot(
 def _start(first: Situation, given: Specification) -> tuple[np.ndarray, np.ndarray] | None:
     """The gains to be no worse than: those given, or that the model brings; None for none."""
     if first.kp is None or first.kd is None:
-        alone = [name for name in ("kp", "kd") if name in map(base, given.parameters)]
+        alone = [name for name in (KP, KD) if name in map(base, given.parameters)]
         if alone:
             raise UserError(
                 f"`{alone[0]}`: the model brings no gains to start from; give both `kp` and `kd`, "
@@ -268,13 +280,11 @@ def _start(first: Situation, given: Specification) -> tuple[np.ndarray, np.ndarr
 def _with_gains(loop: ControlLoop, tuned: Tuned) -> ControlLoop:
     """The loop with the gains of every joint, in place of all that it was given."""
     kept = {
-        name: value
-        for name, value in loop.values.items()
-        if base(name) not in ("kp", "kd", "gain_scale")
+        name: value for name, value in loop.values.items() if base(name) not in (KP, KD, GAIN_SCALE)
     }
     assert tuned.robot is not None
     joints = tuned.robot.case.groups.joints
-    for name, gains in (("kp", tuned.kp), ("kd", tuned.kd)):
+    for name, gains in ((KP, tuned.kp), (KD, tuned.kd)):
         for joint, value in zip(joints, gains, strict=True):
             kept[f"{name}@{re.escape(joint)}"] = float(value)
     return dataclasses.replace(loop, values=kept)

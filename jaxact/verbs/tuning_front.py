@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.parameters import KD, KP
+
 if TYPE_CHECKING:
     from jaxact.tuning.result import Tuned
 
@@ -45,7 +47,7 @@ class Front:
         """The gains by name, shape (p,) each: kp of all groups, then kd."""
         return [
             (f"{kind} {group}".strip(), gains)
-            for kind, rows in (("kp", self.kp), ("kd", self.kd))
+            for kind, rows in ((KP, self.kp), (KD, self.kd))
             for group, gains in zip(self.groups, rows.T, strict=True)
         ]
 
@@ -59,7 +61,7 @@ def front(points: Sequence[Tuned]) -> Front:
         groups, own = robot.case.groups.names, robot.case.groups.first
     kp, kd = (
         np.array([np.atleast_1d(getattr(point, name))[own] for point in points])
-        for name in ("kp", "kd")
+        for name in (KP, KD)
     )
     return Front(
         groups, first.units, first.goal.objective, np.array([p.goal.max_peak for p in points]),
@@ -73,10 +75,10 @@ def report(front: Front) -> list[dict[str, Any]]:
     rows = []
     for i in range(len(front)):
         kp, kd = front.kp[i].tolist(), front.kd[i].tolist()
-        gains: dict[str, Any] = {"kp": kp[0], "kd": kd[0]}
+        gains: dict[str, Any] = {KP: kp[0], KD: kd[0]}
         if front.groups != ("",):
             each = zip(front.groups, kp, kd, strict=True)
-            gains = {"groups": [{"name": name, "kp": p, "kd": d} for name, p, d in each]}
+            gains = {"groups": [{"name": name, KP: p, KD: d} for name, p, d in each]}
         value = float(front.values[i])
         rows.append(
             {"max_peak": float(front.peaks[i]), **gains,
@@ -89,7 +91,7 @@ def report(front: Front) -> list[dict[str, Any]]:
 def table(front: Front) -> str:
     """A line for each point."""
     kp, kd, unit = front.units
-    of_columns = [f"{name} [{kp if name.startswith('kp') else kd}]" for name, _ in front.columns]
+    of_columns = [f"{name} [{kp if name.startswith(KP) else kd}]" for name, _ in front.columns]
     width = max(12, *map(len, of_columns))
     head = f"{'max peak':>9} " + " ".join(f"{name:>{width}}" for name in of_columns)
     rows = [f"{head} {'objective [' + unit + ']':>18}  certified"]

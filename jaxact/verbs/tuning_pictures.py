@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from jaxact.analysis.boundary.boundary import continuous_boundary, sampled_boundary
 from jaxact.errors import UserError
 from jaxact.loops import conversion
-from jaxact.parameters import OF_JOINT
+from jaxact.parameters import CONTROL_RATE, DELAY, MASS, OF_JOINT, WN, ZETA
 from jaxact.plotting import convergence as _convergence
 from jaxact.plotting import robot_gains as _gains
 from jaxact.plotting import robot_tuning as _bands
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from jaxact.tuning.result import OfRobot, Tuned
 
 _GRID = 110
-_FIELDS = ("mass", "natural_frequency", "damping_ratio", "delay")
+_FIELDS = (MASS, "natural_frequency", "damping_ratio", DELAY)
 # Step responses last this many times the slower one's time constant; that of the start counts up
 # to some multiple of the result's.
 _CONSTANTS, _SLOWER = 6.0, 5.0
@@ -223,7 +223,7 @@ def with_gains(tuned: Tuned, loop: ControlLoop) -> ControlLoop:
 
 def before_and_after(tuned: Tuned, loop: ControlLoop) -> list[LoopResponse]:
     """Frequency responses of a joint with both pairs of gains; blue, as everywhere, is after."""
-    sampled = "control_rate" in loop.values
+    sampled = CONTROL_RATE in loop.values
     drawn = _responses.responses(with_gains(tuned, loop), sampled=sampled)
     return sorted(drawn, key=lambda response: -(response.loop or 0))
 
@@ -389,4 +389,4 @@ def _nominal(loop: ControlLoop, tuned: Tuned) -> Ensemble:
     delay = conversion.total_delay(own)
     joint = (own[name] for name in OF_JOINT)
     sampling = tuned.members.sampling
-    return ensemble(own["mass"], own["wn"], own["zeta"], delay, *joint, sampling=sampling)
+    return ensemble(own[MASS], own[WN], own[ZETA], delay, *joint, sampling=sampling)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.parameters import CONTROL_RATE, KD, KP, PAYLOAD
 from jaxact.plotting import theme, tuning
 from jaxact.plotting.wording import quantity
 from jaxact.tuning.report import mjcf_text, report, toml_text
@@ -48,7 +49,7 @@ class Joint:
     def report(self) -> dict[str, Any]:
         """The result as plain values, with the nominal loop's margins before and after."""
         loops = tuning_pictures.with_gains(self.tuned, self.nominal)
-        found = margins(loops, sampled="control_rate" in loops.values).rows
+        found = margins(loops, sampled=CONTROL_RATE in loops.values).rows
         names = (*ALWAYS[:2], *MARGINS, *ALWAYS[2:])
         rows = [{name: plain(name, found, i) for name in names} for i in range(len(loops))]
         before = rows[0] if self.tuned.before is not None else None
@@ -73,7 +74,7 @@ class Joint:
         for name in _SHOWN:
             cells = (cell(metrics.get(name), UNITS[name]) for metrics in columns.values())
             rows.append([name.replace("_", " "), *cells])
-        gains = f"kp {document['kp']:.6g} {kp}, kd {document['kd']:.6g} {kd}"
+        gains = f"kp {document[KP]:.6g} {kp}, kd {document[KD]:.6g} {kd}"
         table = _table(["", *columns], rows)
         said = "\n".join([gains, table, "", *_words(document, document["members"])])
         return said + _front_table(self.tuned)
@@ -122,12 +123,12 @@ class Robot:
         groups, before = tuned.robot.case.groups, tuned.before
         heads = ["group" if len(groups) < len(tuned.kp) else "joint"]
         heads += ["kp before", "kd before"] if before else []
-        heads += [f"{k} [{unit}]" for k, unit in zip(("kp", "kd"), document["units"], strict=True)]
+        heads += [f"{k} [{unit}]" for k, unit in zip((KP, KD), document["units"], strict=True)]
         rows = []
         for number, row in enumerate(document["groups"]):
             own = groups.members == number
             known = [_span(k[own]) for k in before or ()]
-            rows.append([row["name"], *known, f"{row['kp']:.6g}", f"{row['kd']:.6g}"])
+            rows.append([row["name"], *known, f"{row[KP]:.6g}", f"{row[KD]:.6g}"])
         return _table(heads, rows)
 
 
@@ -206,7 +207,7 @@ def _box_lines(box: Mapping[str, Any]) -> list[str]:
     """What was assumed not to be known."""
     ends = [
         f"{key} {value[0]:.4g} to {value[1]:.4g}"
-        + (f" (on '{box['payload_body']}')" if key == "payload" else "")
+        + (f" (on '{box['payload_body']}')" if key == PAYLOAD else "")
         for key, value in box.items()
         if isinstance(value, list)
     ]

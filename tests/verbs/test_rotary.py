@@ -11,7 +11,7 @@ import jaxact as jx
 from jaxact.cli.main import main
 from jaxact.errors import UserError
 from jaxact.loops import reading
-from jaxact.parameters import turned
+from jaxact.units import turned
 
 MOTOR = {"kp": 80.0, "kd": 1.0, "actuator": "hyq"}
 # Units of a joint that slides, as words of their own.

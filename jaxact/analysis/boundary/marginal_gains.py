@@ -28,6 +28,7 @@ from jaxact.analysis.sampled.period_map import SampledLoop, one_period_matrix
 from jaxact.analysis.sampled.pulse import plant_response, pulse_transfer
 from jaxact.compilation.filling import in_chunks
 from jaxact.compilation.programs import Program
+from jaxact.parameters import DELAY, JOINT_DAMPING, JOINT_STIFFNESS, MASS, VELOCITY_FILTER
 
 _CHUNK = 128
 
@@ -128,7 +129,7 @@ def sampled_marginal(
     with jax.enable_x64(True):
         zero = jnp.asarray(0.0)
         arrays: list = [zero, zero, *(jnp.asarray(float(a)) for a in numbers)]
-        own = dict(zip(("joint_damping", "joint_stiffness"), map(jnp.asarray, joint), strict=True))
+        own = dict(zip((JOINT_DAMPING, JOINT_STIFFNESS), map(jnp.asarray, joint), strict=True))
         plant = SampledLoop(*arrays, **kinds, **(own if any(joint) else {}))
         transfer = jax.tree.map(np.asarray, _transfer(plant))
         steps = int(transfer.steps)
@@ -224,12 +225,12 @@ def _count_continuous(
     plant: mass, wn, zeta, delay, cutoff of the filter of the velocity
     joint: its own damping and stiffness
     """
-    names = ("mass", "natural_frequency", "damping_ratio", "delay", "velocity_filter")
+    names = (MASS, "natural_frequency", "damping_ratio", DELAY, VELOCITY_FILTER)
     own = dict(zip(names, plant, strict=True))
-    if math.isinf(own["velocity_filter"]):
-        del own["velocity_filter"]
+    if math.isinf(own[VELOCITY_FILTER]):
+        del own[VELOCITY_FILTER]
     if any(joint):
-        own |= dict(zip(("joint_damping", "joint_stiffness"), joint, strict=True))
+        own |= dict(zip((JOINT_DAMPING, JOINT_STIFFNESS), joint, strict=True))
     fields = {name: np.full(len(kp), value) for name, value in own.items()}
     loops = JointLoop(kp, kd, **fields)  # type: ignore[arg-type]
     with jax.enable_x64(True):

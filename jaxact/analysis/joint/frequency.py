@@ -18,27 +18,12 @@ All functions are elementwise: the fields of the loop and the frequencies broadc
 """
 
 from dataclasses import dataclass, fields, replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=[
-        "kp",
-        "kd",
-        "mass",
-        "natural_frequency",
-        "damping_ratio",
-        "delay",
-        "velocity_filter",
-        "joint_damping",
-        "joint_stiffness",
-    ],
-    meta_fields=[],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class JointLoop:
     """One joint under continuous PD control through a force servo, or a batch of them.

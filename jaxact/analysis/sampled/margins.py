@@ -29,6 +29,7 @@ from jaxact.analysis.sampled.search import (
     with_slopes,
 )
 from jaxact.compilation.filling import filled
+from jaxact.parameters import JOINT_DAMPING, JOINT_STIFFNESS
 
 _TURN = 2.0 * math.pi
 _TILE = 64
@@ -98,7 +99,7 @@ class SampledMargins:
 
 
 _ARRAYS = tuple(f.name for f in fields(SampledLoop))[:8]
-_OF_JOINT = ("joint_damping", "joint_stiffness")
+_OF_JOINT = (JOINT_DAMPING, JOINT_STIFFNESS)
 
 
 def sampled_margins(loop: SampledLoop, *, max_delay_steps: int) -> SampledMargins:
@@ -191,10 +192,8 @@ def _assemble(
     log_factor = -jnp.log(jnp.abs(at_phase))
     stable = radius < 1.0
     if loop.sprung:
-        moved = -direction * jnp.where(jnp.arange(PHASE_SLOTS + 1) < PHASE_SLOTS, 2.0, 1.0)
-        at_rest, moved_at_rest, there = _at_rest(loop, transfer)
-        log_factor, moved = jnp.append(log_factor, at_rest), jnp.append(moved, moved_at_rest)
-        present, theta_phase = jnp.append(present, there), jnp.append(theta_phase, 0.0)
+        log_factor, moved, present = _with_rest(loop, transfer, log_factor, direction, present)
+        theta_phase = jnp.append(theta_phase, 0.0)
     up = jnp.where(present & (log_factor > 0), log_factor, jnp.inf)
     down = jnp.where(present & (log_factor < 0), log_factor, -jnp.inf)
     if loop.sprung:
@@ -202,7 +201,6 @@ def _assemble(
     else:
         distance = _signed_distance(stable, log_factor, direction, present, found.lead)
     bounded = jnp.isfinite(jnp.min(up))
-
     angle = jnp.arctan2(-at_gain.imag, -at_gain.real)
     nearest = jnp.argmin(jnp.where(found.gain_present, jnp.abs(angle), jnp.inf))
     some = jnp.any(found.gain_present)
@@ -235,6 +233,25 @@ def _assemble(
         modulus_margin=only_stable(1.0 / heights[0]),
         disk_margin=only_stable(1.0 / heights[2]),
         more_crossovers=found.overflow,
+    )
+
+
+def _with_rest(
+    loop: SampledLoop,
+    transfer: PulseTransfer,
+    log_factor: jax.Array,
+    direction: jax.Array,
+    present: jax.Array,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Crossings of a sprung loop, the one at rest last: ln of the factor, roots that it moves out
+    of the unit circle, and whether it is there.
+    """
+    moved = -direction * jnp.where(jnp.arange(PHASE_SLOTS + 1) < PHASE_SLOTS, 2.0, 1.0)
+    at_rest, moved_at_rest, there = _at_rest(loop, transfer)
+    return (
+        jnp.append(log_factor, at_rest),
+        jnp.append(moved, moved_at_rest),
+        jnp.append(present, there),
     )
 
 

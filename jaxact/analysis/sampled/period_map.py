@@ -14,7 +14,6 @@ Closing the loop over the held commands gives one matrix; its spectral radius de
 """
 
 from dataclasses import dataclass, field
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -23,24 +22,10 @@ import numpy as np
 from jaxact.analysis.sampled.servo import held_transition, sprung_transition
 
 POSITION, VELOCITY, FORCE, FORCE_RATE = range(4)
+_STATIC = {"static": True}
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=[
-        "kp",
-        "kd",
-        "mass",
-        "natural_frequency",
-        "damping_ratio",
-        "delay",
-        "control_period",
-        "velocity_filter",
-        "joint_damping",
-        "joint_stiffness",
-    ],
-    meta_fields=["velocity", "integrator", "substeps"],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SampledLoop:
     """One joint under sampled control, or a batch of them: fields broadcast against each other.
@@ -69,9 +54,9 @@ class SampledLoop:
     delay: jax.Array
     control_period: jax.Array
     velocity_filter: jax.Array = field(default=float("inf"))  # type: ignore[assignment]
-    velocity: str = "sampled"
-    integrator: str = "exact"
-    substeps: int = 1
+    velocity: str = field(default="sampled", metadata=_STATIC)
+    integrator: str = field(default="exact", metadata=_STATIC)
+    substeps: int = field(default=1, metadata=_STATIC)
     joint_damping: jax.Array | None = None
     joint_stiffness: jax.Array | None = None
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -242,14 +242,16 @@ jax.tree_util.register_dataclass(
 jax.tree_util.register_dataclass(
     MjxState, data_fields=["qpos", "qvel", "act", "warmstart", "time"], meta_fields=[]
 )
+STATIC = (
+    "qpos", "dofs", "actuators", "limits", "bodies", "payload_body", "kinds", "impl", "corrected",
+)  # fmt: skip
+"""Fields of a plant that are no arrays."""
+
 jax.tree_util.register_dataclass(
     MjxPlant,
-    data_fields=["model", "data", "mass", "variation", "push"],
-    meta_fields=[
-        "qpos", "dofs", "actuators", "limits", "bodies", "payload_body", "kinds", "impl",
-        "corrected",
-    ],
-)  # fmt: skip
+    data_fields=[item.name for item in fields(MjxPlant) if item.name not in STATIC],
+    meta_fields=list(STATIC),
+)
 
 
 def load(path: Path = SLIDE, *, keyframe: str | None = None) -> MjxPlant:

@@ -28,11 +28,9 @@ import jax
 from jaxact.drive.step import Force
 from jaxact.errors import UserError
 from jaxact.plants.mjx import step as _mjx_step
-from jaxact.plants.mjx.plant import MjxPlant, MjxState
+from jaxact.plants.mjx.plant import STATIC, MjxPlant, MjxState
 from jaxact.plants.mjx.step import mjx, solver
 from jaxact.plants.tangent import displaced
-
-_DATA = ("model", "data", "mass", "variation", "push")
 
 
 @dataclass(frozen=True)
@@ -51,8 +49,8 @@ class SmoothPlant(MjxPlant):
 
 jax.tree_util.register_dataclass(
     SmoothPlant,
-    data_fields=list(_DATA),
-    meta_fields=[item.name for item in fields(SmoothPlant) if item.name not in _DATA],
+    data_fields=[item.name for item in fields(SmoothPlant) if item.name not in STATIC],
+    meta_fields=list(STATIC),
 )
 
 

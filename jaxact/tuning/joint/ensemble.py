@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.parameters import OF_JOINT, canonical
+from jaxact.parameters import DELAY, MASS, OF_JOINT, canonical
 from jaxact.tuning.box import Box, Points
 
-PARAMETERS = ("mass", "natural_frequency", "damping_ratio", "delay")
+PARAMETERS = (MASS, "natural_frequency", "damping_ratio", DELAY)
 PLANT = (*PARAMETERS, *OF_JOINT)
 """Every field of a plant; the last two are 0 of a bare mass."""
 FIELDS = {canonical(name): name for name in PLANT}

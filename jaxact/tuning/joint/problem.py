@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact.parameters import KP
 from jaxact.tuning.goal import Goal, tail_weights
 from jaxact.tuning.joint import metrics
 from jaxact.tuning.joint.ensemble import PLANT, Ensemble
@@ -172,8 +173,8 @@ class JointSurrogate:
         if timed is not None:
             soft = jax.vmap(lambda plant: timed.smooth(kp, kd, plant, sharpness))(data.plant)
             found = found | {goal.metric: soft}
-        if goal.metric == "kp":
-            found = found | {"kp": x[:1]}  # the same for all members
+        if goal.metric == KP:
+            found = found | {KP: x[:1]}  # the same for all members
         objective = goal.metric, goal.sense
         tail = None if goal.tail == 0.0 else data.tail
         return combine(found, stable, rows, data.log_bounds, objective, tail, sharpness)
@@ -197,7 +198,7 @@ def rows_of(case_goals: Sequence[Goal], x: np.ndarray, found: Exact) -> Rows:
     goal = case_goals[0]
     slope = found.gain_slope
     usable = np.all(found.stable, axis=1)
-    if goal.metric == "kp":
+    if goal.metric == KP:
         value = x[:, :1]
         value_slope = np.broadcast_to(np.array([1.0, 0.0]), (len(x), 1, 2))
     else:

@@ -8,7 +8,6 @@ are interpolated. What comes out steers the descent; nothing is certified with i
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -29,11 +28,7 @@ _LOW, _HIGH = 1e-3, 40.0
 _TINY = 1e-30
 
 
-@functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["frequency", "position", "velocity", "mass", "period", "joint"],
-    meta_fields=[],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Spectrum:
     """Responses of one member to its command; members and cases go in front.

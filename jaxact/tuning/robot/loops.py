@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from jaxact import parameters
 from jaxact.analysis.robot.multiloop import joined
 from jaxact.compilation.programs import building
 from jaxact.drive.step import Drive
@@ -35,16 +36,18 @@ from jaxact.simulation import kernel, mujoco_batch, plans, robot_loop
 from jaxact.simulation.kernel import Case
 from jaxact.tuning.box import KNOWN, Box, Points
 
-OF_BODY = ("payload", "inertia_scale", "joint_damping", "joint_armature", "contact_friction")
+OF_BODY = (
+    parameters.PAYLOAD, parameters.INERTIA_SCALE, parameters.JOINT_DAMPING,
+    parameters.JOINT_ARMATURE, parameters.CONTACT_FRICTION,
+)  # fmt: skip
 """What may be uncertain of a robot itself. Its controllers use the nominal model: setpoint and
 feedforward are those of the robot without. Damping and armature are added to the model's own, as
 in a sweep (`jaxact.plants.variation`)."""
 
-VARIED = ("wn", "zeta", "delay", "measurement_delay", "output_delay", *OF_BODY)
+VARIED = (*parameters.OF_DRIVES, *OF_BODY)
 """What may be uncertain of a robot and its drives, of all joints alike."""
 
-# Parameters that the gains of a joint come from.
-_GAINS = ("kp", "kd", "gain_scale")
+_GAINS = (parameters.KP, parameters.KD, parameters.GAIN_SCALE)
 
 Opened = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """A, B and Y of one loop, and the effective inertias of the joints, shape (joints,)."""
@@ -119,7 +122,7 @@ def situation(specification: Specification, name: str, box: Box = KNOWN) -> Situ
     # What differs between models or joints must be part of what is compiled.
     own = {k: float(rows[0]) for k, rows in columns.items() if base(k) in OF_BODY or "@" in k}
     specification = replace(specification, parameters={**specification.parameters, **own})
-    samples = explicit(specification, columns or {"feedforward": np.zeros(2)})
+    samples = explicit(specification, columns or {parameters.FEEDFORWARD: np.zeros(2)})
     (plan,) = plans.groups(specification, samples)
     values = samples.take(np.arange(2))
     template = mujoco_batch.template(plan.case, specification.setting)
@@ -129,7 +132,7 @@ def situation(specification: Specification, name: str, box: Box = KNOWN) -> Situ
     assert scene is not None
     opened = _opener(plan.case, specification.setting, nominal, keys)
     shape = (len(scene.labels),)
-    period = 1.0 / nominal["control_rate"]
+    period = 1.0 / nominal[parameters.CONTROL_RATE]
     gains = drives[0].controller
     hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
     model = scene.robot.model
@@ -168,7 +171,7 @@ def _with_gains(specification: Specification) -> tuple[Specification, bool]:
         robots.check(scene, keys, given)
     except UserError:
         kept = {k: v for k, v in specification.parameters.items() if base(k) not in _GAINS}
-        stand_in = replace(specification, parameters=kept | {"kp": 1.0, "kd": 1.0})
+        stand_in = replace(specification, parameters=kept | dict.fromkeys(_GAINS[:2], 1.0))
         return stand_in, False
     return specification, True
 

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 import scipy.linalg
 
+from jaxact.parameters import KP
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import Groups
 from jaxact.tuning.newton import inside, newton
@@ -78,7 +79,7 @@ def rows(case: RobotCase, x: np.ndarray, *, aim: bool = True, shy: float = 0.0) 
         excess.append((sign * (log - np.log(bound))).ravel() + shy)
         slopes.append((sign * slope).reshape(-1, size))
     value, value_slope = np.zeros(1), np.zeros((1, size))
-    if aim and goal.metric == "kp":
+    if aim and goal.metric == KP:
         value_slope = np.concatenate([case.groups.share, np.zeros(len(case.groups))])[None]
         value = value_slope @ x
     elif aim:
@@ -264,7 +265,7 @@ def _stage(
     index = np.flatnonzero(near)
     own = replace(case, table=case.table.take(index, np.flatnonzero(kept)))
     of = problem(own, aim=aim)
-    if stage is _FINE and aim and case.goal.metric == "kp":
+    if stage is _FINE and aim and case.goal.metric == KP:
         found = newton(of, partial(_curvature, own), x, case.low, case.high)
         if -_SLACK < found.violation[0] <= MET:
             return found, found.evaluations * len(index)

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact.parameters import KP
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import Groups
 from jaxact.tuning.objective import Smooth, combine, softmax
@@ -103,14 +104,14 @@ class RobotSurrogate:
         """Smoothed objective and bounds at the logarithms of the gains."""
         goal = self.goal
         rows = tuple((metric, sign) for _, metric, sign, _ in goal.rows)
-        names = tuple(sorted({name for name, _ in rows} | {goal.metric} - {"kp"}))
+        names = tuple(sorted({name for name, _ in rows} | {goal.metric} - {KP}))
         # Beyond a bound nothing changes any more.
         x = jnp.clip(x, case.low, case.high)
         logs = x.reshape(2, -1)
         gains = jnp.exp(logs @ case.spread.T)
         found, stable = _log_metrics(gains, case, names, sharpness, self.loops)
-        if goal.metric == "kp":
-            found = found | {"kp": (logs[0] @ case.share)[None]}
+        if goal.metric == KP:
+            found = found | {KP: (logs[0] @ case.share)[None]}
         objective = goal.metric, goal.sense
         return combine(found, stable, rows, case.log_bounds, objective, None, sharpness)
 

@@ -14,6 +14,7 @@ import itertools
 
 import numpy as np
 
+from jaxact.parameters import KP
 from jaxact.tuning.robot.peaks import growth_rates, highest
 from jaxact.tuning.robot.rows import Found, RobotCase, excess, part
 
@@ -152,5 +153,5 @@ def _roughly(case: RobotCase, x: np.ndarray) -> tuple[float, float]:
     found = highest(case.table, *case.groups.gains(x), goal.wanted)
     # The disk margin is one over its peak.
     over = [found[metric].max() - sign * np.log(bound) for _, metric, sign, bound in goal.rows]
-    own = x[: len(x) // 2] @ case.groups.share if goal.metric == "kp" else -found[goal.metric].max()
+    own = x[: len(x) // 2] @ case.groups.share if goal.metric == KP else -found[goal.metric].max()
     return float(own), float(max(over, default=-np.inf))

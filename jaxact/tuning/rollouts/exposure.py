@@ -15,18 +15,29 @@ from jaxact.errors import UserError
 from jaxact.loops import robots
 from jaxact.loops.robots import Scene
 from jaxact.loops.specification import Push, Specification
+from jaxact.parameters import (
+    COMMAND_RESOLUTION,
+    POSITION_BIAS,
+    POSITION_BIAS_WALK,
+    POSITION_NOISE,
+    POSITION_RESOLUTION,
+    VELOCITY_BIAS,
+    VELOCITY_BIAS_WALK,
+    VELOCITY_NOISE,
+    VELOCITY_RESOLUTION,
+)
 
 ERRORS: Mapping[str, float] = {
-    "position_resolution": 2.0 * np.pi / 80_000,  # counts of the encoder per revolution
-    "position_noise": 2e-5,  # [rad or m]
-    "velocity_resolution": 5e-3,  # [rad/s or m/s]
-    "velocity_noise": 1e-2,
+    POSITION_RESOLUTION: 2.0 * np.pi / 80_000,  # counts of the encoder per revolution
+    POSITION_NOISE: 2e-5,  # [rad or m]
+    VELOCITY_RESOLUTION: 5e-3,  # [rad/s or m/s]
+    VELOCITY_NOISE: 1e-2,
 }
 """Errors of usual joint sensors; a specification that gives any error is taken to give all."""
 
 _OF_SENSORS = (
-    *ERRORS, "position_bias", "velocity_bias", "position_bias_walk", "velocity_bias_walk",
-    "command_resolution",
+    *ERRORS, POSITION_BIAS, VELOCITY_BIAS, POSITION_BIAS_WALK, VELOCITY_BIAS_WALK,
+    COMMAND_RESOLUTION,
 )  # fmt: skip
 _DURATION = 2.0  # [s]
 # The velocity that the push gives the body at once [m/s], and how long it takes at most [s].

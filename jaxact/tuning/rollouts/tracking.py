@@ -38,6 +38,7 @@ from jaxact.loops import robots
 from jaxact.loops.samples import explicit
 from jaxact.loops.specification import Specification
 from jaxact.loops.template import Template
+from jaxact.parameters import COMMAND_RESOLUTION, KD, KP, POSITION_RESOLUTION, VELOCITY_RESOLUTION
 from jaxact.plants.mjx.smooth import smooth
 from jaxact.simulation import kernel, plans, rollout
 from jaxact.simulation.kernel import Case
@@ -54,7 +55,7 @@ FORWARD, REVERSE = 1.0, 9.4
 """Work of a tangent, and of a rollout with its derivatives backwards, in rollouts: measured on a
 quadruped with contacts on a CPU."""
 MODES = ("auto", "forward", "reverse")
-_QUANTISED = ("position_resolution", "velocity_resolution", "command_resolution")
+_QUANTISED = (POSITION_RESOLUTION, VELOCITY_RESOLUTION, COMMAND_RESOLUTION)
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +262,7 @@ def term(
     values = samples.take(np.arange(len(samples)))
     keys = [
         (f"{name}@{re.escape(label)}", half * (which.max() + 1) + which[joint])
-        for half, name in enumerate(("kp", "kd"))
+        for half, name in enumerate((KP, KD))
         for joint, label in enumerate(scene.labels)
     ]
 

@@ -21,7 +21,7 @@ from jaxact.loops import robots
 from jaxact.loops.robots import Scene
 from jaxact.loops.samples import Samples, explicit
 from jaxact.loops.specification import Setting, Specification
-from jaxact.parameters import check, known
+from jaxact.parameters import FEEDFORWARD, GAIN_SCALE, KD, KP, check, known
 from jaxact.plants.engines import MUJOCO
 from jaxact.robots import posture as _posture
 from jaxact.simulation import engines as _engines
@@ -202,7 +202,7 @@ def checked_members(members: Columns) -> dict[str, np.ndarray]:
             raise UserError(f"{key}: not a parameter that members can differ in")
         for value in values:
             check(key, float(value))
-    return columns or {"feedforward": np.zeros(1)}
+    return columns or {FEEDFORWARD: np.zeros(1)}
 
 
 def with_gains(
@@ -228,12 +228,12 @@ def with_gains(
     kept: dict[str, float | str] = {
         key: value
         for key, value in specification.parameters.items()
-        if key.partition("@")[0] not in ("kp", "kd", "gain_scale") and key != "actuator"
+        if key.partition("@")[0] not in (KP, KD, GAIN_SCALE) and key != "actuator"
     }
     if "actuator" in specification.parameters and "actuator" not in columns:
         kept = {"actuator": specification.parameters["actuator"], **kept}
     kept |= {key: float(values[0]) for key, values in columns.items() if key != "actuator"}
-    for name, gains in (("kp", kp), ("kd", kd)):
+    for name, gains in ((KP, kp), (KD, kd)):
         for joint, gain in zip(joints, np.asarray(gains, float), strict=True):
             key = f"{name}@{re.escape(joint)}"
             if robots.matched(scene, key).sum() > 1:
