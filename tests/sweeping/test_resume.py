@@ -395,5 +395,6 @@ def test_what_room_does_not_mend_is_not_said_to_need_room(tmp_path):
     chunk = min((tmp_path / store.STORE / "verdict").glob("c.*"))
     chunk.unlink()
     chunk.mkdir()
-    with pytest.raises(UserError, match=r"Is a directory.*kept: put that right, then.*`resume`"):
+    (chunk / "mine").touch()
+    with pytest.raises(UserError, match=r"Directory not empty.*kept: put that right, then.*`resume`"):
         _run(tmp_path, resume=True)
