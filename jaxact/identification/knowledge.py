@@ -130,6 +130,8 @@ def _estimate(
         enough = width <= max(period, _LARGEST_SHARE * value)
     elif unknown.positive:
         enough = high <= (1.0 + 2.0 * _LARGEST_SHARE) * value and low >= 0.4 * value
+    elif unknown.name.endswith("_asymmetry"):
+        enough = width <= _LARGEST_SHARE  # it is a share itself, of which zero says much
     else:
         size = max(abs(value), 0.02 * max(abs(unknown.low), abs(unknown.high)))
         enough = width <= 2.0 * _LARGEST_SHARE * size or unknown.name in ("offset", "zero")

@@ -16,6 +16,8 @@ from jaxact.parameters import DELAY
 
 # A simpler model is preferred where its error is within this share of the best one's.
 _AS_GOOD = 0.01
+# A model that is not wholly identified is taken where those that are have so many times its error.
+_FAR_WORSE = 1.5
 # Of a log that is alone, the last part is kept for validation.
 _HELD_OUT = 0.3
 
@@ -175,15 +177,13 @@ def _candidate(
 def choose(candidates: Sequence[Candidate]) -> Candidate:
     """The simplest that is as good as the best and all of whose numbers are identified.
 
-    Where none is, the best of those that are identified; where none of those either, the best.
+    Where none of those is, the simplest that is as good as the best whose numbers are; but where
+    that is far worse than the best, or there is none, the simplest as good as the best.
     """
     usable = [one for one in candidates if np.isfinite(one.error)] or list(candidates)
     best = min(one.error for one in usable)
-    as_good = [one for one in usable if one.error <= (1.0 + _AS_GOOD) * best]
-    known = [one for one in as_good if one.knowledge.identified]
-    if known:
-        return min(known, key=lambda one: (one.size, one.error))
     identified = [one for one in usable if one.knowledge.identified]
-    if identified:
-        return min(identified, key=lambda one: one.error)
+    least = min((one.error for one in identified), default=np.inf)
+    chosen, bound = (identified, least) if least <= _FAR_WORSE * best else (usable, best)
+    as_good = [one for one in chosen if one.error <= (1.0 + _AS_GOOD) * bound]
     return min(as_good, key=lambda one: (one.size, one.error))

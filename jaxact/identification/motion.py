@@ -47,6 +47,9 @@ FRICTION: dict[str, tuple[str, ...]] = {
     "viscous": ("viscous",),
     "viscous and dry": ("viscous", "coulomb"),
     "asymmetric": ("viscous", "coulomb", "viscous_asymmetry", "coulomb_asymmetry"),
+    "asymmetric, with an offset": (
+        "viscous", "coulomb", "viscous_asymmetry", "coulomb_asymmetry",
+    ),
     "load-dependent": ("viscous", "coulomb", "loaded", "carried"),
     "load-dependent, more at rest": (
         "viscous", "coulomb", "loaded", "carried", "stribeck", "stribeck_speed",

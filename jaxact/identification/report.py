@@ -27,7 +27,7 @@ def text(identified: Identified) -> str:
         lines += [f"  {note}" for note in notes(log, found)]
     if ladder.kept_apart:
         lines.append("validated on the last 30 % of each log, as no other was given")
-    lines += ["", *table(identified), ""]
+    lines += ["", *table(identified), *(f"  {said}" for said in collinear(identified)), ""]
     chosen = ladder.chosen
     lines.append(f"chosen: {chosen.rung.name}")
     lines += [f"  {estimate(one)}" for one in chosen.knowledge.estimates]
@@ -119,46 +119,50 @@ def estimate(one: Estimate) -> str:
 def combined(chosen: Candidate, log: Log) -> list[str]:
     """Which combinations are known where single numbers are not."""
     known = chosen.knowledge
-    said = [
-        f"{' and '.join(names)} cannot be told apart by these logs" for names in known.combinations
-        if len(names) > 1
-    ]  # fmt: skip
-    unsure = [e for e in known.estimates if e.name in (DELAY, WN, ZETA, "lag")
-              and not e.identified]  # fmt: skip
+    said = [f"{' and '.join(names)} cannot be told apart by these logs" for names in _sets(chosen)]
+    unsure = [e for e in known.estimates if e.name in (DELAY, WN, ZETA, "lag") and not e.identified]
     if unsure and known.lag is not None:
         value, deviation = known.lag
         half = 1.96 * deviation
-        fine = 1e3 * max(log.period, 1e-3) * 5.0
         if half < 0.3 * max(value, log.period):
             said.append(
                 f"only delay + 2 zeta/wn = {1e3 * value:.4g} ms (+- {1e3 * half:.2g}) is known; a"
-                f" PRBS of {fine:.3g} ms would separate them"
+                f" PRBS of {5e3 * max(log.period, 1e-3):.3g} ms would separate them"
             )
     return said
+
+
+def collinear(identified: Identified) -> list[str]:
+    """What cannot be told apart in models that were not chosen."""
+    said = {
+        f"{' and '.join(names)} cannot be told apart ({one.rung.name})": None
+        for one in identified.ladder.candidates
+        if one is not identified.ladder.chosen
+        for names in _sets(one)
+    }
+    return list(said)
+
+
+def _sets(one: Candidate) -> list[tuple[str, ...]]:
+    return [names for names in one.knowledge.combinations if len(names) > 1]
 
 
 def unstable_delay(identified: Identified) -> list[str]:
     """Whether the delay depends on what is assumed of friction."""
-    said: list[str] = []
     ladder = identified.ladder
     delays = {
-        one.rung.friction: one.knowledge[DELAY]
+        one.rung.friction: one.knowledge[DELAY].value
         for one in ladder.candidates
-        if one.rung.dynamics == DELAY and one.rung.friction
+        if one.rung.dynamics == "delay" and one.rung.friction
     }
-    if len(delays) < 2:
-        return said
-    best = delays.get(ladder.chosen.rung.friction)
-    if best is None:
-        return said
     period = ladder.fitted[0].period
-    for friction, one in delays.items():
-        if friction != ladder.chosen.rung.friction and abs(one.value - best.value) > 0.5 * period:
-            said.append(
-                f"with {friction} friction the delay would be {1e3 * one.value:.3g} ms: it is not"
-                " stable, it makes up for what that friction lacks"
-            )
-    return said
+    if len(delays) < 2 or max(delays.values()) - min(delays.values()) < 0.5 * period:
+        return []
+    each = ", ".join(f"{name} {1e3 * max(delay, 0.0):.3g}" for name, delay in delays.items())
+    return [
+        "a delay by itself is not stable, it makes up for what friction lacks; by the friction"
+        f" assumed [ms]: {each}"
+    ]
 
 
 def alignment(chosen: Candidate, log: Log) -> list[str]:

@@ -11,12 +11,14 @@ from matplotlib.figure import Figure
 from scipy import signal as _signal
 from scipy import stats
 
-from jaxact.plotting import theme
+from jaxact.plotting import theme, ticks
 from jaxact.plotting.page import page
 
 # So many rows of a log can be seen beside each other.
 _MOST_ROWS = 1500
 _LAGS = 60
+# Of a frequency response: incoherent frequencies before it ends, and the fewest to draw.
+_MOST_GAPS, _FEWEST_POINTS = 10, 5
 
 
 @dataclass(frozen=True)
@@ -178,41 +180,39 @@ def frequency_response(axes: Sequence[Axes], compared: Compared) -> None:
     _, model = _signal.csd(compared.stimulus, compared.simulated, **given)
     _, coherence = _signal.coherence(compared.stimulus, compared.measured, **given)
     kept = (coherence > 0.3) & (frequency > 0.0)
-    averages = max(2.0 * len(compared.time) / length - 1.0, 1.0)
-    spread = np.sqrt((1.0 - coherence) / np.maximum(coherence, 1e-9) / (2.0 * averages))
-    half = stats.norm.ppf(0.975) * spread
+    # From the first coherent frequency to where the stimulus no longer says anything.
+    kept &= np.cumsum(~kept & (frequency > 0.0)) <= _MOST_GAPS
     gain, phase = axes
-    floor = np.maximum(power, 1e-300)
-    measured, simulated = np.abs(cross) / floor, np.abs(model) / floor
-    turned = np.degrees(np.unwrap(np.angle(cross[kept])))
-    modelled = np.degrees(np.unwrap(np.angle(model[kept])))
-    if kept.any():
-        shift = 360.0 * np.round((modelled - turned)[0] / 360.0)
-        gain.fill_between(
-            frequency[kept], (measured * np.maximum(1.0 - half, 1e-3))[kept],
-            (measured * (1.0 + half))[kept], color="#D5D5D5", zorder=1,
-        )  # fmt: skip
-        gain.plot(frequency[kept], measured[kept], color=theme.INK, linewidth=1.2, zorder=3)
-        gain.plot(
-            frequency[kept], simulated[kept], color=theme.VERMILION, linestyle=(0, (4, 1.5)),
-            linewidth=1.1, zorder=4,
-        )  # fmt: skip
-        phase.fill_between(
-            frequency[kept], turned + shift - np.degrees(half[kept]),
-            turned + shift + np.degrees(half[kept]), color="#D5D5D5", zorder=1,
-        )  # fmt: skip
-        phase.plot(frequency[kept], turned + shift, color=theme.INK, linewidth=1.2, zorder=3)
-        phase.plot(
-            frequency[kept], modelled, color=theme.VERMILION, linestyle=(0, (4, 1.5)),
-            linewidth=1.1, zorder=4,
-        )  # fmt: skip
-        gain.set_yscale("log")
     for panel, label in ((gain, "gain"), (phase, "phase [°]")):
         panel.set_xscale("log")
         panel.set_ylabel(label)
         panel.grid(visible=True)
     gain.tick_params(labelbottom=False)
     phase.set_xlabel("frequency [Hz]")
+    if np.count_nonzero(kept) < _FEWEST_POINTS:
+        gain.text(0.5, 0.5, "no coherent band", transform=gain.transAxes, ha="center", va="center")
+        return
+    averages = max(2.0 * len(compared.time) / length - 1.0, 1.0)
+    spread = np.sqrt((1.0 - coherence) / np.maximum(coherence, 1e-9) / (2.0 * averages))
+    half = (stats.norm.ppf(0.975) * spread)[kept]
+    floor = np.maximum(power, 1e-300)[kept]
+    at = frequency[kept]
+    measured, simulated = np.abs(cross[kept]) / floor, np.abs(model[kept]) / floor
+    turned = np.degrees(np.unwrap(np.angle(cross[kept])))
+    modelled = np.degrees(np.unwrap(np.angle(model[kept])))
+    turned = turned + 360.0 * np.round((modelled - turned)[0] / 360.0)
+    dashed = {"color": theme.VERMILION, "linestyle": (0, (4, 1.5)), "linewidth": 1.1, "zorder": 4}
+    bands = (
+        (gain, measured, measured * np.maximum(1.0 - half, 1e-3), measured * (1.0 + half)),
+        (phase, turned, turned - np.degrees(half), turned + np.degrees(half)),
+    )
+    for (panel, middle, low, high), own in zip(bands, (simulated, modelled), strict=True):
+        panel.fill_between(at, low, high, color="#D5D5D5", zorder=1)
+        panel.plot(at, middle, color=theme.INK, linewidth=1.2, zorder=3)
+        panel.plot(at, own, **dashed)
+        ticks.label(panel.xaxis)
+    gain.set_yscale("log")
+    ticks.label(gain.yaxis)
 
 
 def _busiest(compared: Compared) -> slice:

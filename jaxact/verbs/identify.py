@@ -32,8 +32,8 @@ def identification_sheet(identified: Identified, *, title: str = "", log: int = 
     return _pictures.sheet(
         compared(identified, log),
         steps(identified),
-        title=title or identified.verdict.sentence,
-        footer=f"{ladder.chosen.rung.name}; fitted to {footer}",
+        title=title or f"{identified.verdict.level.value}: {ladder.chosen.rung.name}",
+        footer=f"{identified.verdict.sentence}. Fitted: {footer}",
     )
 
 

@@ -396,5 +396,7 @@ def test_what_room_does_not_mend_is_not_said_to_need_room(tmp_path):
     chunk.unlink()
     chunk.mkdir()
     (chunk / "mine").touch()
-    with pytest.raises(UserError, match=r"Directory not empty.*kept: put that right, then.*`resume`"):
+    with pytest.raises(
+        UserError, match=r"Directory not empty.*kept: put that right, then.*`resume`"
+    ):
         _run(tmp_path, resume=True)

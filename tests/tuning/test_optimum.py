@@ -10,7 +10,7 @@ from loops import largest_peaks
 from quickly import optimised_little
 
 from jaxact.tuning.goal import Goal
-from jaxact.tuning.joint.ensemble import PARAMETERS, Ensemble, ensemble
+from jaxact.tuning.joint.ensemble import PLANT, Ensemble, ensemble
 from jaxact.tuning.joint.problem import Case
 from jaxact.tuning.joint.search import tune_all
 
@@ -21,7 +21,7 @@ STORED = json.loads((DATA / "tuner_random.json").read_text())
 
 def _largest_peaks(results):
     """max(Ms, Mt) over the members of every case, straight from the margins."""
-    rows = [np.stack([getattr(t.members, name) for t in results]) for name in PARAMETERS]
+    rows = [np.stack([getattr(t.members, name) for t in results]) for name in PLANT]
     gains = [np.array([getattr(t, name) for t in results])[:, None] for name in ("kp", "kd")]
     *rows, kp, kd = (row.ravel() for row in np.broadcast_arrays(*rows, *gains))
     peaks = largest_peaks(Ensemble(*rows), kp, kd)
@@ -112,7 +112,7 @@ def test_ensembles_are_within_a_percent_of_brute_force(ensembles):
 
 def test_no_gains_near_an_ensembles_optimum_are_stiffer(ensembles):
     tuned = ensembles[4]
-    rows = np.stack([getattr(tuned.members, name) for name in PARAMETERS], axis=1)
+    rows = np.stack([getattr(tuned.members, name) for name in PLANT], axis=1)
     kp, kd = np.meshgrid(tuned.kp * np.array([1.01, 1.1, 1.3]), tuned.kd * np.geomspace(0.5, 2, 25))
     worst = brute_force.log_peaks(rows, kp.ravel(), kd.ravel())
     assert worst.min() > np.log(tuned.goal.max_peak)
