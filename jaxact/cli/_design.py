@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
@@ -73,6 +73,14 @@ def run(bench: Bench, plant: str, out: Path) -> None:
         )  # fmt: skip
     print("real logs have residuals that hang together: expect several times these")
     print(f"wrote {out}: {best.name}")
+
+
+def refuse(bench: Bench) -> None:
+    """Raise UserError where an option of a bench is given without `--design`."""
+    usual = Bench()
+    for item in fields(bench):
+        if getattr(bench, item.name) != getattr(usual, item.name):
+            raise UserError(f"`{item.name}` is for --design; logs say it themselves")
 
 
 def _range(name: str, text: str) -> tuple[float, float]:

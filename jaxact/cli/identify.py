@@ -87,10 +87,13 @@ def main(
     picture = out.with_suffix(".png")
     _check_outputs([out] if design else [out, picture], overwrite=overwrite)
     if design:
+        if logs:
+            raise UserError(f"--design needs no logs; leave {logs[0]} out, or --design")
         _design.run(bench, plant, out)
         return
     if not logs:
         raise UserError("no logs; give the CSV or NPZ files to fit, or --design")
+    _design.refuse(bench)
 
     from jaxact.cli import _progress
     from jaxact.verbs.identify import identify
@@ -109,6 +112,8 @@ def main(
 
 def _check_outputs(paths: list[Path], *, overwrite: bool) -> None:
     """Raise UserError where a file cannot be written, or is there already."""
+    if len(set(paths)) < len(paths):
+        raise UserError(f"output {paths[0]}: the picture has this name; give --out drive.toml")
     for path in paths:
         if path.exists() and not overwrite:
             raise UserError(f"output {path}: exists; give another --out, or --overwrite")

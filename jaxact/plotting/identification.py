@@ -30,7 +30,6 @@ class Compared:
         time: of its rows [s], shape (rows,).
         stimulus, measured, simulated: shape (rows,).
         signal, unit: that was measured.
-        force: whether the stimulus is of the same kind as what was measured.
     """
 
     title: str

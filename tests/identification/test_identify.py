@@ -129,6 +129,13 @@ def test_gains_that_contradict_the_command_are_refused():
         identify(wrong)
 
 
+def test_a_picture_does_not_take_the_drives_place(files, tmp_path, capsys):
+    out = tmp_path / "drive.png"
+    assert main(["identify", str(files / "bench_1.csv"), "--out", str(out)]) == 2
+    assert "the picture has this name; give --out drive.toml" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def _csv(path, log):
     rows = np.stack([log.time, log["command"], log["force"]], axis=1)
     np.savetxt(path, rows, delimiter=",", header="time,command,force", comments="", fmt="%.9g")
@@ -166,6 +173,8 @@ def test_the_command_writes_the_drive_and_a_picture(files, tmp_path, capsys):
         (["--plant", "mass"], "has no position; a mass needs one"),
         (["--joint", "elbow"], "joint 'elbow' is not in the map"),
         (["--control-rate", "0"], "--control-rate = 0 is out of range"),
+        (["--wn", "100"], "--wn is for --design; logs say it themselves"),
+        (["--design"], "--design needs no logs"),
     ],
 )
 def test_what_does_not_fit_is_one_line_and_writes_nothing(files, tmp_path, capsys, options, said):
