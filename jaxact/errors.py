@@ -17,8 +17,9 @@ class UserError(Exception):
 def nearest(given: object, known: Iterable[str]) -> str:
     """`did you mean 'zeta'? allowed: kp, kd, ...`: what to write instead of an unknown name.
 
-    given: what was written
-    known: the names that are allowed
+    Args:
+        given: what was written.
+        known: the names that are allowed.
     """
     names = list(known)
     close = difflib.get_close_matches(str(given).casefold(), names, n=1, cutoff=0.5)

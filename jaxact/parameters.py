@@ -61,13 +61,14 @@ CONTACT_FRICTION = "contact_friction"
 class Parameter:
     """One numeric parameter of a loop.
 
-    name: short name, the one symbol used everywhere
-    long_name: in words
-    unit: SI unit, "1" for none
-    default: value where nothing is given
-    minimum, maximum: closed bounds of a finite value
-    infinite: infinity is allowed too, and means "none" or "ideal"
-    description: one sentence
+    Attributes:
+        name: short name, the one symbol used everywhere.
+        long_name: in words.
+        unit: SI unit, "1" for none.
+        default: value where nothing is given.
+        minimum, maximum: closed bounds of a finite value.
+        infinite: infinity is allowed too, and means "none" or "ideal".
+        description: one sentence.
     """
 
     name: str
@@ -319,8 +320,9 @@ def mass_word(unit: str | None) -> str:
 def of(key: str, unit: str | None = None) -> Parameter:
     """The parameter of a key of this table, its long name telling the joints it is meant for.
 
-    key: short name, or a key of it for some joints
-    unit: of the joint's position, "m" or "rad"; None: m
+    Args:
+        key: short name, or a key of it for some joints.
+        unit: of the joint's position, "m" or "rad"; None: m.
     """
     name, _, pattern = key.partition("@")
     parameter = PARAMETERS[name]
@@ -351,11 +353,13 @@ def _is_pattern(text: str) -> bool:
 def check(name: str, value: object, key: str = "") -> float:
     """The value of a parameter as a float, if it is a number within the parameter's bounds.
 
-    name: short name of the parameter, or a key of it for some joints
-    value: what was given
-    key: how the message names it, the parameter's own name by default
+    Args:
+        name: short name of the parameter, or a key of it for some joints.
+        value: what was given.
+        key: how the message names it, the parameter's own name by default.
 
-    Raises UserError for anything that is not a number, is NaN, or is out of bounds.
+    Raises:
+        UserError: anything that is not a number, is NaN, or is out of bounds.
     """
     parameter = of(name)
     key = key or name
@@ -377,7 +381,8 @@ def check(name: str, value: object, key: str = "") -> float:
 def check_actuator(value: object, key: str = "actuator") -> str:
     """The name of an actuator preset, if there is one of that name.
 
-    Raises UserError for any other name.
+    Raises:
+        UserError: any other name.
     """
     if not isinstance(value, str) or value not in PRESETS:
         raise UserError(

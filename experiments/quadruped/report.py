@@ -106,7 +106,7 @@ def page(
         "Both gains of all joints are multiplied. Linear: where the growth rate of the linearised "
         "loop crosses zero. Rollouts: the largest multiplier at which small motions die out in "
         "nonlinear rollouts, without noise and quantisation. The two are computed independently. "
-        f"Searched from {LOWEST:g} to {HIGHEST:g}; below the first figure the robot topples.",
+        f"Searched from {LOWEST:g} to {HIGHEST:g}; below the first number the robot topples.",
         _table(
             ["situation", "actuator", "delay", "topples below", "linear", "rollouts", "difference"],
             [

@@ -50,7 +50,7 @@ class Counted:
     def __init__(self, case: Case, origin: np.ndarray):
         self.case, self.origin, self.number = case, origin, 0
 
-    def figures(self, x: np.ndarray) -> tuple[float, float, bool]:
+    def metrics(self, x: np.ndarray) -> tuple[float, float, bool]:
         """ln kp, largest violation and whether stable, at log-gains relative to the origin."""
         self.number += 1
         gains = (np.asarray(x) + self.origin)[None]
@@ -60,14 +60,14 @@ class Counted:
 
     def penalised(self, x: np.ndarray) -> float:
         """-ln kp + penalty on the violation."""
-        value, violation, stable = self.figures(x)
+        value, violation, stable = self.metrics(x)
         if not stable:
             return _WALL * _PENALTY + float(np.sum(np.abs(x)))
         return -value + _PENALTY * max(violation, 0.0)
 
     def room(self, x: np.ndarray) -> float:
         """What is left of the constraints, for SLSQP."""
-        return -self.figures(x)[1]
+        return -self.metrics(x)[1]
 
 
 Method = Callable[[Case], tuple[np.ndarray, int]]

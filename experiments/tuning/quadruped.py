@@ -122,7 +122,7 @@ TAIL = """
 
 
 def markdown(tuned, candidates, rollouts, duration: float) -> str:
-    """The report: gains, linear figures and rollouts, side by side."""
+    """The report: gains, linear metrics and rollouts, side by side."""
     sure = "Certified" if tuned.certified else "Not certified"
     text = HEAD.format(
         peak=MAX_PEAK, situations=", ".join(one.name for one in tuned.robot.situations),

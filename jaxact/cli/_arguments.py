@@ -26,9 +26,10 @@ _ROTARY = dataclasses.replace(
 def option(metavar: str, words: str, default: str = "") -> Any:
     """How an option with a value is shown.
 
-    metavar: what stands for the value, in capitals
-    words: what the option is, with its unit
-    default: in words, where it is not the default of the argument
+    Args:
+        metavar: what stands for the value, in capitals.
+        words: what the option is, with its unit.
+        default: in words, where it is not the default of the argument.
     """
     hint: Any = {"help_behavior_hint": f"(default: {default})"} if default else {}
     return arg(metavar=metavar, help=words, **hint)
@@ -120,7 +121,8 @@ class Mounting:
     def plant(self) -> dict[str, Any]:
         """The keys of a specification's [plant] that were given.
 
-        Raises UserError for a value that is not known.
+        Raises:
+            UserError: a value that is not known.
         """
         chosen = {name: getattr(self, name) for name in ("posture", *_CHOICES)}
         return mounted(**chosen) | ({"joints": list(self.joints)} if self.joints else {})
@@ -157,7 +159,8 @@ _CHOICES = {
 def mounted(**chosen: str | None) -> dict[str, str]:
     """The keys of a [plant] among these options that were given.
 
-    Raises UserError for a value that is not known.
+    Raises:
+        UserError: a value that is not known.
     """
     given = {name: value for name, value in chosen.items() if value is not None}
     for name, value in given.items():
@@ -174,10 +177,12 @@ def one_of(name: str, value: str, known: Iterable[str]) -> None:
 def demand_robot(options: Any, *, given: bool) -> bool:
     """Whether a robot is meant.
 
-    options: a dataclass of options that are of a robot
-    given: a robot was named
+    Args:
+        options: a dataclass of options that are of a robot.
+        given: a robot was named.
 
-    Raises UserError for options of a robot without one.
+    Raises:
+        UserError: options of a robot without one.
     """
     for field in () if given else fields(options):
         if getattr(options, field.name) != field.default:
@@ -188,8 +193,9 @@ def demand_robot(options: Any, *, given: bool) -> bool:
 def parameters(names: Iterable[str], *, several: bool) -> type:
     """A dataclass with one option for each parameter named, and `actuator`.
 
-    names: of parameters of the table
-    several: each takes several values, none where it is not given; else one, or UNSET
+    Args:
+        names: of parameters of the table.
+        several: each takes several values, none where it is not given; else one, or UNSET.
     """
     more = " ..." if several else ""
     preset = option(f"NAME{more}", f"Preset that sets wn and zeta: {', '.join(PRESETS)}.", "none")
@@ -220,7 +226,8 @@ def parameters(names: Iterable[str], *, several: bool) -> type:
 def given(chosen: Any) -> dict[str, Any]:
     """The options of such a dataclass that were given, by name.
 
-    Raises UserError for one without any value.
+    Raises:
+        UserError: one without any value.
     """
     values = {field.name: getattr(chosen, field.name) for field in fields(chosen)}
     for name, value in values.items():

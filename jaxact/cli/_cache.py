@@ -24,9 +24,10 @@ def prepare(*, wanted: bool = True, quiet: bool = False) -> None:
 
     To be called before JAX starts. Folders that the user names in the environment are respected.
 
-    wanted: False turns both off
-    quiet: do not say, in one line, where the folder cannot be written to and everything is compiled
-        anew; of one that others can write to it is said in any case
+    Args:
+        wanted: False turns both off.
+        quiet: do not say, in one line, where the folder cannot be written to and everything is
+            compiled anew; of one that others can write to it is said in any case.
     """
     if not wanted:
         for name in _FOLDERS:
@@ -53,7 +54,8 @@ def prepare(*, wanted: bool = True, quiet: bool = False) -> None:
 def _drop_shared(ours: list[str]) -> None:
     """Keep nothing where others can write: it is run, and they could run anything as this user.
 
-    ours: variables of folders that the user has not named; JAX's own is checked if it is one
+    Args:
+        ours: variables of folders that the user has not named; JAX's own is checked if it is one.
     """
     if ours and (reason := files.shared(cache.folder())):
         _say(cache.folder(), f"{reason}; compiling anew")

@@ -13,9 +13,10 @@ from jaxact.errors import UserError
 def check_output(path: Path | None, ending: str, *, overwrite: bool) -> None:
     """Raise UserError if a file cannot be written there, or is there and may not be replaced.
 
-    path: of the file, None for none
-    ending: that its name must have, e.g. ".csv"
-    overwrite: replace a file that is there
+    Args:
+        path: of the file, None for none.
+        ending: that its name must have, e.g. ".csv".
+        overwrite: replace a file that is there.
     """
     if path is None:
         return
@@ -32,10 +33,12 @@ def check_output(path: Path | None, ending: str, *, overwrite: bool) -> None:
 def write(path: Path, fill: Callable[[BinaryIO], object]) -> None:
     """Write a file through a temporary one beside it.
 
-    path: of the file
-    fill: writes the content into an open binary file
+    Args:
+        path: of the file.
+        fill: writes the content into an open binary file.
 
-    Raises UserError where the folder cannot be written to.
+    Raises:
+        UserError: the folder cannot be written to.
     """
     with files.output(path) as partial, partial.open("wb") as file:
         fill(file)

@@ -14,8 +14,9 @@ from jaxact.errors import UserError
 def check_folder(path: Path | None, *, overwrite: bool) -> None:
     """Raise UserError if a folder cannot be made there, or is there and may not be replaced.
 
-    path: of the folder, None for none
-    overwrite: replace a folder that is there
+    Args:
+        path: of the folder, None for none.
+        overwrite: replace a folder that is there.
     """
     if path is None:
         return
@@ -31,7 +32,8 @@ def check_folder(path: Path | None, *, overwrite: bool) -> None:
 def whole_folder(path: Path) -> Iterator[Path]:
     """A temporary folder to fill, which takes the place of `path` at the end, if all went well.
 
-    Raises UserError where it cannot be written.
+    Raises:
+        UserError: it cannot be written.
     """
     try:
         with tempfile.TemporaryDirectory(dir=path.absolute().parent, prefix=".jaxact-") as beside:

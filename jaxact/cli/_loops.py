@@ -43,11 +43,13 @@ _NO_MATTER = (
 def joints(chosen: Any, file: Path | None, velocity: str) -> ControlLoop:
     """Every combination of the values of the options, or the loops of a file.
 
-    chosen: options of parameters with several values each
-    file: of loops, None for none; then the options say what its loops do not say themselves
-    velocity: "sampled", or "differenced"
+    Args:
+        chosen: options of parameters with several values each.
+        file: of loops, None for none; then the options say what its loops do not say themselves.
+        velocity: "sampled", or "differenced".
 
-    Raises UserError for values that make no sense, or several where a file lists the loops.
+    Raises:
+        UserError: values that make no sense, or several where a file lists the loops.
     """
     import numpy as np
 
@@ -76,7 +78,8 @@ def joints(chosen: Any, file: Path | None, velocity: str) -> ControlLoop:
 def linear(chosen: Any, file: Path | None, velocity: str) -> ControlLoop:
     """As `joints`, of loops that are looked at as linear ones.
 
-    Raises UserError for options that have no effect on any of the loops.
+    Raises:
+        UserError: options that have no effect on any of the loops.
     """
     import numpy as np
 
@@ -114,13 +117,15 @@ def specified(
 ) -> Specification:
     """The checked specification of the options: the file, then the options, then --set.
 
-    robot: which one, or the file; neither for a joint
-    given: parameter (or `actuator`) -> its value, or a tuple of values, which are an axis then
-    static: options of the whole specification; None is not given
-    defaults: of these, where there is no file
-    push: keys of the push, None where none was given
+    Args:
+        robot: which one, or the file; neither for a joint.
+        given: parameter (or `actuator`) -> its value, or a tuple of values, which are an axis then.
+        static: options of the whole specification; None is not given.
+        defaults: of these, where there is no file.
+        push: keys of the push, None where none was given.
 
-    Raises UserError for what does not fit; its message names the option.
+    Raises:
+        UserError: what does not fit; its message names the option.
     """
     from jaxact.loops import reading, toml  # slow to import
 
@@ -162,9 +167,11 @@ def of_robot(
 ) -> Specification:
     """As `specified`, of a robot that is linearised.
 
-    velocity: "sampled" leaves a file its own
+    Args:
+        velocity: "sampled" leaves a file its own.
 
-    Raises UserError without a robot, and as `specified`.
+    Raises:
+        UserError: without a robot, and as `specified`.
     """
     for name in (MASS, INERTIA, "unit"):
         if name in given:

@@ -68,11 +68,13 @@ def _names(verb: str) -> set[str]:
 def call(function: Callable[..., None], program: str, arguments: Sequence[str]) -> None:
     """Call a verb's function with the options given on the command line.
 
-    function: typed arguments are the options, the docstring is the help
-    program: shown in the help, e.g. `jaxact sweep`
-    arguments: what follows the verb
+    Args:
+        function: typed arguments are the options, the docstring is the help.
+        program: shown in the help, e.g. `jaxact sweep`.
+        arguments: what follows the verb.
 
-    Raises UserError for options that cannot be read, SystemExit(0) after `--help`.
+    Raises:
+        UserError: options that cannot be read, SystemExit(0) after `--help`.
     """
     import tyro
 

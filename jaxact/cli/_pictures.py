@@ -20,12 +20,13 @@ def draw(
 ) -> None:
     """Compute the responses of the loops, draw the picture, write it and say so.
 
-    picture: of responses
-    parameters: options of `_loops.Linear`
-    file: of loops, None for none
-    velocity: that the controllers see
-    title: above the picture
-    out: file to write
+    Args:
+        picture: of responses.
+        parameters: options of `_loops.Linear`.
+        file: of loops, None for none.
+        velocity: that the controllers see.
+        title: above the picture.
+        out: file to write.
     """
     from jaxact.plotting import theme
 

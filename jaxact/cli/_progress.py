@@ -13,8 +13,9 @@ from jaxact.cli import _signals
 def bar(total: int, *, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
     """A function of (loops done, loops in all) that moves the bar on standard error.
 
-    total: loops in all
-    quiet: show nothing; nothing is shown either where standard error is not a terminal
+    Args:
+        total: loops in all.
+        quiet: show nothing; nothing is shown either where standard error is not a terminal.
     """
     if quiet or not sys.stderr.isatty():
         yield lambda done, total: _signals.check()
@@ -58,7 +59,8 @@ def bar(total: int, *, quiet: bool = False) -> Iterator[Callable[[int, int], Non
 def phases(*, quiet: bool = False) -> Iterator[Callable[[str], None]]:
     """A function that says on standard error what is being done now, and for how long already.
 
-    quiet: show nothing; nothing is shown either where standard error is not a terminal
+    Args:
+        quiet: show nothing; nothing is shown either where standard error is not a terminal.
     """
     if quiet or not sys.stderr.isatty():
         yield lambda text: _signals.check()

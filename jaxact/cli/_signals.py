@@ -45,7 +45,8 @@ def listen() -> None:
 def taken(work: Callable[[], int]) -> int:
     """The exit code of some work; where a signal has ended it, the process ends here.
 
-    work: raises what a signal raises, or says that it was interrupted; returns the exit code
+    Args:
+        work: raises what a signal raises, or says that it was interrupted; returns the exit code.
     """
     import gc
 
@@ -96,7 +97,9 @@ def leave(words: str | None = "") -> None:
 
     Devices may be computing still, and would crash while the interpreter is taken down.
 
-    words: what to say, in one line; "": that it was interrupted; None: nothing, it is said already
+    Args:
+        words: what to say, in one line; "": that it was interrupted; None: nothing, it is said
+            already.
     """
     over()
     try:

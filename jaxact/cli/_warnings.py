@@ -63,6 +63,6 @@ def overload(plant: Plant | None) -> None:
     weak = robots.overloaded(scene)
     if weak:
         warn(
-            f"{', '.join(weak)}: more than the model's joints can exert; linear figures are those "
+            f"{', '.join(weak)}: more than the model's joints can exert; linear metrics are those "
             "of joints that could, simulations saturate"
         )

@@ -21,13 +21,14 @@ _OLD_DEVICE_COUNT = "--xla_force_host_platform_device_count"
 def prepare(*, all_cores: bool = False) -> None:
     """Set what JAX and NumPy read when they start, unless the user's environment says it.
 
-    all_cores: one CPU device for each core this process may use, so that a sweep uses them all
-
     XLA prefers 256-bit vectors by itself even where the CPU has 512-bit ones, which costs a sweep
     of the mass plant up to half its speed.
 
     OpenBLAS, which NumPy and SciPy bring along, would start a thread for each core. They wait by
     spinning, on cores that JAX could use, and a robot's matrices are too small for several.
+
+    Args:
+        all_cores: one CPU device for each core this process may use, so that a sweep uses them all.
     """
     flags = given = os.environ.get("XLA_FLAGS", "")
     if VECTOR_WIDTH not in given and _has_wide_vectors():

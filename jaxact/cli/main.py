@@ -49,16 +49,17 @@ _COMPILE = (
 USAGE_ERROR = 2
 INTERRUPTED = 130
 TERMINATED = 143
-HUNG_UP = 129
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code.
+    """Run the command line.
 
-    arguments: what follows `jaxact`, the process's own by default
+    Args:
+        arguments: what follows `jaxact`, the process's own by default.
 
-    0: done. 2: a mistake in what was given, told in one line on standard error, nothing written.
-    130: interrupted with Ctrl-C. 143: terminated. 129: its terminal has gone.
+    Returns:
+        The exit code. 0: done. 2: a mistake in what was given, told in one line on standard error,
+        nothing written. 130: interrupted with Ctrl-C. 143: terminated. 129: its terminal has gone.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:

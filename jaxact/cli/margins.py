@@ -92,7 +92,7 @@ def main(
     if _arguments.demand_robot(robot, given=named):
         for name, unfit in (("loops", loops), ("csv", csv), ("store", store)):
             if unfit is not None:
-                raise UserError(f"--{name}: is for single joints; a robot's figures come as --json")
+                raise UserError(f"--{name}: is for single joints; a robot's metrics come as --json")
         _of_robot(robot, _arguments.given(parameters), velocity, json=json)
         return
     _files.check_output(csv, ".csv", overwrite=overwrite)

@@ -69,7 +69,7 @@ def main(
         Path | None, option("FILE", "Write the trajectory as NumPy arrays.", "no")
     ] = None,
     overwrite: Annotated[bool, arg(help="Replace CSV and NPZ files that are there.")] = False,
-    json: Annotated[bool, arg(help="Print the figures as JSON instead of a table.")] = False,
+    json: Annotated[bool, arg(help="Print the metrics as JSON instead of a table.")] = False,
 ) -> None:
     """Simulate one loop and keep its trajectory, as a picture and as numbers.
 
@@ -126,13 +126,15 @@ def specified(
 ) -> Specification:
     """The loop to simulate: the file, then the options, then --set.
 
-    robot: which one, or the file
-    given: parameters that were given
-    static: options of the whole specification
-    duration: where nothing gives one [s]
-    push: keys of the push, None where none was given
+    Args:
+        robot: which one, or the file.
+        given: parameters that were given.
+        static: options of the whole specification.
+        duration: where nothing gives one [s].
+        push: keys of the push, None where none was given.
 
-    Raises UserError for options of a robot without one, and as `_loops.specified`.
+    Raises:
+        UserError: options of a robot without one, and as `_loops.specified`.
     """
     if not robot.set:
         _arguments.demand_robot(robot, given=robot.model is not None or robot.spec is not None)

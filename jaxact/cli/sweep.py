@@ -81,7 +81,7 @@ def main(
     """Simulate thousands of closed loops over a grid or a sample of parameters.
 
     The results go to sweep.zarr in the results folder: an xarray dataset with growth rate, verdict
-    and response figures of every loop, units, and the whole specification. `jaxact plot` draws it.
+    and response metrics of every loop, units, and the whole specification. `jaxact plot` draws it.
 
     Results are written chunk by chunk. Whatever ends a sweep early, the chunks that are done are
     kept: run the same command with --resume, and only what is missing is computed. `jaxact status`
@@ -159,8 +159,9 @@ def _run(asked: Specification, folder: Location, how: dict[str, Any], *, quiet: 
 def _how_to_resume(folder: Location, *, begun: bool) -> str:
     """What to say of an interrupted sweep: what is kept, and how to continue.
 
-    folder: of the results
-    begun: what is there is of this sweep, none that it would have replaced
+    Args:
+        folder: of the results.
+        begun: what is there is of this sweep, none that it would have replaced.
     """
     from jaxact.sweeping import progress
     from jaxact.sweeping.adaptive import ROUNDS

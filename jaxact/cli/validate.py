@@ -26,7 +26,7 @@ def main(
     """Check every checksum of a result, and compute some of its loops again.
 
     Loops computed again must have the same bits where versions and machine are those of the sweep,
-    the same figures to rounding elsewhere. Exit code 2 where anything differs.
+    the same numbers to rounding elsewhere. Exit code 2 where anything differs.
 
     examples:
       jaxact validate results/paper_gain_map

@@ -23,11 +23,12 @@ _RANGE_KEYS = ("min", "max", "num", "spacing")
 class Axis:
     """What one parameter is varied over.
 
-    name: short name of a parameter, or "actuator"
-    listed: values or preset names, None for a range
-    low, high: ends of the range, included; 0 for a list
-    number: of values of a gridded range, None for a sampled one
-    log: spacing of the range, logarithmic or linear
+    Attributes:
+        name: short name of a parameter, or "actuator".
+        listed: values or preset names, None for a range.
+        low, high: ends of the range, included; 0 for a list.
+        number: of values of a gridded range, None for a sampled one.
+        log: spacing of the range, logarithmic or linear.
     """
 
     name: str
@@ -85,11 +86,13 @@ NO_AXIS = Axis(FEEDFORWARD, listed=(0.0,))
 def read_axis(name: str, given: Any, *, sampled: bool) -> Axis:
     """The axis of a parameter as a specification gives it.
 
-    name: short name of a parameter, or "actuator"
-    given: a list, or a table of min, max, num and spacing
-    sampled: the specification has a sampling method, which draws from ranges
+    Args:
+        name: short name of a parameter, or "actuator".
+        given: a list, or a table of min, max, num and spacing.
+        sampled: the specification has a sampling method, which draws from ranges.
 
-    Raises UserError that names the key, what was given and what is allowed.
+    Raises:
+        UserError: it names the key, what was given and what is allowed.
     """
     key = f"axes.{name}"
     if isinstance(given, list):

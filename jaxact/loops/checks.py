@@ -139,10 +139,11 @@ def _check_velocity(specification: Specification, axes: dict[str, Axis]) -> None
 def check_velocity(name: str, values: Iterable[float], key: str, *, differenced: bool) -> None:
     """Raise UserError for a parameter that the velocity's sensor of the other kind has.
 
-    name: of the parameter, or its key for some joints
-    values: that it has
-    key: how the message names it
-    differenced: whether the velocity is differenced
+    Args:
+        name: of the parameter, or its key for some joints.
+        values: that it has.
+        key: how the message names it.
+        differenced: whether the velocity is differenced.
     """
     on_differenced = base(name) == _FILTER
     if on_differenced == differenced or all(value == of(name).default for value in values):
@@ -251,8 +252,9 @@ def _check_delays(specification: Specification, axes: dict[str, Axis], rates: np
 def check_history(values: Mapping[str, float], rate: float, where: str = "") -> None:
     """Raise UserError for delays [s] that are longer than what a loop keeps at a control rate [Hz].
 
-    values: parameters of the loop by name, all delays among them
-    where: what a message begins with
+    Args:
+        values: parameters of the loop by name, all delays among them.
+        where: what a message begins with.
     """
     longest = {name: values[name] for name in _DELAYS}
     # the command and the output delay are one line

@@ -21,15 +21,18 @@ def sampled(
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
     """The motion of the setpoint at every control tick.
 
-    motion: as specified; None is a step at time 0
-    scene: the robot, whose joints a file names; None for a single joint
-    period: control period [s]
-    ticks: number of control periods
+    Args:
+        motion: as specified; None is a step at time 0.
+        scene: the robot, whose joints a file names; None for a single joint.
+        period: control period [s].
+        ticks: number of control periods.
 
-    Returns the share of the amplitude, shape (ticks,), or None; and positions relative to the
-    posture [m or rad], shape (ticks, joints), or None.
+    Returns:
+        The share of the amplitude, shape (ticks,), or None; and positions relative to the posture
+        [m or rad], shape (ticks, joints), or None.
 
-    Raises UserError for a file that cannot be used.
+    Raises:
+        UserError: a file that cannot be used.
     """
     if motion is None or motion.kind == "step":
         return None, None

@@ -46,10 +46,12 @@ _WORD = re.compile(r"[^\W\d][\w.-]*")
 def load(path: Path, overrides: Sequence[str] = ()) -> Specification:
     """Read and check a specification file.
 
-    path: TOML file; a model it names is relative to its folder
-    overrides: `key=value` each, applied over the file and checked like it
+    Args:
+        path: TOML file; a model it names is relative to its folder.
+        overrides: `key=value` each, applied over the file and checked like it.
 
-    Raises UserError that names the file or the override, the key, what was given, what is allowed.
+    Raises:
+        UserError: it names the file or the override, the key, what was given, what is allowed.
     """
     overridden: list[str] = []
     try:
@@ -70,11 +72,13 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Specification:
 def parse(text: str, folder: Path = Path(), overrides: Sequence[str] = ()) -> Specification:
     """Read and check a specification from TOML text.
 
-    text: as in a file
-    folder: what a model's path is relative to
-    overrides: as for `load`
+    Args:
+        text: as in a file.
+        folder: what a model's path is relative to.
+        overrides: as for `load`.
 
-    Raises UserError as `load`.
+    Raises:
+        UserError: as `load`.
     """
     document = _canonical(_loads(text))
     try:
@@ -367,8 +371,9 @@ def _unknown(key: str, known: Iterable[str], prefix: str = "") -> str:
 def explained(error: ValidationError, prefix: str = "") -> str:
     """The first complaint of pydantic in the words of every other message.
 
-    error: of a specification or a section of it
-    prefix: of the key that it names
+    Args:
+        error: of a specification or a section of it.
+        prefix: of the key that it names.
     """
     first = error.errors(include_url=False)[0]
     key = prefix + str(first["loc"][0])

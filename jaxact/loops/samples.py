@@ -22,9 +22,10 @@ _NUMBER = {"long_name": "sample", "units": "1", "description": "Number of the sa
 class Coordinate:
     """Values along some of the dimensions.
 
-    dims: names of the dimensions
-    values: shape of those dimensions; numbers, or names of actuator presets
-    attributes: unit and name in words
+    Attributes:
+        dims: names of the dimensions.
+        values: shape of those dimensions; numbers, or names of actuator presets.
+        attributes: unit and name in words.
     """
 
     dims: tuple[str, ...]
@@ -38,12 +39,13 @@ class Samples:
 
     Only the values along each dimension are kept, so that a hundred million loops take no memory.
 
-    along: every parameter of the table by its short name, float64, of a shape that broadcasts to
-        `shape`
-    dims: names of the dimensions, in order
-    shape: their sizes
-    coords: of the varied parameters by name
-    first: number of the first loop, from which its random numbers follow
+    Attributes:
+        along: every parameter of the table by its short name, float64, of a shape that broadcasts
+            to `shape`.
+        dims: names of the dimensions, in order.
+        shape: their sizes.
+        coords: of the varied parameters by name.
+        first: number of the first loop, from which its random numbers follow.
     """
 
     along: dict[str, np.ndarray]
@@ -65,8 +67,9 @@ class Samples:
     ) -> dict[str, np.ndarray]:
         """Parameters of some loops by their short names, each of the shape of `numbers`.
 
-        numbers: of the loops, integers from 0 to n - 1
-        names: of the parameters; None: all
+        Args:
+            numbers: of the loops, integers from 0 to n - 1.
+            names: of the parameters; None: all.
         """
         places = np.unravel_index(numbers, self.shape)
 
@@ -114,9 +117,11 @@ def explicit(
 ) -> Samples:
     """Loops that are given one by one, along the dimension `sample`.
 
-    specification: checked; the value of every parameter that is not given
-    columns: values of each varied parameter, or names of presets of `actuator`; shape (n,) each
-    first: number of the first loop
+    Args:
+        specification: checked; the value of every parameter that is not given.
+        columns: values of each varied parameter, or names of presets of `actuator`; shape (n,)
+            each.
+        first: number of the first loop.
     """
     number = len(next(iter(columns.values())))
     coords = {SAMPLE: Coordinate((SAMPLE,), np.arange(first, first + number), _NUMBER)}

@@ -41,8 +41,9 @@ SECTIONS = ("parameters", "axes", "sampling", *TABLES)
 class Sampling:
     """How many points of the ranges are drawn, and how.
 
-    method: "latin-hypercube" or "sobol", both from scipy.stats.qmc
-    samples: number of points
+    Attributes:
+        method: "latin-hypercube" or "sobol", both from scipy.stats.qmc.
+        samples: number of points.
     """
 
     method: Literal["latin-hypercube", "sobol"]
@@ -53,15 +54,18 @@ class Sampling:
 class Plant:
     """A MuJoCo model in place of the built-in single joint.
 
-    model: MJCF or URDF file
-    keyframe: name of the start posture in the model; None: the model's default posture
-    posture: "settled" brings the keyframe to rest first, "keyframe" starts from it as it is
-    joints: patterns of the names of the joints (or actuators) that are driven
-    payload_body: name of the body that carries the payload; None: the heaviest one
-    base: "free" as the model has it, "fixed" on a stand without contact, or "held" where it stands
-    damping: of the driven joints, in the "joint" as the model has it, or in the "drive": part of kd
-    friction: dry friction of the linearised robot: "moving", none, as for joints that slide, or
-        "stuck", as MuJoCo linearises it at rest, as very strong damping
+    Attributes:
+        model: MJCF or URDF file.
+        keyframe: name of the start posture in the model; None: the model's default posture.
+        posture: "settled" brings the keyframe to rest first, "keyframe" starts from it as it is.
+        joints: patterns of the names of the joints (or actuators) that are driven.
+        payload_body: name of the body that carries the payload; None: the heaviest one.
+        base: "free" as the model has it, "fixed" on a stand without contact, or "held" where it
+            stands.
+        damping: of the driven joints, in the "joint" as the model has it, or in the "drive": part
+            of kd.
+        friction: dry friction of the linearised robot: "moving", none, as for joints that slide, or
+            "stuck", as MuJoCo linearises it at rest, as very strong damping.
     """
 
     model: Path
@@ -78,11 +82,12 @@ class Plant:
 class Motion:
     """How the setpoint moves; its amplitude is the parameter `setpoint`.
 
-    kind: "step" at time 0, "sine", "chirp" from one frequency to another, or "file"
-    frequency: of the sine, at the start of the chirp [Hz]
-    end_frequency: at the end of the chirp [Hz]
-    file: CSV or NPZ with a column `time` [s] and one for each joint that moves, named like it;
-        positions as they are [m or rad], linear in between
+    Attributes:
+        kind: "step" at time 0, "sine", "chirp" from one frequency to another, or "file".
+        frequency: of the sine, at the start of the chirp [Hz].
+        end_frequency: at the end of the chirp [Hz].
+        file: CSV or NPZ with a column `time` [s] and one for each joint that moves, named like it;
+            positions as they are [m or rad], linear in between.
     """
 
     kind: Literal["step", "sine", "chirp", "file"]
@@ -95,10 +100,11 @@ class Motion:
 class Push:
     """An impulse on a body of a robot, given as a constant force for a short while.
 
-    body: name of the body; the force acts on its centre of mass
-    impulse: in the world's axes [N s]
-    time: when it begins [s]
-    duration: how long it lasts [s]
+    Attributes:
+        body: name of the body; the force acts on its centre of mass.
+        impulse: in the world's axes [N s].
+        time: when it begins [s].
+        duration: how long it lasts [s].
     """
 
     body: Annotated[str, Field(max_length=200)]
@@ -111,9 +117,10 @@ class Push:
 class Setting:
     """What a robot's loops have in common beside their parameters; for keys of caches.
 
-    plant, motion, push: as in the specification
-    keys: of parameters for some joints, in order
-    corrected: whether MuJoCo's integrator is corrected for
+    Attributes:
+        plant, motion, push: as in the specification.
+        keys: of parameters for some joints, in order.
+        corrected: whether MuJoCo's integrator is corrected for.
     """
 
     plant: Plant | None
@@ -127,25 +134,27 @@ class Setting:
 class Specification:
     """A sweep, checked and complete.
 
-    description: a sentence for people, shown with the results
-    engine: plant, "mass" (exact), "mjx" (MuJoCo in JAX), for robots also "mujoco" (MuJoCo in C),
-        "warp" (MJX-Warp) or "auto", the fastest of the three
-    plant: the robot of the MuJoCo engines, None for the built-in slide joint
-    motion: of the setpoint, None for a step
-    push: on a robot, None for none
-    physics_step: step of the plant [s]; None: the control period for mass, 0.25 ms for mjx
-    integrator_correction: take back the half physics step by which MuJoCo's integrator has its
-        positions ahead of its velocities; the mass is exact without it
-    velocity: of the controller, "sampled" by a sensor or the "differenced" position
-    duration: simulated time [s]
-    precision: "float32" or "float64"
-    unit: of a single joint's position, "rad" of a rotary one; None: m, or as a robot's joints are
-    seed: of noise and of sampling
-    tile: loops simulated at once; None: chosen by the engine
-    devices: number of local devices used; None: all
-    parameters: fixed values given, by short name; `actuator` names a preset
-    axes: what is varied, in order
-    sampling: None for a grid of all axes
+    Attributes:
+        description: a sentence for people, shown with the results.
+        engine: plant, "mass" (exact), "mjx" (MuJoCo in JAX), for robots also "mujoco" (MuJoCo in
+            C), "warp" (MJX-Warp) or "auto", the fastest of the three.
+        plant: the robot of the MuJoCo engines, None for the built-in slide joint.
+        motion: of the setpoint, None for a step.
+        push: on a robot, None for none.
+        physics_step: step of the plant [s]; None: the control period for mass, 0.25 ms for mjx.
+        integrator_correction: take back the half physics step by which MuJoCo's integrator has its
+            positions ahead of its velocities; the mass is exact without it.
+        velocity: of the controller, "sampled" by a sensor or the "differenced" position.
+        duration: simulated time [s].
+        precision: "float32" or "float64".
+        unit: of a single joint's position, "rad" of a rotary one; None: m, or as a robot's joints
+            are.
+        seed: of noise and of sampling.
+        tile: loops simulated at once; None: chosen by the engine.
+        devices: number of local devices used; None: all.
+        parameters: fixed values given, by short name; `actuator` names a preset.
+        axes: what is varied, in order.
+        sampling: None for a grid of all axes.
     """
 
     description: Annotated[str, Field(max_length=1000)] = ""

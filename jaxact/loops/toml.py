@@ -13,7 +13,8 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 def dumps(document: Mapping[str, Any]) -> str:
     """A document as TOML text, its top-level tables as sections.
 
-    document: strings, numbers, booleans, lists and tables by name
+    Args:
+        document: strings, numbers, booleans, lists and tables by name.
     """
     plain = [
         f"{_key(name)} = {_value(value)}"

@@ -31,7 +31,7 @@ class UnmetBound:
 
     Attributes:
         words: a short sentence.
-        ratio: of the figure that is missed most to its bound, at the best gains that were found;
+        ratio: of the metric that is missed most to its bound, at the best gains that were found;
             inf where none were found that are stable [-].
     """
 
@@ -54,7 +54,7 @@ def convergence(
 
     Args:
         values: of the objective in its unit, shape (starts, steps).
-        violations: largest ratio of a figure to its bound [-], 1 where it is met, same shape.
+        violations: largest ratio of a metric to its bound [-], 1 where it is met, same shape.
         label: of the objective, with unit.
         given: the last start is the user's own.
         stable: starts that came to stable gains, shape (starts,), None for all; values of unstable

@@ -46,7 +46,7 @@ HATCHES = {
     Verdict.INVALID: ("xxxx", "#5A5A5A"),
 }
 INVALID_FILL = "#C9C9C9"
-# A loop that does not have the figure that is drawn, e.g. one that did not settle in time.
+# A loop that does not have the metric that is drawn, e.g. one that did not settle in time.
 EMPTY_FILL = "#EDEDED"
 LINEARISED = {
     "growth_rate": "linearised boundary",

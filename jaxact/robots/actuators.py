@@ -155,9 +155,10 @@ def _single_joint(model: mujoco.MjModel, index: int, tendon: int) -> tuple[int, 
 def law(model: mujoco.MjModel, index: int, kind: str) -> Law:
     """The law of an actuator.
 
-    model: as MuJoCo compiles it, so that ranges and damping ratios have become numbers
-    index: of the actuator
-    kind: the element it is written with
+    Args:
+        model: as MuJoCo compiles it, so that ranges and damping ratios have become numbers.
+        index: of the actuator.
+        kind: the element it is written with.
 
     Raises:
         UndrivableError: it is neither a motor nor a linear servo on a single slide or hinge joint.

@@ -48,7 +48,7 @@ def floats(robot: Robot) -> bool:
 
 
 def _base(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
-    """bodies: that driven joints move"""
+    """Joints of the base, from the world on, of the bodies that driven joints move."""
     acted = _acted(model)
     found: list[int] = []
     for path in _paths(model, bodies):

@@ -264,8 +264,9 @@ def evaluate(
             state of the loops as NumPy arrays, and the mean force on the joints.
         others: what came of other starts, from calls before, shape (loops, starts, joints).
 
-    Returns: see `jaxact.simulation.metrics.Metrics`, shape (loops,) or (loops, joints); and what
-        came of this start alone, shape (loops, joints).
+    Returns:
+        See `jaxact.simulation.metrics.Metrics`, shape (loops,) or (loops, joints); and what came of
+        this start alone, shape (loops, joints).
     """
     static = {"options": options, "masked": masked}
     aims = None if setpoints is None else _rows(setpoints)
@@ -371,7 +372,8 @@ def _seen(simulations: Simulations, dtype: np.dtype, aim: np.ndarray | None) -> 
         simulations, dtype: of the plants; of the result, what is beyond it is put at its end.
         aim: position, velocity, and force of the setpoint, (loops, 3, joints); None if constant.
 
-    Returns: shape (loops, 2 or 5, joints).
+    Returns:
+        Shape (loops, 2 or 5, joints).
     """
     most = float(np.finfo(dtype).max)
     state = simulations.measure()

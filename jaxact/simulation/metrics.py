@@ -349,7 +349,7 @@ def finish(
 def worst(result: Metrics) -> Metrics:
     """A loop with several joints is as good as its worst one.
 
-    Joints that have no such figure (NaN) do not hide the others'. The frequency of a limit cycle is
+    Joints that have no such metric (NaN) do not hide the others'. The frequency of a limit cycle is
     that of the joint with the largest one; a loop with another verdict has none.
 
     Args:

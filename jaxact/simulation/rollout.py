@@ -200,7 +200,8 @@ def evaluate(
         growth_rate: [1/s] if it is known already (in float64, say), else it is measured here.
         growth: static; how it is measured; None for the usual way.
 
-    Returns: see `jaxact.simulation.metrics.Metrics`.
+    Returns:
+        See `jaxact.simulation.metrics.Metrics`.
     """
     if growth_rate is None:
         # Whether a policy holds the setpoint is none of the loop's business.

@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 
 @contextlib.contextmanager
 def readable(where: str | Path) -> Iterator[None]:
-    """Raises UserError where a place cannot be read: no permission, no connection."""
+    """A context in which a place is read.
+
+    Raises:
+        UserError: it cannot be read: no permission, no connection.
+    """
     try:
         yield
     except OSError as error:

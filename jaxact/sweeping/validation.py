@@ -19,7 +19,7 @@ from jaxact.sweeping import store as _store
 from jaxact.sweeping.location import Location
 from jaxact.sweeping.progress import Store
 
-# Another compiler may round otherwise; near a threshold a figure then jumps.
+# Another compiler may round otherwise; near a threshold a metric then jumps.
 _TOLERANCE = {"float32": 1e-3, "float64": 1e-9}
 
 _MENDED = "`jaxact sweep ... --resume` mends it"

@@ -41,7 +41,7 @@ def report(
     else:
         own = _robot_report(tuned, robot, rollouts)
     constraints = [
-        {"constraint": c.constraint, "figure": c.metric, "bound": c.bound, "value": c.value,
+        {"constraint": c.constraint, "metric": c.metric, "bound": c.bound, "value": c.value,
          "member": c.member, "met": c.met}
         for c in certificate.checks
     ]  # fmt: skip
@@ -181,7 +181,7 @@ def document(
     asked |= {"max_kp": goal.max_kp} if math.isfinite(goal.max_kp) else {}
     objective = {"unit": tuned.units[2], "value": tuned.value}
     if robot is None:
-        objective = {"figure": goal.metric, **objective, "risk": goal.risk}
+        objective = {"metric": goal.metric, **objective, "risk": goal.risk}
     guaranteed: dict[str, Any] = {
         "certified": tuned.certified,
         "verdict": tuned.verdict,

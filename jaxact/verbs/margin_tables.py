@@ -36,15 +36,15 @@ UNITS = {
     "complementary_peak_frequency": "rad/s", "modulus_margin": "1", "disk_margin": "1",
 }  # fmt: skip
 NAMES = (*ALWAYS, *MARGINS)
-"""All figures."""
+"""All metrics."""
 _MOST_COLUMNS = 4
 _OF_LOOP = (*LINEAR, CONTROL_RATE)
 
-Figures = Mapping[str, np.ndarray]
-"""Figures of loops by name, shape (n,) each; phase margins in degrees."""
+Metrics = Mapping[str, np.ndarray]
+"""Metrics of loops by name, shape (n,) each; phase margins in degrees."""
 
 
-def text(loop: ControlLoop, found: Mapping[str, Figures]) -> str:
+def text(loop: ControlLoop, found: Mapping[str, Metrics]) -> str:
     """The table of a loop's margins, or of a batch's.
 
     Args:
@@ -55,12 +55,12 @@ def text(loop: ControlLoop, found: Mapping[str, Figures]) -> str:
     return tables(loops.labels, loops.values[CONTROL_RATE], found)
 
 
-def dataset(loop: ControlLoop, figures: Figures) -> xr.Dataset:
-    """The figures as variables with units over the dimensions of the batch.
+def dataset(loop: ControlLoop, metrics: Metrics) -> xr.Dataset:
+    """The metrics as variables with units over the dimensions of the batch.
 
     Args:
         loop: what they are of.
-        figures: by name, shape (n,) each.
+        metrics: by name, shape (n,) each.
     """
     import xarray as xr
 
@@ -70,7 +70,7 @@ def dataset(loop: ControlLoop, figures: Figures) -> xr.Dataset:
     shape = samples.shape if loop.shape else ()
     dims = samples.dims if loop.shape else ()
     variables = {
-        name: (dims, masked(name, figures).reshape(shape), {"units": UNITS[name]}) for name in NAMES
+        name: (dims, masked(name, metrics).reshape(shape), {"units": UNITS[name]}) for name in NAMES
     }
     coords = {
         name: (place.dims, place.values, place.attributes) for name, place in samples.coords.items()
@@ -78,7 +78,7 @@ def dataset(loop: ControlLoop, figures: Figures) -> xr.Dataset:
     return xr.Dataset(variables, coords if loop.shape else {})
 
 
-def json_lines(loop: ControlLoop, found: Mapping[str, Figures]) -> str:
+def json_lines(loop: ControlLoop, found: Mapping[str, Metrics]) -> str:
     """An object for each loop, one a line; arguments as for `text`."""
     loops = naming.named(loop)
     names = (*ALWAYS[:2], *MARGINS, *ALWAYS[2:])
@@ -86,23 +86,23 @@ def json_lines(loop: ControlLoop, found: Mapping[str, Figures]) -> str:
     for index, label in enumerate(loops.labels):
         first, *others = found.items()
         row: dict[str, Any] = {name: plain(name, first[1], index) for name in names}
-        for _, figures in others:
-            row["sampled"] = {n: plain(n, figures, index) for n in (*names, "spectral_radius")}
+        for _, metrics in others:
+            row["sampled"] = {n: plain(n, metrics, index) for n in (*names, "spectral_radius")}
         row["loop"] = {"name": label} | _own(loops, index)
         row["loop"] |= {} if loops.unit is None else {"unit": loops.unit}
         lines.append(json.dumps(row, allow_nan=False))
     return "\n".join(lines)
 
 
-def csv_text(loop: ControlLoop, found: Mapping[str, Figures]) -> str:
-    """A header, then one line a loop; empty where a figure means nothing. As for `text`."""
+def csv_text(loop: ControlLoop, found: Mapping[str, Metrics]) -> str:
+    """A header, then one line a loop; empty where a metric means nothing. As for `text`."""
     loops = naming.named(loop)
     written = io.StringIO()
     writer = csv.writer(written, lineterminator="\n")
-    figures = [(f"{prefix}{name}", name, own) for prefix, own in found.items() for name in NAMES]
-    writer.writerow(["name", *_own(loops, 0), *(head for head, _, _ in figures)])
+    metrics = [(f"{prefix}{name}", name, own) for prefix, own in found.items() for name in NAMES]
+    writer.writerow(["name", *_own(loops, 0), *(head for head, _, _ in metrics)])
     for index, label in enumerate(loops.labels):
-        cells = [plain(name, own, index) for _, name, own in figures]
+        cells = [plain(name, own, index) for _, name, own in metrics]
         writer.writerow(
             [label, *_own(loops, index).values(), *("" if c is None else c for c in cells)]
         )
@@ -110,7 +110,7 @@ def csv_text(loop: ControlLoop, found: Mapping[str, Figures]) -> str:
 
 
 def store(
-    loop: ControlLoop, found: Mapping[str, Figures], specification: Specification | None = None
+    loop: ControlLoop, found: Mapping[str, Metrics], specification: Specification | None = None
 ) -> xr.Dataset:
     """The margins as they are kept, one loop after the other, or over a specification's axes.
 
@@ -154,14 +154,14 @@ def _own(loops: naming.Loops, index: int) -> dict[str, float | str]:
     return {name: value if math.isfinite(value) else "inf" for name, value in values.items()}
 
 
-def plain(name: str, figures: Mapping[str, np.ndarray], index: int) -> Any:
-    """One figure of one loop as JSON has it: null where it means nothing, "inf" for infinity."""
-    value = figures[name][index].item()
+def plain(name: str, metrics: Mapping[str, np.ndarray], index: int) -> Any:
+    """One metric of one loop as JSON has it: null where it means nothing, "inf" for infinity."""
+    value = metrics[name][index].item()
     if name == "stable":
         return bool(value)
     if name == "unstable_roots":
         return int(value)
-    meaningless = name in MARGINS and not figures["stable"][index]
+    meaningless = name in MARGINS and not metrics["stable"][index]
     if meaningless or math.isnan(value):
         return None
     if math.isinf(value):
@@ -169,13 +169,13 @@ def plain(name: str, figures: Mapping[str, np.ndarray], index: int) -> Any:
     return value
 
 
-def masked(name: str, figures: Figures) -> np.ndarray:
-    """A figure, NaN where it means nothing because the loop is unstable."""
-    values = np.asarray(figures[name])
-    return np.where(figures["stable"], values, np.nan) if name in MARGINS else values
+def masked(name: str, metrics: Metrics) -> np.ndarray:
+    """A metric, NaN where it means nothing because the loop is unstable."""
+    values = np.asarray(metrics[name])
+    return np.where(metrics["stable"], values, np.nan) if name in MARGINS else values
 
 
-def tables(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Figures]) -> str:
+def tables(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Metrics]) -> str:
     """A column for each of a few loops, a line for each of many."""
     from rich.console import Console
 
@@ -187,7 +187,7 @@ def tables(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Figures
     return "\n".join(line.rstrip() for line in captured.get().rstrip().splitlines())
 
 
-def _tall(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Figures]) -> Any:
+def _tall(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Metrics]) -> Any:
     from rich import box
     from rich.table import Table
 
@@ -195,10 +195,10 @@ def _tall(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Figures]
     table.add_column("")
     cells = []
     for index, label in enumerate(labels):
-        for prefix, figures in found.items():
+        for prefix, metrics in found.items():
             kind = f"\n{'sampled' if prefix else 'continuous'}" if len(found) > 1 else ""
             table.add_column(f"{label}{kind}", justify="right")
-            cells.append(_column(figures, index, float(rates[index]),
+            cells.append(_column(metrics, index, float(rates[index]),
                                  periods=len(found) > 1))  # fmt: skip
     for name in cells[0]:
         if any(cell[name] for cell in cells):
@@ -206,12 +206,12 @@ def _tall(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Figures]
     return table
 
 
-def _column(figures: Figures, index: int, rate: float, *, periods: bool) -> dict[str, str]:
-    """One loop's figures in words, by what they are called; "" where one means nothing."""
+def _column(metrics: Metrics, index: int, rate: float, *, periods: bool) -> dict[str, str]:
+    """One loop's metrics in words, by what they are called; "" where one means nothing."""
 
     def value(name: str) -> float:
-        meaningless = name in MARGINS and not figures["stable"][index]
-        return math.nan if meaningless else float(figures[name][index])
+        meaningless = name in MARGINS and not metrics["stable"][index]
+        return math.nan if meaningless else float(metrics[name][index])
 
     def text(name: str, units: str = "") -> str:
         return "" if math.isnan(value(name)) else quantity(value(name), units)
@@ -228,8 +228,8 @@ def _column(figures: Figures, index: int, rate: float, *, periods: bool) -> dict
     phase = value("phase_margin")
     delay = value("delay_margin")
     return {
-        "stable": "yes" if figures["stable"][index] else "NO",
-        "unstable roots": f"{int(figures['unstable_roots'][index])}",
+        "stable": "yes" if metrics["stable"][index] else "NO",
+        "unstable roots": f"{int(metrics['unstable_roots'][index])}",
         "gain margin": ""
         if math.isnan(gain)
         else text("gain_margin") + decibel + at("phase_crossover"),
@@ -261,7 +261,7 @@ def _phase_range(disk: float) -> float:
     return 2.0 * math.degrees(math.atan(0.5 * disk))
 
 
-def _wide(labels: Sequence[str], found: Mapping[str, Figures]) -> Any:
+def _wide(labels: Sequence[str], found: Mapping[str, Metrics]) -> Any:
     from rich import box
     from rich.table import Table
 
@@ -271,9 +271,9 @@ def _wide(labels: Sequence[str], found: Mapping[str, Figures]) -> Any:
     for head in heads:
         table.add_column(head, justify="left" if head == "loop" else "right")
     for index, label in enumerate(labels):
-        for prefix, figures in found.items():
+        for prefix, metrics in found.items():
             name = f"{label}, sampled" if prefix else label
-            scaled = figures | {"delay_margin": 1e3 * figures["delay_margin"]}
+            scaled = metrics | {"delay_margin": 1e3 * metrics["delay_margin"]}
             names = ("gain_margin", "phase_margin", "delay_margin", "sensitivity_peak",
                      "complementary_peak", "disk_margin", "unstable_roots",
                      "log_gain_to_boundary")  # fmt: skip

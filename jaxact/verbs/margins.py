@@ -38,7 +38,7 @@ _STEPS = 16
 
 @dataclass(frozen=True, repr=False)
 class LoopMargins:
-    """Margins of a joint's loops; each figure is an attribute, an array of the batch's shape.
+    """Margins of a joint's loops; each metric is an attribute, an array of the batch's shape.
 
     `stable`, `unstable_roots`, `gain_margin`, `phase_margin` [rad], `delay_margin` [s],
     `sensitivity_peak`, `disk_margin`, ...: all of `jaxact.analysis.joint.margins.Margins`, or of
@@ -47,24 +47,24 @@ class LoopMargins:
 
     Attributes:
         loop: what they are of.
-        figures: the margins as they are computed.
+        metrics: the margins as they are computed.
     """
 
     loop: ControlLoop
-    figures: Margins | SampledMargins
+    metrics: Margins | SampledMargins
 
     def __getattr__(self, name: str) -> Any:
-        """A figure by its name."""
+        """A metric by its name."""
         if name.startswith("_") or name not in {f.name for f in fields(Margins)} | {
             "spectral_radius", "more_crossovers"
         }:  # fmt: skip
             raise AttributeError(f"margins have no {name!r}; {', '.join(margin_tables.NAMES)}")
-        return getattr(self.figures, name)
+        return getattr(self.metrics, name)
 
     @property
     def sampled(self) -> bool:
         """Whether they are of the sampled loop."""
-        return isinstance(self.figures, SampledMargins)
+        return isinstance(self.metrics, SampledMargins)
 
     @property
     def growth_rate(self) -> np.ndarray:
@@ -77,7 +77,7 @@ class LoopMargins:
 
     @functools.cached_property
     def rows(self) -> dict[str, np.ndarray]:
-        """All figures by name, shape (n,) each; see `of_values`."""
+        """All metrics by name, shape (n,) each; see `of_values`."""
         return of_values(_flat(self.loop), self.loop.kind.velocity if self.sampled else None)
 
     @property
@@ -86,15 +86,15 @@ class LoopMargins:
         return {"sampled_" if self.sampled else "": self.rows}
 
     def to_json(self) -> str:
-        """A JSON object for each loop, one a line; null where a figure means nothing."""
+        """A JSON object for each loop, one a line; null where a metric means nothing."""
         return margin_tables.json_lines(self.loop, self.found)
 
     def to_xarray(self) -> xr.Dataset:
-        """All figures as variables with units, over the batch's dimensions."""
+        """All metrics as variables with units, over the batch's dimensions."""
         return margin_tables.dataset(self.loop, self.rows)
 
     def to_pandas(self) -> pd.DataFrame:
-        """All figures, one loop a row, beside what tells the loops apart."""
+        """All metrics, one loop a row, beside what tells the loops apart."""
         found = self.to_xarray()
         return (
             (found if self.loop.shape else found.expand_dims("loop")).to_dataframe().reset_index()
@@ -103,12 +103,12 @@ class LoopMargins:
     def __repr__(self) -> str:
         """The table of the command line."""
         if is_traced(self.loop) or any(isinstance(leaf, jax.core.Tracer) for leaf in
-                                       jax.tree.leaves(self.figures)):  # fmt: skip
+                                       jax.tree.leaves(self.metrics)):  # fmt: skip
             return f"<margins of {self.loop!r}>"
         return margin_tables.text(self.loop, self.found)
 
 
-jax.tree_util.register_dataclass(LoopMargins, data_fields=["loop", "figures"], meta_fields=[])
+jax.tree_util.register_dataclass(LoopMargins, data_fields=["loop", "metrics"], meta_fields=[])
 
 
 @dataclass(frozen=True, repr=False)
@@ -129,11 +129,11 @@ class BothMargins:
 
     @property
     def found(self) -> dict[str, dict[str, np.ndarray]]:
-        """Figures by the prefix of their names, as `jaxact.verbs.margin_tables` takes them."""
+        """Metrics by the prefix of their names, as `jaxact.verbs.margin_tables` takes them."""
         return self.continuous.found | self.sampled.found
 
     def to_json(self) -> str:
-        """A JSON object for each loop, one a line, the sampled loop's figures in it."""
+        """A JSON object for each loop, one a line, the sampled loop's metrics in it."""
         return margin_tables.json_lines(self.loop, self.found)
 
     def __repr__(self) -> str:
@@ -188,8 +188,8 @@ def _one(loop: ControlLoop, sampled: bool, steps: int | None) -> LoopMargins:
     conversion.linear_specification(loop)  # what does not fit is said here
     kind = SampledMargins if sampled else Margins
     rows = _rows(_flat(loop), loop.kind.velocity if sampled else None)
-    figures = {f.name: rows[f.name].reshape(loop.shape)[()] for f in fields(kind)}
-    found = LoopMargins(loop, kind(**figures))
+    metrics = {f.name: rows[f.name].reshape(loop.shape)[()] for f in fields(kind)}
+    found = LoopMargins(loop, kind(**metrics))
     found.__dict__["rows"] = _in_degrees(rows)  # what it would compute again
     return found
 
@@ -210,7 +210,7 @@ def _traced(loop: ControlLoop, sampled: bool, steps: int | None) -> Margins | Sa
 
 
 def of_values(values: Mapping[str, np.ndarray], velocity: str | None) -> dict[str, np.ndarray]:
-    """All figures of loops by name, phase margins in degrees, in float64; shape (n,) each.
+    """All metrics of loops by name, phase margins in degrees, in float64; shape (n,) each.
 
     With `spectral_abscissa` [1/s]: the real part of the rightmost root, or log(spectral radius) /
     T.
@@ -275,7 +275,7 @@ def _rounded_up(number: int, unit: int) -> int:
 
 
 def _arrays(found: Any, number: int) -> dict[str, np.ndarray]:
-    """The figures of the first loops, by name; shape (number,) each."""
+    """The metrics of the first loops, by name; shape (number,) each."""
     return {one.name: np.asarray(getattr(found, one.name))[:number] for one in fields(found)}
 
 

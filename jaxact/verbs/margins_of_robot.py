@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 ENGINES = ("mujoco", "mjx")
 """In which a robot can be linearised."""
-# Figures that a robot has whether it is stable or not.
+# Metrics that a robot has whether it is stable or not.
 _ALWAYS = {
     "stable": bool, "unstable_roots": int, "spectral_radius": float, "growth_rate": float,
     "shaking_rate": float, "toppling_rate": float, "log_gain_to_boundary": float,
@@ -44,7 +44,7 @@ _UNITS = {
 
 @dataclass(frozen=True, repr=False)
 class RobotLoopMargins:
-    """Margins of a robot's loop, or of a batch of them; each figure is an array.
+    """Margins of a robot's loop, or of a batch of them; each metric is an array.
 
     Of all joints at once, of the batch's shape: `stable`, `growth_rate`, `shaking_rate`,
     `toppling_rate` [1/s], `gain_margin`, `gain_reduction_margin`, `delay_margin` [s],
@@ -53,21 +53,21 @@ class RobotLoopMargins:
 
     Attributes:
         loop: what they are of.
-        figures: by name.
+        metrics: by name.
         of_joints: margins of each joint with all others closed, by name, shape (..., joints).
         details: what was computed of each loop, in C order of the batch: modes, changes, curves.
     """
 
     loop: ControlLoop
-    figures: dict[str, np.ndarray]
+    metrics: dict[str, np.ndarray]
     of_joints: dict[str, np.ndarray]
     details: tuple[WholeRobot, ...]
 
     def __getattr__(self, name: str) -> Any:
-        """A figure of all joints at once by its name."""
+        """A metric of all joints at once by its name."""
         if name.startswith("_") or name not in (*_ALWAYS, *_WHOLE):
-            raise AttributeError(f"margins of a robot have no {name!r}; {', '.join(self.figures)}")
-        return self.figures[name]
+            raise AttributeError(f"margins of a robot have no {name!r}; {', '.join(self.metrics)}")
+        return self.metrics[name]
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -89,13 +89,13 @@ class RobotLoopMargins:
         return tuple(stiction.each(own, conversion.samples(self.loop), list(self.details)))
 
     def to_xarray(self) -> xr.Dataset:
-        """All figures as variables with units; those of joints have the dimension `joint`."""
+        """All metrics as variables with units; those of joints have the dimension `joint`."""
         import xarray as xr
 
         samples = conversion.samples(self.loop)
         dims = samples.dims if self.loop.shape else ()
         variables: dict[str, Any] = {
-            name: (dims, array, {"units": _unit(name)}) for name, array in self.figures.items()
+            name: (dims, array, {"units": _unit(name)}) for name, array in self.metrics.items()
         }
         variables |= {
             f"joint_{name}": ((*dims, "joint"), array, {"units": _unit(name)})
@@ -142,7 +142,7 @@ class _Same:
 
 
 def _flatten(found: RobotLoopMargins) -> tuple[tuple[Any, ...], _Same]:
-    return (found.loop, found.figures, found.of_joints), _Same(found.details)
+    return (found.loop, found.metrics, found.of_joints), _Same(found.details)
 
 
 def _unflatten(details: _Same, children: Any) -> RobotLoopMargins:
@@ -168,7 +168,7 @@ def margins_of_robot(loop: ControlLoop, engine: str = "mujoco") -> RobotLoopMarg
     own = conversion.linear_specification(loop, engine=engine)
     found = tuple(whole_robot.evaluate(own, conversion.samples(loop)))
     shape = loop.shape
-    figures = {
+    metrics = {
         name: np.array([getattr(one.margins, name) for one in found], kind).reshape(shape)[()]
         for name, kind in _ALWAYS.items()
     } | {name: np.array([_whole(one, name) for one in found]).reshape(shape)[()] for name in _WHOLE}
@@ -181,7 +181,7 @@ def margins_of_robot(loop: ControlLoop, engine: str = "mujoco") -> RobotLoopMarg
         name: np.array([_of_each(one, name, count) for one in found]) for name in _OF_JOINTS
     }
     of_joints = {name: array.reshape((*shape, count)) for name, array in of_joints.items()}
-    return RobotLoopMargins(loop, figures, of_joints, found)
+    return RobotLoopMargins(loop, metrics, of_joints, found)
 
 
 def _whole(found: WholeRobot, name: str) -> float:

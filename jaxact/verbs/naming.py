@@ -39,9 +39,10 @@ DELAYS = (DELAY, MEASUREMENT_DELAY, OUTPUT_DELAY)
 class Loops:
     """Loops of a joint, n of them, one by one.
 
-    values: every parameter of the table by its short name, shape (n,) each
-    labels: what tells them apart, with units, e.g. `HyQ, delay 1 ms`
-    unit: of the joints' positions, "rad" of rotary ones; None: m
+    Attributes:
+        values: every parameter of the table by its short name, shape (n,) each.
+        labels: what tells them apart, with units, e.g. `HyQ, delay 1 ms`.
+        unit: of the joints' positions, "rad" of rotary ones; None: m.
     """
 
     values: dict[str, np.ndarray]
@@ -88,7 +89,8 @@ def _word(name: str, value: Any, units: str) -> str:
 def _common_words(values: Mapping[str, float]) -> list[str]:
     """The actuator and the delay, where several loops have them in common.
 
-    values: that they have in common, by short name
+    Args:
+        values: that they have in common, by short name.
     """
     words = []
     if WN in values and (ZETA in values or np.isinf(values[WN])):

@@ -122,7 +122,8 @@ def _continuous(
 ) -> LoopResponse:
     """The loop in continuous time.
 
-    named: say so in its label
+    Args:
+        named: say so in its label.
     """
     import jax
 

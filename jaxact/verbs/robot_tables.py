@@ -43,7 +43,7 @@ def title(specification: Specification) -> str:
 def as_json(
     specification: Specification, label: str, found: WholeRobot, stiction: Stiction | None
 ) -> str:
-    """All figures as one object; null where one means nothing, "inf" for infinity."""
+    """All metrics as one object; null where one means nothing, "inf" for infinity."""
     plant, margins = specification.plant, found.margins
     assert plant is not None
     row: dict[str, Any] = {
@@ -164,7 +164,7 @@ def _head(specification: Specification, label: str, found: WholeRobot) -> str:
     if found.residual > RESIDUAL:
         lines.append(
             "warning: the posture is not an equilibrium (accelerations up to "
-            f"{found.residual:.3g}); the figures are those of the linearisation there, which the "
+            f"{found.residual:.3g}); the metrics are those of the linearisation there, which the "
             "robot leaves"
         )
     return "\n".join(lines)
@@ -313,12 +313,12 @@ def _joint_table(found: WholeRobot) -> Any:
     first, sway = found.margins.first_to_shake, found.margins.critical.participation
     for place in found.margins.ranking:
         own = found.margins.joints[place]
-        figures = (
+        metrics = (
             found.kp[place], found.kd[place], own.disk_margin, own.sensitivity_peak,
             own.complementary_peak, own.gain_margin, own.gain_reduction_margin,
             math.degrees(own.phase_margin), 1e3 * own.delay_margin,
         )  # fmt: skip
-        cells = [f"{value:.4g}".replace("inf", "∞") for value in figures]
+        cells = [f"{value:.4g}".replace("inf", "∞") for value in metrics]
         cells += ["" if shares is None else f"{100.0 * shares[place]:.0f} %"
                   for shares in (first, sway)]  # fmt: skip
         table.add_row(own.name, *cells)

@@ -18,14 +18,15 @@ if TYPE_CHECKING:
 class Front:
     """Points of a front, p of them, of g groups of joints that share their gains.
 
-    groups: their names; one without a name of a single joint
-    units: of kp, of kd and of the objective
-    objective: its name
-    peaks: largest Ms and Mt allowed [-], rising, shape (p,)
-    kp, kd: of the groups, shape (p, g)
-    values: of the objective, shape (p,)
-    certified: whether everything asked for holds, shape (p,)
-    verdicts: a sentence each
+    Attributes:
+        groups: their names; one without a name of a single joint.
+        units: of kp, of kd and of the objective.
+        objective: its name.
+        peaks: largest Ms and Mt allowed [-], rising, shape (p,).
+        kp, kd: of the groups, shape (p, g).
+        values: of the objective, shape (p,).
+        certified: whether everything asked for holds, shape (p,).
+        verdicts: a sentence each.
     """
 
     groups: tuple[str, ...]

@@ -43,16 +43,18 @@ def continuous_boundary(
 ) -> list[BoundaryCurve]:
     """All marginal gains of the continuous loop inside a window of the (kp, kd) plane.
 
-    mass: m [kg], > 0
-    natural_frequency: wn of the force servo [rad/s], > 0, inf = ideal
-    damping_ratio: zeta [-], > 0, ignored if ideal
-    delay: total delay td [s], >= 0
-    velocity_filter: cutoff of the first-order filter of the velocity [rad/s], > 0, inf = none
-    joint_damping, joint_stiffness: of the joint itself, c [N s/m] and k [N/m]
-    kp_range, kd_range: (low, high) of the window [N/m], [N s/m]; an axis with low > 0 is sampled
-        evenly in its logarithm, otherwise evenly
+    Args:
+        mass: m [kg], > 0.
+        natural_frequency: wn of the force servo [rad/s], > 0, inf = ideal.
+        damping_ratio: zeta [-], > 0, ignored if ideal.
+        delay: total delay td [s], >= 0.
+        velocity_filter: cutoff of the first-order filter of the velocity [rad/s], > 0, inf = none.
+        joint_damping, joint_stiffness: of the joint itself, c [N s/m] and k [N/m].
+        kp_range, kd_range: (low, high) of the window [N/m], [N s/m]; an axis with low > 0 is
+            sampled evenly in its logarithm, otherwise evenly.
 
-    Raises ValueError for an empty window or values out of their domain.
+    Raises:
+        ValueError: an empty window or values out of their domain.
     """
     _check_window(kp_range, kd_range)
     plant = (mass, natural_frequency, damping_ratio, delay, velocity_filter)
@@ -80,15 +82,18 @@ def sampled_boundary(
 ) -> list[BoundaryCurve]:
     """All marginal gains of the sampled loop inside a window of the (kp, kd) plane.
 
-    mass, natural_frequency, damping_ratio, joint_damping, joint_stiffness, kp_range, kd_range: as
-        in `continuous_boundary`
-    delay, measurement_delay, output_delay: [s], >= 0; only their sum matters
-    control_period: T [s], > 0
-    velocity: "sampled", or "differenced" for positions differenced through a first-order filter
-    velocity_filter: its cutoff [rad/s], > 0, inf = none
-    integrator: "exact", or "euler" for MuJoCo's semi-implicit Euler with `substeps` a period
+    Args:
+        mass, natural_frequency, damping_ratio, joint_damping, joint_stiffness, kp_range, kd_range:
+            as in `continuous_boundary`.
+        delay, measurement_delay, output_delay: [s], >= 0; only their sum matters.
+        control_period: T [s], > 0.
+        velocity: "sampled", or "differenced" for positions differenced through a first-order
+            filter.
+        velocity_filter: its cutoff [rad/s], > 0, inf = none.
+        integrator: "exact", or "euler" for MuJoCo's semi-implicit Euler with `substeps` a period.
 
-    Raises ValueError for an empty window or values out of their domain.
+    Raises:
+        ValueError: an empty window or values out of their domain.
     """
     _check_window(kp_range, kd_range)
     total = delay + measurement_delay + output_delay

@@ -26,12 +26,15 @@ _SIDE_STEP = 1e-4
 class BoundaryCurve:
     """A connected part of a curve of marginal gains, inside the ranges asked for.
 
-    kp: [N/m], shape (k,)
-    kd: [N s/m], shape (k,)
-    frequency: of the marginal root [rad/s], shape (k,), ascending on a "curve", constant on a line
-    kind: "curve", or "line" for kp = -k (frequency 0) and for z = -1 (frequency pi/T)
-    separates: whether one side is stable (no unstable root) and the other is not
-    stable_side: "left" or "right" of the direction of travel (kp to the right, kd upwards), or ""
+    Attributes:
+        kp: [N/m], shape (k,).
+        kd: [N s/m], shape (k,).
+        frequency: of the marginal root [rad/s], shape (k,), ascending on a "curve", constant on a
+            line.
+        kind: "curve", or "line" for kp = -k (frequency 0) and for z = -1 (frequency pi/T).
+        separates: whether one side is stable (no unstable root) and the other is not.
+        stable_side: "left" or "right" of the direction of travel (kp to the right, kd upwards), or
+            "".
     """
 
     kp: np.ndarray

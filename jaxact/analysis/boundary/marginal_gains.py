@@ -37,14 +37,15 @@ _CHUNK = 128
 class Marginal:
     """The marginal gains of one plant.
 
-    gains: (kp, kd) of a marginal root at w [rad/s]
-    modulus: between what |kp + j w kd| of it is [N/m], whatever the delay, as a function of w; None
-        if all frequencies are of interest
-    nyquist: pi/T [rad/s], inf for the continuous loop
-    at_nyquist: Gp(-1), Gv(-1), 0 for the continuous loop
-    lag: longest delay in the phase [s], for the density of the grid
-    count: number of unstable roots at (kp, kd)
-    at_rest: kp of the line of roots at rest, -k [N/m]
+    Attributes:
+        gains: (kp, kd) of a marginal root at w [rad/s].
+        modulus: between what |kp + j w kd| of it is [N/m], whatever the delay, as a function of w;
+            None if all frequencies are of interest.
+        nyquist: pi/T [rad/s], inf for the continuous loop.
+        at_nyquist: Gp(-1), Gv(-1), 0 for the continuous loop.
+        lag: longest delay in the phase [s], for the density of the grid.
+        count: number of unstable roots at (kp, kd).
+        at_rest: kp of the line of roots at rest, -k [N/m].
     """
 
     gains: Gains
@@ -66,10 +67,12 @@ def continuous_marginal(
 ) -> Marginal:
     """Of the continuous loop; mass [kg], wn [rad/s], zeta [-], total delay [s].
 
-    velocity_filter: cutoff of the filter of the velocity [rad/s], inf = none
-    joint: its own damping c [N s/m] and stiffness k [N/m]
+    Args:
+        velocity_filter: cutoff of the filter of the velocity [rad/s], inf = none.
+        joint: its own damping c [N s/m] and stiffness k [N/m].
 
-    Raises ValueError for values out of their domain.
+    Raises:
+        ValueError: values out of their domain.
     """
     zeta = 1.0 if math.isinf(wn) else damping_ratio
     c, k = joint
@@ -115,10 +118,12 @@ def sampled_marginal(
 ) -> Marginal:
     """Of the sampled loop, besides with its control period [s] and velocity filter [rad/s].
 
-    kinds: velocity, integrator, substeps of a SampledLoop
-    joint: as for `continuous_marginal`
+    Args:
+        kinds: velocity, integrator, substeps of a SampledLoop.
+        joint: as for `continuous_marginal`.
 
-    Raises ValueError for values out of their domain.
+    Raises:
+        ValueError: values out of their domain.
     """
     zeta = 1.0 if math.isinf(wn) else damping_ratio
     _check_plant(mass, wn, zeta, delay)
@@ -222,8 +227,9 @@ def _count_continuous(
 ) -> np.ndarray:
     """Unstable roots of the continuous loop, in chunks of one compiled shape.
 
-    plant: mass, wn, zeta, delay, cutoff of the filter of the velocity
-    joint: its own damping and stiffness
+    Args:
+        plant: mass, wn, zeta, delay, cutoff of the filter of the velocity.
+        joint: its own damping and stiffness.
     """
     names = (MASS, "natural_frequency", "damping_ratio", DELAY, VELOCITY_FILTER)
     own = dict(zip(names, plant, strict=True))

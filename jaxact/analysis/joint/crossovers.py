@@ -38,11 +38,12 @@ _PHASE_NEWTON_STEPS = 5
 def gain_crossovers(loop: JointLoop, extremes: jax.Array) -> tuple[jax.Array, jax.Array]:
     """All frequencies [rad/s] with |L(jw)| = 1 in ascending order, and which exist, (k + 1, ...).
 
-    extremes: of `gain_extremes`, shape (k, ...)
-
     There are one or three: |L| falls from infinity to zero, with at most one rise between
     the extremes (two where the velocity is filtered). Slots of missing ones hold other frequencies.
     Of a sprung joint |L| starts at |kp/k|, so that there may be any number of them, or none.
+
+    Args:
+        extremes: of `gain_extremes`, shape (k, ...).
     """
     kp, kd, mass = jnp.abs(loop.kp), jnp.abs(loop.kd), loop.mass
     half = 0.5 * (kd / mass) ** 2
@@ -117,12 +118,14 @@ def phase_crossovers(
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """The critical crossing with the largest |L| between each two neighbours of `points`.
 
-    points: frequencies [rad/s] in ascending order between which |L| and the phase are monotone
-        and |L| - 1 keeps its sign, shape (k, ...)
+    Args:
+        points: frequencies [rad/s] in ascending order between which |L| and the phase are monotone
+            and |L| - 1 keeps its sign, shape (k, ...).
 
-    Returns frequency [rad/s], level of the phase there (a multiple of 2 pi), direction of the
-    phase (-1 falling, +1 rising) and whether there is one, each of shape (k + 1, ...). Seen from
-    |L| = 1 it is the nearest one of its stretch if |L| < 1.
+    Returns:
+        Frequency [rad/s], level of the phase there (a multiple of 2 pi), direction of the phase (-1
+        falling, +1 rising) and whether there is one, each of shape (k + 1, ...). Seen from |L| = 1
+        it is the nearest one of its stretch if |L| < 1.
     """
     last = points[-1:]
     begin = phase_at_rest(loop) if loop.sprung else jnp.zeros_like(last)
@@ -236,7 +239,8 @@ def marginal_phasor(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array
     Of P its real and imaginary part; a filter of the velocity makes them Re P - w tau Im P and
     (1 + (w tau)^2) Im P.
 
-    w: frequency [rad/s]
+    Args:
+        w: frequency [rad/s].
     """
     real, imaginary = servo_denominator(loop, w)
     cosine, sine = jnp.cos(w * loop.delay), jnp.sin(w * loop.delay)
@@ -250,7 +254,8 @@ def marginal_phasor(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array
 def slowdown_residual(loop: JointLoop, w: jax.Array) -> jax.Array:
     """P_0 - m kp / kd^2 P_1^2 [-]: zero where (kp k^2, kd k) meets the marginal curve.
 
-    w: frequency [rad/s]
+    Args:
+        w: frequency [rad/s].
     """
     real, imaginary = marginal_phasor(loop, w)
     damping = jnp.where(loop.kd != 0, loop.kd, jnp.finfo(loop.kd.dtype).tiny)

@@ -14,7 +14,9 @@ from jaxact.analysis.joint.frequency import JointLoop
 def static_factor(kp: jax.Array, stiffness: jax.Array) -> tuple[jax.Array, jax.Array]:
     """ln f of the factor on the gains with f kp + k = 0 [-], and whether there is one.
 
-    kp: [N/m];  stiffness: k of the joint [N/m]
+    Args:
+        kp: [N/m].
+        stiffness: k of the joint [N/m].
     """
     there = kp * stiffness < 0
     ratio = jnp.where(there, -stiffness, 1.0) / jnp.where(there, kp, 1.0)
@@ -24,8 +26,9 @@ def static_factor(kp: jax.Array, stiffness: jax.Array) -> tuple[jax.Array, jax.A
 def static_move(loop: JointLoop) -> jax.Array:
     """Roots that become unstable where the gains are raised through `static_factor`: 1 or -1.
 
-    loop: sprung. The root goes to the left where the phase rises from rest: kd/kp > c/k + td +
-    2 zeta/wn.
+    Args:
+        loop: sprung. The root goes to the left where the phase rises from rest: kd/kp > c/k + td +
+            2 zeta/wn.
     """
     safe_kp = jnp.where(loop.kp == 0, 1.0, loop.kp)
     safe_k = jnp.where(loop.joint_stiffness == 0, 1.0, loop.joint_stiffness)
@@ -39,10 +42,11 @@ def counted_distance(
 ) -> jax.Array:
     """ln f to the nearest edge of the stable set, shape (1, ...): > 0 if stable, else < 0.
 
-    unstable: number of unstable roots, shape (1, ...)
-    log_factor: ln f of the crossings [-], shape (k, ...)
-    moved: roots that become unstable there as the gains are raised, shape (k, ...)
-    present: which of them exist, shape (k, ...)
+    Args:
+        unstable: number of unstable roots, shape (1, ...).
+        log_factor: ln f of the crossings [-], shape (k, ...).
+        moved: roots that become unstable there as the gains are raised, shape (k, ...).
+        present: which of them exist, shape (k, ...).
     """
     factor = jax.lax.stop_gradient(log_factor)
     one, other = factor[:, None], factor[None]

@@ -30,16 +30,18 @@ class JointLoop:
 
     The fields broadcast against each other (for a rotary joint read N m and rad).
 
-    kp: stiffness [N/m], > 0; of a sprung joint of any sign
-    kd: damping [N s/m], >= 0
-    mass: m [kg], > 0
-    natural_frequency: wn of the force servo [rad/s], > 0, inf = ideal
-    damping_ratio: zeta of the force servo [-], > 0, any finite value if ideal
-    delay: sum of command, measurement and output delay [s], >= 0
-    velocity_filter: cutoff of the first-order filter of the velocity that kd acts on [rad/s], > 0,
-        inf = none; None: no loop of the batch has one, and nothing is computed for it
-    joint_damping: c of the joint itself [N s/m], >= 0; None: of no loop of the batch
-    joint_stiffness: k of the joint itself [N/m], negative where gravity topples it; None as before
+    Attributes:
+        kp: stiffness [N/m], > 0; of a sprung joint of any sign.
+        kd: damping [N s/m], >= 0.
+        mass: m [kg], > 0.
+        natural_frequency: wn of the force servo [rad/s], > 0, inf = ideal.
+        damping_ratio: zeta of the force servo [-], > 0, any finite value if ideal.
+        delay: sum of command, measurement and output delay [s], >= 0.
+        velocity_filter: cutoff of the first-order filter of the velocity that kd acts on [rad/s], >
+            0, inf = none; None: no loop of the batch has one, and nothing is computed for it.
+        joint_damping: c of the joint itself [N s/m], >= 0; None: of no loop of the batch.
+        joint_stiffness: k of the joint itself [N/m], negative where gravity topples it; None as
+            before.
     """
 
     kp: jax.Array
@@ -83,7 +85,8 @@ def lead_gain(loop: JointLoop) -> jax.Array:
 def controller_response(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Real and imaginary part of C(jw) = kp + j w kd / (1 + j w tau) [N/m].
 
-    w: frequency [rad/s]
+    Args:
+        w: frequency [rad/s].
     """
     if loop.velocity_filter is None:
         return loop.kp, loop.kd * w
@@ -95,7 +98,8 @@ def controller_response(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.A
 def servo_denominator(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Real and imaginary part of D(jw) = 1 - (w/wn)^2 + 2 j zeta w/wn [-].
 
-    w: frequency [rad/s]
+    Args:
+        w: frequency [rad/s].
     """
     x = w / loop.natural_frequency
     return (1.0 - x) * (1.0 + x), 2.0 * loop.damping_ratio * x
@@ -104,7 +108,8 @@ def servo_denominator(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Arr
 def plant_parts(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array]:
     """m w^2 - k and c w [N/m]: -P(jw) is the first minus j times the second; sprung joints only.
 
-    w: frequency [rad/s]
+    Args:
+        w: frequency [rad/s].
     """
     return loop.mass * w * w - loop.joint_stiffness, loop.joint_damping * w
 
@@ -118,7 +123,8 @@ def _plant_size(loop: JointLoop, w: jax.Array) -> jax.Array:
 def log_gain(loop: JointLoop, w: jax.Array) -> jax.Array:
     """ln |L(jw)| [-].
 
-    w: frequency [rad/s], > 0
+    Args:
+        w: frequency [rad/s], > 0.
     """
     real, imaginary = servo_denominator(loop, w)
     stiff, rate = controller_response(loop, w)
@@ -132,7 +138,8 @@ def log_gain(loop: JointLoop, w: jax.Array) -> jax.Array:
 def log_gain_slope(loop: JointLoop, w: jax.Array) -> jax.Array:
     """d ln |L| / d ln w [-].
 
-    w: frequency [rad/s], > 0
+    Args:
+        w: frequency [rad/s], > 0.
     """
     real, imaginary = servo_denominator(loop, w)
     rate = (lead_gain(loop) * w) ** 2
@@ -154,7 +161,8 @@ def phase(loop: JointLoop, w: jax.Array) -> jax.Array:
 
     Of a sprung joint with k > 0 it starts at pi, and for kp < 0 by pi higher.
 
-    w: frequency [rad/s], >= 0
+    Args:
+        w: frequency [rad/s], >= 0.
     """
     real, imaginary = servo_denominator(loop, w)
     stiff, rate = controller_response(loop, w)
@@ -168,7 +176,8 @@ def phase(loop: JointLoop, w: jax.Array) -> jax.Array:
 def phase_slope(loop: JointLoop, w: jax.Array) -> jax.Array:
     """d phase / d ln w [rad].
 
-    w: frequency [rad/s], >= 0
+    Args:
+        w: frequency [rad/s], >= 0.
     """
     real, imaginary = servo_denominator(loop, w)
     x = w / loop.natural_frequency
@@ -187,7 +196,8 @@ def phase_slope(loop: JointLoop, w: jax.Array) -> jax.Array:
 def loop_response(loop: JointLoop, w: jax.Array) -> jax.Array:
     """L(jw) [-], complex.
 
-    w: frequency [rad/s], > 0
+    Args:
+        w: frequency [rad/s], > 0.
     """
     real, imaginary = servo_denominator(loop, w)
     stiff, rate = controller_response(loop, w)

@@ -68,23 +68,24 @@ class Margins:
     A loop has one or three gain crossovers (at most five where its velocity is filtered, six where
     the joint has a stiffness besides), never more, and all are found, so nothing can overflow.
 
-    stable: bool
-    unstable_roots: closed-loop roots not in the open left half plane, int32
-    log_gain_to_boundary: ln of the common factor on all gains to the nearest boundary of the
-        stable region [-], > 0 if stable (inf if no factor destabilises), < 0 if unstable. Where no
-        common factor stabilises, kd/kp <= td + 2 zeta/wn, it is ln k of slowing the loop down to
-        (kp k^2, kd k) on the first lobe of the boundary, which always exists for kp, kd > 0; of a
-        joint with damping or stiffness of its own, -inf.
-    gain_margin: smallest factor above 1 on all gains that destabilises [-], inf if none
-    gain_reduction_margin: largest factor below 1 that destabilises [-], 0 if none
-    phase_crossover: frequency of `gain_margin` [rad/s], inf if there is none
-    phase_margin: the one smallest in magnitude over all gain crossovers [rad]
-    gain_crossover: its frequency [rad/s]
-    delay_margin: smallest added delay that destabilises [s]
-    sensitivity_peak: Ms = max |S| [-] and its frequency [rad/s], inf if |S| only tends to 1
-    complementary_peak: Mt = max |T| [-] and its frequency [rad/s]
-    modulus_margin: 1 / Ms [-]
-    disk_margin: balanced, 1 / max |S - 1/2| [-]
+    Attributes:
+        stable: bool.
+        unstable_roots: closed-loop roots not in the open left half plane, int32.
+        log_gain_to_boundary: ln of the common factor on all gains to the nearest boundary of the
+            stable region [-], > 0 if stable (inf if no factor destabilises), < 0 if unstable. Where
+            no common factor stabilises, kd/kp <= td + 2 zeta/wn, it is ln k of slowing the loop
+            down to (kp k^2, kd k) on the first lobe of the boundary, which always exists for kp, kd
+            > 0; of a joint with damping or stiffness of its own, -inf.
+        gain_margin: smallest factor above 1 on all gains that destabilises [-], inf if none.
+        gain_reduction_margin: largest factor below 1 that destabilises [-], 0 if none.
+        phase_crossover: frequency of `gain_margin` [rad/s], inf if there is none.
+        phase_margin: the one smallest in magnitude over all gain crossovers [rad].
+        gain_crossover: its frequency [rad/s].
+        delay_margin: smallest added delay that destabilises [s].
+        sensitivity_peak: Ms = max |S| [-] and its frequency [rad/s], inf if |S| only tends to 1.
+        complementary_peak: Mt = max |T| [-] and its frequency [rad/s].
+        modulus_margin: 1 / Ms [-].
+        disk_margin: balanced, 1 / max |S - 1/2| [-].
     """
 
     stable: jax.Array
@@ -107,10 +108,11 @@ class Margins:
 def margins(loop: JointLoop) -> Margins:
     """All margins of every loop of a batch, safe under jit, vmap and grad.
 
-    loop: fields of any broadcastable shape; the result has their common shape
-
     Works in the precision of the fields (float64 for certification). Domain: mass, wn, zeta > 0,
     delay >= 0; kp <= 0 is unstable, unless the joint has a stiffness of its own.
+
+    Args:
+        loop: fields of any broadcastable shape; the result has their common shape.
     """
     loop = broadcast_loop(loop)
     shape = loop.kp.shape
@@ -124,10 +126,11 @@ def margins(loop: JointLoop) -> Margins:
 class _Found(NamedTuple):
     """What the search found: frequencies [rad/s], constant, candidates on axis 0 and loops on 1.
 
-    gain, gain_present: gain crossovers, shape (3, n), or (5, n) with a filter of the velocity
-    phase, level, direction, phase_present: critical crossings as `phase_crossovers` gives them
-    peaks: of |S|, |T|, |S - 1/2|, shape (3, n)
-    slow: of `slowdown_frequency`, shape (1, n)
+    Attributes:
+        gain, gain_present: gain crossovers, shape (3, n), or (5, n) with a filter of the velocity.
+        phase, level, direction, phase_present: critical crossings as `phase_crossovers` gives them.
+        peaks: of |S|, |T|, |S - 1/2|, shape (3, n).
+        slow: of `slowdown_frequency`, shape (1, n).
     """
 
     gain: jax.Array
@@ -200,7 +203,10 @@ def _peak_nodes(
 def _newton_frequency(w: jax.Array, residual: jax.Array, slope: jax.Array) -> jax.Array:
     """w refined once more: the value of Newton's step, the derivative of the implicit function.
 
-    w: constant [rad/s];  residual: of the equation at w, live;  slope: d residual / d ln w
+    Args:
+        w: constant [rad/s].
+        residual: of the equation at w, live.
+        slope: d residual / d ln w.
     """
     slope = jax.lax.stop_gradient(slope)
     step = residual / jnp.where(slope == 0.0, 1.0, slope)
@@ -330,8 +336,9 @@ def _signed_distance(
 def _log_slowdown(loop: JointLoop, w: jax.Array, unused: jax.Array) -> jax.Array:
     """ln k < 0 with (kp k^2, kd k) on the first lobe of the boundary: kp k^2 = m w^2 Re P.
 
-    w: constant, of `slowdown_frequency` [rad/s]
-    unused: where the result does not matter, and a harmless loop is put in its place
+    Args:
+        w: constant, of `slowdown_frequency` [rad/s].
+        unused: where the result does not matter, and a harmless loop is put in its place.
     """
     safe = jax.tree.map(lambda a: jnp.where(unused, 1.0, a), loop)
     w = jnp.where(unused, 0.5, w)

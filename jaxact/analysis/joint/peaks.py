@@ -31,9 +31,10 @@ SENSITIVITY, COMPLEMENTARY, DISK = range(3)
 def peak_grid(nodes: jax.Array) -> jax.Array:
     """Frequencies [rad/s] in ascending order, clustered (in the logarithm) at the nodes.
 
-    nodes: [rad/s], ascending, shape (k, ...)
-
     Geometric means of geometric means: square roots are cheaper than exp and log.
+
+    Args:
+        nodes: [rad/s], ascending, shape (k, ...).
     """
     left, right = nodes[:-1], nodes[1:]
     middle = jnp.sqrt(left * right)
@@ -70,7 +71,8 @@ def squared_parts(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, ...]:
 def peak_values(loop: JointLoop, w: jax.Array) -> jax.Array:
     """|S|, |T| and |S - 1/2| [-] at the frequencies of each, shape (3, ...).
 
-    w: [rad/s], shape (3, ...) in that order
+    Args:
+        w: [rad/s], shape (3, ...) in that order.
     """
     inertia, control, minus, plus = squared_parts(loop, w)
     top = jnp.stack([inertia[SENSITIVITY], control[COMPLEMENTARY], 0.25 * minus[DISK]])
@@ -80,7 +82,8 @@ def peak_values(loop: JointLoop, w: jax.Array) -> jax.Array:
 def locate_peaks(loop: JointLoop, nodes: jax.Array) -> jax.Array:
     """Frequencies [rad/s] of the largest |S|, |T| and |S - 1/2|, shape (3, ...).
 
-    nodes: corners and crossings of L [rad/s], ascending, shape (k, batch)
+    Args:
+        nodes: corners and crossings of L [rad/s], ascending, shape (k, batch).
     """
     w = peak_grid(nodes)
     inertia, control, minus, plus = squared_parts(loop, w)
@@ -97,9 +100,11 @@ def locate_peaks(loop: JointLoop, nodes: jax.Array) -> jax.Array:
 def _best_local_maxima(w: jax.Array, values: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The grid points of the largest local maxima with their neighbours, (candidates, 3, batch).
 
-    w: shape (k, batch);  values: shape (k, 3, batch)
-
     Only maxima over the grid axis, no gathers: they stay vectorised over the batch.
+
+    Args:
+        w: shape (k, batch).
+        values: shape (k, 3, batch).
     """
     edge = jnp.zeros_like(values[:1])
     before = jnp.concatenate([edge, values[:-1]])
@@ -122,10 +127,11 @@ def _best_local_maxima(w: jax.Array, values: jax.Array) -> tuple[jax.Array, jax.
 def peak_slopes(loop: JointLoop, w: jax.Array) -> tuple[jax.Array, jax.Array]:
     """First and second derivative of ln |S|, ln |T|, ln |S - 1/2| by frequency [s], [s^2].
 
-    w: [rad/s], shape (..., 3, batch), the quantity on the last axis but one
-
     From the real and imaginary parts of M, N and their derivatives: near a sharp peak M + N
     cancels, and |M + N|^2 must not be expanded.
+
+    Args:
+        w: [rad/s], shape (..., 3, batch), the quantity on the last axis but one.
     """
     v = 1.0 / loop.natural_frequency
     v2, g = v * v, 2.0 * loop.damping_ratio * v

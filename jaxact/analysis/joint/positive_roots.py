@@ -17,11 +17,12 @@ def positive_cubic_roots(
 ) -> tuple[jax.Array, jax.Array]:
     """The roots y > 0 of c0 + c1 y + c2 y^2 + c3 y^3, and which there are, shape (3, ...).
 
-    coefficients: c0 ... c3, real, each of shape (1, ...)
-    scale: a typical size of the roots, shape (1, ...), > 0
-
     With y = scale * s / (1 - s) it becomes a cubic on 0 < s < 1, whatever its degree; the roots of
     its derivative split that into three parts, each bisected.
+
+    Args:
+        coefficients: c0 ... c3, real, each of shape (1, ...).
+        scale: a typical size of the roots, shape (1, ...), > 0.
     """
     c = [a * scale**i for i, a in enumerate(coefficients)]
     largest = jnp.maximum(
@@ -73,12 +74,13 @@ def _quadratic_roots(a: jax.Array, b: jax.Array, c: jax.Array) -> tuple[jax.Arra
 def positive_roots(coefficients: list[jax.Array], scale: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The roots y > 0 of c0 + c1 y + ... + cn y^n, and which there are, shape (n, ...).
 
-    coefficients: c0 ... cn, real, each of shape (1, ...), n >= 3
-    scale: a typical size of the roots, shape (1, ...), > 0
-
     As `positive_cubic_roots`, the polynomial on 0 < s < 1 split by the roots of its derivative, and
     those by the roots of the derivative's derivative, and so on. Slots of missing roots hold
     `scale`.
+
+    Args:
+        coefficients: c0 ... cn, real, each of shape (1, ...), n >= 3.
+        scale: a typical size of the roots, shape (1, ...), > 0.
     """
     degree = len(coefficients) - 1
     c = [a * scale**i for i, a in enumerate(coefficients)]
@@ -105,8 +107,9 @@ def positive_roots(coefficients: list[jax.Array], scale: jax.Array) -> tuple[jax
 def _roots_between(coefficients: list[jax.Array], splits: jax.Array) -> tuple[jax.Array, jax.Array]:
     """One point of each of the parts of [0, 1], its root where it has one; ascending, (k + 1, ...).
 
-    coefficients: of powers of s; the polynomial is monotone between splits
-    splits: in [0, 1], ascending, shape (k, ...)
+    Args:
+        coefficients: of powers of s; the polynomial is monotone between splits.
+        splits: in [0, 1], ascending, shape (k, ...).
     """
 
     def value(s: jax.Array) -> jax.Array:

@@ -21,10 +21,6 @@ _NEWTON_STEPS = 24
 def encirclements(phases: jax.Array, present: jax.Array, loop: JointLoop) -> jax.Array:
     """Number of closed-loop roots with positive real part, from the phase at gain crossovers.
 
-    phases: phase(w) at the gain crossovers in ascending order [rad], shape (k, ...)
-    present: which of them exist, shape (k, ...)
-    loop: fields of shape (1, ...)
-
     Between crossovers with |L| > 1 the curve passes the critical ray once for every multiple of
     2 pi that the phase passes, and each passage downwards moves a pair of roots to the right:
 
@@ -33,6 +29,11 @@ def encirclements(phases: jax.Array, present: jax.Array, loop: JointLoop) -> jax
     Where |L| < 1 it cannot encircle the point. The double pole at the origin starts the curve at
     phase 0+ for kp > 0; for kp <= 0 one root is never on the left. A sprung joint may start at
     |L| = |kp/k| < 1: then none of that counts, and one root is not on the left if kp + k <= 0.
+
+    Args:
+        phases: phase(w) at the gain crossovers in ascending order [rad], shape (k, ...).
+        present: which of them exist, shape (k, ...).
+        loop: fields of shape (1, ...).
     """
     start = jnp.where(loop.kp > 0, 0.0, jnp.where(loop.kd < 0, -1.0, 0.0))
     passed = jnp.floor(phases / TURN)
@@ -51,9 +52,10 @@ def encirclements(phases: jax.Array, present: jax.Array, loop: JointLoop) -> jax
 def count_unstable_roots(loop: JointLoop) -> jax.Array:
     """Number of closed-loop roots that are not in the open left half plane, int32, shape (...).
 
-    loop: fields of any broadcastable shape
-
     Exact for every delay: argument principle on the refined gain crossovers.
+
+    Args:
+        loop: fields of any broadcastable shape.
     """
     loop = broadcast_loop(loop)
     rows = jax.tree.map(lambda a: a[None], loop)
@@ -64,12 +66,13 @@ def count_unstable_roots(loop: JointLoop) -> jax.Array:
 def rightmost_root(loop: JointLoop) -> jax.Array:
     """The closed-loop root with the largest real part [1/s], complex with Im >= 0, shape (...).
 
-    loop: fields of any broadcastable shape, kp or kd not zero
-
     Collocation of the delayed command on Chebyshev nodes gives approximate roots (Breda, Maset
     and Vermiglio, Stability of Linear Delay Differential Equations); Newton on the exact
     characteristic function refines them together with the open-loop corners, and the derivative
     is that of the implicit function. NaN where no start converges.
+
+    Args:
+        loop: fields of any broadcastable shape, kp or kd not zero.
     """
     loop = broadcast_loop(loop)
     shape = loop.kp.shape
@@ -85,7 +88,8 @@ def rightmost_root(loop: JointLoop) -> jax.Array:
 def spectral_abscissa(loop: JointLoop) -> jax.Array:
     """Real part of the rightmost closed-loop root [1/s], shape (...); negative = stable.
 
-    loop: fields of any broadcastable shape
+    Args:
+        loop: fields of any broadcastable shape.
     """
     return rightmost_root(loop).real
 
@@ -93,7 +97,8 @@ def spectral_abscissa(loop: JointLoop) -> jax.Array:
 def characteristic(loop: JointLoop, s: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Delta(s) = (m s^2 + c s + k) D(s) + (kp + kd s) exp(-s td) [N/m] and dDelta/ds, complex.
 
-    s: [1/s], complex
+    Args:
+        s: [1/s], complex.
     """
     v = 1.0 / loop.natural_frequency
     lag = 2.0 * loop.damping_ratio * v

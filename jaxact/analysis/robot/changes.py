@@ -29,9 +29,10 @@ _STILL = 1e-9
 class Change:
     """Where a robot begins or ceases to shake, or to topple.
 
-    value: common factor on all gains [-], or common delay [s]
-    frequency: of the motion there [rad/s], 0 of one that topples
-    participation: share of each joint in its kinetic energy, shape (m,)
+    Attributes:
+        value: common factor on all gains [-], or common delay [s].
+        frequency: of the motion there [rad/s], 0 of one that topples.
+        participation: share of each joint in its kinetic energy, shape (m,).
     """
 
     value: float
@@ -43,11 +44,13 @@ class Change:
 class Changes:
     """The nearest changes in every direction, None where there is none.
 
-    more_gain, less_gain: factor on all gains above and below 1 at which shaking begins, or ceases
-        if the robot shakes
-    more_delay: extra delay of all commands at which it begins [s]; None of a robot that shakes
-    less_delay: delay taken from all commands at which shaking ceases [s]; None of one that does not
-    topple_more_gain, topple_less_gain: factors at which toppling begins, or ceases
+    Attributes:
+        more_gain, less_gain: factor on all gains above and below 1 at which shaking begins, or
+            ceases if the robot shakes.
+        more_delay: extra delay of all commands at which it begins [s]; None of a robot that shakes.
+        less_delay: delay taken from all commands at which shaking ceases [s]; None of one that does
+            not.
+        topple_more_gain, topple_less_gain: factors at which toppling begins, or ceases.
     """
 
     more_gain: Change | None
@@ -62,9 +65,10 @@ class Changes:
 class Limits:
     """What is known of a loop's stability before it is asked what is lost.
 
-    gains: (factor, w T) of the nearest change of stability above and below 1, from
-        `multiloop_limits.gain_limit`
-    delay: (delay [s], w T) at which a stable loop loses it, None of an unstable one
+    Attributes:
+        gains: (factor, w T) of the nearest change of stability above and below 1, from
+            `multiloop_limits.gain_limit`.
+        delay: (delay [s], w T) at which a stable loop loses it, None of an unstable one.
     """
 
     gains: tuple[tuple[float, float], tuple[float, float]]
@@ -76,8 +80,10 @@ def changes(
 ) -> Changes:
     """All changes of a robot's loop.
 
-    angle, followed: a grid of w T [rad] and the eigenvalues of S there, from `multiloop_limits`
-    known: limits of stability
+    Args:
+        angle, followed: a grid of w T [rad] and the eigenvalues of S there, from
+            `multiloop_limits`.
+        known: limits of stability.
     """
     candidates = _limits.gain_factors(angle, followed)
     now = _modes.growing(loop.roots)

@@ -38,9 +38,11 @@ _CENTRED = 0.3
 def balanced(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Osborne's scaling, a few sweeps: D H D^-1 has rows and columns of equal size.
 
-    H: complex, shape (k, m, m)
+    Args:
+        H: complex, shape (k, m, m).
 
-    Returns sigma_max(D H D^-1), shape (k,), and the diagonals of D, shape (k, m).
+    Returns:
+        sigma_max(D H D^-1), shape (k,), and the diagonals of D, shape (k, m).
     """
     size = np.abs(H) ** 2
     joints = H.shape[-1]
@@ -63,10 +65,11 @@ def balanced(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def bound(H: np.ndarray, accuracy: float = _ACCURACY) -> float:
     """min over diagonal D of sigma_max(D H D^-1), by the method of centres.
 
-    H: complex, shape (m, m)
-    accuracy: relative; what is returned is never too small
-
     With P = D^2 the square of the bound is the smallest b for which b P - H* P H is not indefinite.
+
+    Args:
+        H: complex, shape (m, m).
+        accuracy: relative; what is returned is never too small.
     """
     return scaled(H, accuracy)[0]
 
@@ -138,8 +141,9 @@ def _centre(H: np.ndarray, weights: np.ndarray, level: float) -> np.ndarray:
 def largest_bound(loop: Multiloop, angle: np.ndarray, S: np.ndarray) -> tuple[float, float]:
     """max over w of the bound of mu(S - I/2), and w T [rad] where it is.
 
-    angle: grid of w T [rad], rising, shape (k,)
-    S: there, shape (k, m, m)
+    Args:
+        angle: grid of w T [rad], rising, shape (k,).
+        S: there, shape (k, m, m).
     """
     joints = S.shape[-1]
     half = 0.5 * np.eye(joints)

@@ -44,9 +44,10 @@ _TRIED, _PARTS = 4, 4
 class Crossing:
     """Where one eigenvalue of S is marginal, between two points of a grid or at one.
 
-    low, high: w T [rad]
-    below, above: the eigenvalue there
-    angle, value: in between, by linear interpolation
+    Attributes:
+        low, high: w T [rad].
+        below, above: the eigenvalue there.
+        angle, value: in between, by linear interpolation.
     """
 
     low: float
@@ -86,7 +87,8 @@ def neutral(roots: np.ndarray) -> np.ndarray:
 def followed(S: np.ndarray) -> np.ndarray:
     """Eigenvalues of S over frequency, each in a column of its own; shape (k, m).
 
-    S: from 0 to the Nyquist frequency, shape (k, m, m)
+    Args:
+        S: from 0 to the Nyquist frequency, shape (k, m, m).
     """
     values = np.linalg.eigvals(S)
     for row in range(1, len(values)):
@@ -104,9 +106,10 @@ def crossings(
 ) -> list[Crossing]:
     """Where a real function of the eigenvalues of S passes zero between grid points.
 
-    angle: grid of w T [rad], shape (k,)
-    values: from `followed`, shape (k, m)
-    curve: linear in real and imaginary part
+    Args:
+        angle: grid of w T [rad], shape (k,).
+        values: from `followed`, shape (k, m).
+        curve: linear in real and imaginary part.
     """
     real = curve(values)
     rows, columns = np.nonzero(real[:-1] * real[1:] < 0.0)
@@ -161,11 +164,13 @@ def gain_limit(
 ) -> tuple[float, float]:
     """The nearest factor on all gains at which stability changes, above or below 1.
 
-    matrices: M, N, C of the loop
-    candidates: from `gain_factors`
-    bad: what a loop with this matrix is, or is not; of its growing roots only those count
+    Args:
+        matrices: M, N, C of the loop.
+        candidates: from `gain_factors`.
+        bad: what a loop with this matrix is, or is not; of its growing roots only those count.
 
-    Returns the factor (inf above, 0 below if there is none) and its frequency w T [rad] (inf).
+    Returns:
+        The factor (inf above, 0 below if there is none) and its frequency w T [rad] (inf).
     """
     M, N, C = reduced(matrices)
     feedback = N @ C
@@ -227,12 +232,14 @@ def delay_limit(
 ) -> tuple[float, float]:
     """The smallest delay of all commands, on top of what they have, that destabilises [s].
 
-    later_by: extra delay of a part of a period [s], in [0, T] -> M, N, C
-    period: T [s]
-    candidates: crossings with Re s = 1/2 of the loop as it is
-    bad: what the loop as it is is not, see `gain_limit`
+    Args:
+        later_by: extra delay of a part of a period [s], in [0, T] -> M, N, C.
+        period: T [s].
+        candidates: crossings with Re s = 1/2 of the loop as it is.
+        bad: what the loop as it is is not, see `gain_limit`.
 
-    Returns the delay (inf if there is none) and its frequency w T [rad] (inf).
+    Returns:
+        The delay (inf if there is none) and its frequency w T [rad] (inf).
     """
     # Joints that are alike have the same crossings: only the delays are compared.
     guesses = sorted(

@@ -32,17 +32,18 @@ _TURN = 2.0 * math.pi
 class JointMargins:
     """Margins of the loop of one joint while all others are closed; none of an unstable robot.
 
-    name: of the joint
-    gain_margin: smallest factor above 1 on its gains that destabilises [-], inf if none
-    gain_reduction_margin: largest factor below 1 that does [-], 0 if none
-    phase_crossover: frequency of `gain_margin` [rad/s], inf if there is none
-    phase_margin: smallest in magnitude over all gain crossovers [rad], inf if there is none
-    gain_crossover: its frequency [rad/s], inf if there is none
-    delay_margin: smallest added delay that destabilises [s], min (phase mod 2 pi) / w
-    sensitivity_peak, complementary_peak: max |S_ii|, max |1 - S_ii| [-], and their frequencies
-        [rad/s]
-    modulus_margin: 1 / Ms [-]
-    disk_margin: balanced, 1 / max |S_ii - 1/2| [-]
+    Attributes:
+        name: of the joint.
+        gain_margin: smallest factor above 1 on its gains that destabilises [-], inf if none.
+        gain_reduction_margin: largest factor below 1 that does [-], 0 if none.
+        phase_crossover: frequency of `gain_margin` [rad/s], inf if there is none.
+        phase_margin: smallest in magnitude over all gain crossovers [rad], inf if there is none.
+        gain_crossover: its frequency [rad/s], inf if there is none.
+        delay_margin: smallest added delay that destabilises [s], min (phase mod 2 pi) / w.
+        sensitivity_peak, complementary_peak: max |S_ii|, max |1 - S_ii| [-], and their frequencies
+            [rad/s].
+        modulus_margin: 1 / Ms [-].
+        disk_margin: balanced, 1 / max |S_ii - 1/2| [-].
     """
 
     name: str
@@ -64,15 +65,17 @@ class JointMargins:
 class WholeMargins:
     """Margins of all loops at once; none of an unstable robot.
 
-    gain_margin, gain_reduction_margin: common factor on all gains, as of a joint [-]
-    gain_margin_frequency, gain_reduction_frequency: where it is lost [rad/s], inf if it is not
-    delay_margin: common delay added to all commands [s], exact for any delay, inf if none
-    delay_margin_frequency: where it is lost [rad/s]
-    sensitivity_peak, complementary_peak: largest singular value of S, of T [-]; frequencies [rad/s]
-    modulus_margin: 1 / Ms [-]
-    disk_margin: of independent changes of all loops at once [-]; at least this much is sure
-    disk_margin_frequency: [rad/s]
-    unscaled_disk_margin: 1 / max sigma_max(S - I/2) [-], of changes that may mix the joints
+    Attributes:
+        gain_margin, gain_reduction_margin: common factor on all gains, as of a joint [-].
+        gain_margin_frequency, gain_reduction_frequency: where it is lost [rad/s], inf if it is not.
+        delay_margin: common delay added to all commands [s], exact for any delay, inf if none.
+        delay_margin_frequency: where it is lost [rad/s].
+        sensitivity_peak, complementary_peak: largest singular value of S, of T [-]; frequencies
+            [rad/s].
+        modulus_margin: 1 / Ms [-].
+        disk_margin: of independent changes of all loops at once [-]; at least this much is sure.
+        disk_margin_frequency: [rad/s].
+        unscaled_disk_margin: 1 / max sigma_max(S - I/2) [-], of changes that may mix the joints.
     """
 
     gain_margin: float
@@ -95,24 +98,26 @@ class WholeMargins:
 class RobotMargins:
     """How stable a robot is, and how much of it is left.
 
-    stable: no root outside the unit circle
-    unstable_roots: number of roots outside
-    spectral_radius: largest |root| over a control period [-]
-    growth_rate: its logarithm over T [1/s]
-    gain_to_boundary: common factor on all gains at the nearest change of stability [-], None if
-        there is none
-    log_gain_to_boundary: the magnitude of its logarithm, > 0 if stable (inf if there is none), < 0
-        if unstable (-inf)
-    period: control period T [s]
-    shaking_rate, toppling_rate: growth rate of the fastest motion that swings, and of the fastest
-        one that does not [1/s]; -inf if there is none, see `jaxact.analysis.robot.modes`
-    changes: where it begins, or ceases, to shake or to topple
-    whole: margins of all loops at once, None if unstable
-    joints: margins of each joint, in the robot's order; empty if unstable
-    critical: the fastest growing mode that swings of a robot that shakes, else the fastest growing
-        one of an unstable robot, the least damped one of a stable robot
-    slowest: the mode that decays last
-    at_peak: the response at the peak of the largest singular value of S, None if unstable
+    Attributes:
+        stable: no root outside the unit circle.
+        unstable_roots: number of roots outside.
+        spectral_radius: largest |root| over a control period [-].
+        growth_rate: its logarithm over T [1/s].
+        gain_to_boundary: common factor on all gains at the nearest change of stability [-], None if
+            there is none.
+        log_gain_to_boundary: the magnitude of its logarithm, > 0 if stable (inf if there is none),
+            < 0 if unstable (-inf).
+        period: control period T [s].
+        shaking_rate, toppling_rate: growth rate of the fastest motion that swings, and of the
+            fastest one that does not [1/s]; -inf if there is none, see
+            `jaxact.analysis.robot.modes`.
+        changes: where it begins, or ceases, to shake or to topple.
+        whole: margins of all loops at once, None if unstable.
+        joints: margins of each joint, in the robot's order; empty if unstable.
+        critical: the fastest growing mode that swings of a robot that shakes, else the fastest
+            growing one of an unstable robot, the least damped one of a stable robot.
+        slowest: the mode that decays last.
+        at_peak: the response at the peak of the largest singular value of S, None if unstable.
     """
 
     stable: bool

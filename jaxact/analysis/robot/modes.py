@@ -25,13 +25,14 @@ _STILL = 1e-9
 class Robot:
     """A closed loop; n states, m joints.
 
-    matrices: M, N, C over one control period, see `jaxact.analysis.robot.multiloop`
-    positions, velocities: of the joints at the ticks, rows of shape (m, n) each
-    inertias: that forces on the joints feel [kg or kg m^2], shape (m,)
-    names: of the joints
-    period: control period T [s]
-    later_by: extra delay of all commands [s], from -delay to T -> M, N, C
-    delay: smallest command delay of a joint [s]
+    Attributes:
+        matrices: M, N, C over one control period, see `jaxact.analysis.robot.multiloop`.
+        positions, velocities: of the joints at the ticks, rows of shape (m, n) each.
+        inertias: that forces on the joints feel [kg or kg m^2], shape (m,).
+        names: of the joints.
+        period: control period T [s].
+        later_by: extra delay of all commands [s], from -delay to T -> M, N, C.
+        delay: smallest command delay of a joint [s].
     """
 
     matrices: Matrices
@@ -48,10 +49,12 @@ class Robot:
 class Mode:
     """A motion of the closed loop, or its response to the force that it amplifies most.
 
-    growth_rate: [1/s], negative if it decays; 0 of a response
-    frequency: [rad/s]
-    damping_ratio: [-], 1 where it does not oscillate; 0 of a response
-    participation: share of each joint in the kinetic energy of the joints, shape (m,); sums to 1
+    Attributes:
+        growth_rate: [1/s], negative if it decays; 0 of a response.
+        frequency: [rad/s].
+        damping_ratio: [-], 1 where it does not oscillate; 0 of a response.
+        participation: share of each joint in the kinetic energy of the joints, shape (m,); sums to
+            1.
     """
 
     growth_rate: float
@@ -140,10 +143,11 @@ def participation(
 ) -> np.ndarray:
     """Share of each joint in I |v|^2; equal shares of a motion in which no joint moves.
 
-    kept: places of the states among those of M, shape (k,)
-    states: of the motion, complex, shape (k,)
-    still: its root is 1, where velocities are nothing but rounding: shares in I |q|^2, to which
-        those in I |v|^2 tend there
+    Args:
+        kept: places of the states among those of M, shape (k,).
+        states: of the motion, complex, shape (k,).
+        still: its root is 1, where velocities are nothing but rounding: shares in I |q|^2, to which
+            those in I |v|^2 tend there.
     """
     # A joint that no force moves feels an infinite inertia.
     inertias = np.where(np.isfinite(robot.inertias), robot.inertias, 0.0)

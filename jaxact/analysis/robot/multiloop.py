@@ -40,14 +40,15 @@ Family = Callable[[np.ndarray, np.ndarray], np.ndarray]
 class Multiloop:
     """A closed loop over one control period, ready to be evaluated; n states, m joints.
 
-    roots: eigenvalues of M, shape (n,)
-    vectors: Q, scaled back to the states, shape (n, n)
-    triangular: U, shape (n, n)
-    inputs: Q^-1 N, shape (n, m)
-    outputs: C Q, shape (m, n)
-    opened: eigenvalues of M - N C, the loop without its controllers, shape (n,)
-    kept: places of the n states among those of M
-    period: T [s]
+    Attributes:
+        roots: eigenvalues of M, shape (n,).
+        vectors: Q, scaled back to the states, shape (n, n).
+        triangular: U, shape (n, n).
+        inputs: Q^-1 N, shape (n, m).
+        outputs: C Q, shape (m, n).
+        opened: eigenvalues of M - N C, the loop without its controllers, shape (n,).
+        kept: places of the n states among those of M.
+        period: T [s].
     """
 
     roots: np.ndarray
@@ -63,10 +64,11 @@ class Multiloop:
 def multiloop(M: np.ndarray, N: np.ndarray, C: np.ndarray, period: float) -> Multiloop:
     """Decompose the matrices of a loop.
 
-    M, N, C: shape (n, n), (n, m), (m, n)
-    period: T [s]
-
     States that nothing moves, or that move nothing, are left out: their roots are 0.
+
+    Args:
+        M, N, C: shape (n, n), (n, m), (m, n).
+        period: T [s].
     """
     kept = joined((M, N, C))
     M, N, C = reduced((M, N, C))
@@ -128,8 +130,9 @@ def _solved(loop: Multiloop, z: np.ndarray, right: np.ndarray) -> np.ndarray:
 def states(loop: Multiloop, angle: float, force: np.ndarray) -> np.ndarray:
     """States x in response to forces d of one frequency; complex, shape (all states,) of M's kind.
 
-    angle: w T [rad]
-    force: complex, shape (m,)
+    Args:
+        angle: w T [rad].
+        force: complex, shape (m,).
     """
     z = np.array([np.exp(1j * angle)])
     found = _solved(loop, z, (loop.inputs @ force)[:, None, None])[:, 0, 0]
@@ -178,11 +181,13 @@ def grid(loop: Multiloop) -> np.ndarray:
 def peaks(angle: np.ndarray, values: np.ndarray, family: Family) -> tuple[np.ndarray, np.ndarray]:
     """Largest values of several curves over frequency, refined.
 
-    angle: the grid [rad], rising, shape (k,)
-    values: of the curves on the grid, shape (k, c); 0 where they are not looked at
-    family: (angles (j,), numbers of curves (j,)) -> values (j,)
+    Args:
+        angle: the grid [rad], rising, shape (k,).
+        values: of the curves on the grid, shape (k, c); 0 where they are not looked at.
+        family: (angles (j,), numbers of curves (j,)) -> values (j,).
 
-    Returns the peaks and their angles [rad], shape (c,) each.
+    Returns:
+        The peaks and their angles [rad], shape (c,) each.
     """
     best = np.argmax(values, axis=0)
     columns = np.arange(values.shape[1])
@@ -216,9 +221,11 @@ def _local_maxima(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def zeros(angle: np.ndarray, values: np.ndarray, family: Family) -> tuple[np.ndarray, np.ndarray]:
     """Where several real curves pass zero strictly inside the grid.
 
-    angle, values, family: as for `peaks`
+    Args:
+        angle, values, family: as for `peaks`.
 
-    Returns angles [rad] and numbers of the curves, shape (number of zeros,) each.
+    Returns:
+        Angles [rad] and numbers of the curves, shape (number of zeros,) each.
     """
     rows, which = np.nonzero(values[:-1] * values[1:] < 0.0)
     if not rows.size:
@@ -236,10 +243,11 @@ def zeros(angle: np.ndarray, values: np.ndarray, family: Family) -> tuple[np.nda
 class Curves:
     """Sensitivities over frequency.
 
-    frequency: w [rad/s], rising, up to pi/T, shape (k,)
-    sensitivity, complementary: largest singular value of S and of T [-], shape (k,) each
-    own_sensitivity, own_complementary: |S_ii| and |1 - S_ii| [-], shape (k, m) each
-    names: of the m joints
+    Attributes:
+        frequency: w [rad/s], rising, up to pi/T, shape (k,).
+        sensitivity, complementary: largest singular value of S and of T [-], shape (k,) each.
+        own_sensitivity, own_complementary: |S_ii| and |1 - S_ii| [-], shape (k, m) each.
+        names: of the m joints.
     """
 
     frequency: np.ndarray

@@ -62,21 +62,23 @@ _TILE = 64
 class SampledMargins:
     """Margins of a batch of sampled loops, each of the batch's shape; NaN where unstable.
 
-    stable: bool, spectral radius below 1
-    unstable_roots: eigenvalues of the one-period matrix not inside the unit circle, int32
-    spectral_radius: largest |eigenvalue| over one control period [-]
-    log_gain_to_boundary: ln of the common factor on the gains to the nearest edge of the stable
-        set [-], > 0 if stable (inf if there is none), < 0 if unstable (-inf if no factor helps)
-    gain_margin: smallest factor above 1 on all gains that destabilises [-], inf if none
-    gain_reduction_margin: largest factor below 1 that destabilises [-], 0 if none
-    phase_crossover: frequency of `gain_margin` [rad/s], inf if there is none
-    phase_margin: the one smallest in magnitude over all gain crossovers [rad], inf if none
-    gain_crossover: its frequency [rad/s], inf if |L| > 1 up to the Nyquist frequency
-    delay_margin: smallest added delay that destabilises [s], min (phase mod 2 pi) / w
-    sensitivity_peak, complementary_peak: max |S|, max |T| [-], and their frequencies [rad/s]
-    modulus_margin: 1 / Ms [-]
-    disk_margin: balanced, 1 / max |S - 1/2| [-]
-    more_crossovers: bool, there were more crossovers than slots, margins may be too large
+    Attributes:
+        stable: bool, spectral radius below 1.
+        unstable_roots: eigenvalues of the one-period matrix not inside the unit circle, int32.
+        spectral_radius: largest |eigenvalue| over one control period [-].
+        log_gain_to_boundary: ln of the common factor on the gains to the nearest edge of the stable
+            set [-], > 0 if stable (inf if there is none), < 0 if unstable (-inf if no factor
+            helps).
+        gain_margin: smallest factor above 1 on all gains that destabilises [-], inf if none.
+        gain_reduction_margin: largest factor below 1 that destabilises [-], 0 if none.
+        phase_crossover: frequency of `gain_margin` [rad/s], inf if there is none.
+        phase_margin: the one smallest in magnitude over all gain crossovers [rad], inf if none.
+        gain_crossover: its frequency [rad/s], inf if |L| > 1 up to the Nyquist frequency.
+        delay_margin: smallest added delay that destabilises [s], min (phase mod 2 pi) / w.
+        sensitivity_peak, complementary_peak: max |S|, max |T| [-], and their frequencies [rad/s].
+        modulus_margin: 1 / Ms [-].
+        disk_margin: balanced, 1 / max |S - 1/2| [-].
+        more_crossovers: bool, there were more crossovers than slots, margins may be too large.
     """
 
     stable: jax.Array
@@ -105,9 +107,10 @@ _OF_JOINT = (JOINT_DAMPING, JOINT_STIFFNESS)
 def sampled_margins(loop: SampledLoop, *, max_delay_steps: int) -> SampledMargins:
     """All margins of every sampled loop of a batch, safe under jit, vmap and grad.
 
-    loop: fields of any broadcastable shape; the result has their common shape
-    max_delay_steps: at least the largest floor(delay / T) in the batch; fixes all sizes. A loop
-        whose delay does not fit comes out unstable with NaN throughout.
+    Args:
+        loop: fields of any broadcastable shape; the result has their common shape.
+        max_delay_steps: at least the largest floor(delay / T) in the batch; fixes all sizes. A loop
+            whose delay does not fit comes out unstable with NaN throughout.
     """
     names = (*_ARRAYS, *(_OF_JOINT if loop.sprung else ()))
     if loop.sprung:

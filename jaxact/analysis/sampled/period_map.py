@@ -30,20 +30,21 @@ _STATIC = {"static": True}
 class SampledLoop:
     """One joint under sampled control, or a batch of them: fields broadcast against each other.
 
-    kp: stiffness [N/m]
-    kd: damping [N s/m]
-    mass: m [kg], > 0
-    natural_frequency: wn of the force servo [rad/s], > 0, inf = ideal
-    damping_ratio: zeta of the force servo [-], > 0
-    delay: sum of command, measurement and output delay [s], >= 0; only the sum matters here
-    control_period: T [s], > 0
-    velocity_filter: cutoff of the filter of the differenced velocity [rad/s], > 0, inf = none
-    velocity: "sampled" or "differenced"
-    integrator: "exact", or "euler" for MuJoCo's semi-implicit Euler, v += h F/m, q += h v, with F
-        the mean force over the substep
-    substeps: physics steps in a control period, n = T/h; only read by "euler"
-    joint_damping, joint_stiffness: of the joint itself, c [N s/m] and k [N/m]; None: none of the
-        batch has one, and nothing is computed for it
+    Attributes:
+        kp: stiffness [N/m].
+        kd: damping [N s/m].
+        mass: m [kg], > 0.
+        natural_frequency: wn of the force servo [rad/s], > 0, inf = ideal.
+        damping_ratio: zeta of the force servo [-], > 0.
+        delay: sum of command, measurement and output delay [s], >= 0; only the sum matters here.
+        control_period: T [s], > 0.
+        velocity_filter: cutoff of the filter of the differenced velocity [rad/s], > 0, inf = none.
+        velocity: "sampled" or "differenced".
+        integrator: "exact", or "euler" for MuJoCo's semi-implicit Euler, v += h F/m, q += h v, with
+            F the mean force over the substep.
+        substeps: physics steps in a control period, n = T/h; only read by "euler".
+        joint_damping, joint_stiffness: of the joint itself, c [N s/m] and k [N/m]; None: none of
+            the batch has one, and nothing is computed for it.
     """
 
     kp: jax.Array
@@ -77,8 +78,9 @@ class SampledLoop:
 def delay_steps(delay: np.ndarray, control_period: np.ndarray | float) -> int:
     """The whole control periods in the longest of some delays, for what has a fixed size by it.
 
-    delay: [s], any shape
-    control_period: T [s], broadcastable
+    Args:
+        delay: [s], any shape.
+        control_period: T [s], broadcastable.
     """
     return int(np.floor(np.asarray(delay) / control_period + 1e-9).max())
 
@@ -86,10 +88,11 @@ def delay_steps(delay: np.ndarray, control_period: np.ndarray | float) -> int:
 def period_map(loop: SampledLoop) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Phi (4, 4), Gamma_old (4,), Gamma_new (4,) and the whole steps of delay d, of one loop.
 
-    loop: fields scalar
-
     x_{k+1} = Phi x_k + Gamma_old u_{k-d-1} + Gamma_new u_{k-d}, x = (q [m], v [m/s], f [N],
     f'/wn [N]). Exact for every real delay; d is a float so that it can be traced.
+
+    Args:
+        loop: fields scalar.
     """
     period = loop.control_period
     steps = jax.lax.stop_gradient(jnp.floor(loop.delay / period))
@@ -154,11 +157,12 @@ def _euler_period(
 def one_period_matrix(loop: SampledLoop, max_delay_steps: int) -> jax.Array:
     """The closed loop over one control period, as a matrix of one loop.
 
-    loop: fields scalar
-    max_delay_steps: largest whole number of periods in any delay; fixes the matrix's size
-
     State: (q, v, f, f'/wn, u_{k-1}, ..., u_{k-D-1}) with D = max_delay_steps, and for the
     differenced velocity also (q_{k-1}, w_{k-1}). A delay that does not fit gives NaN.
+
+    Args:
+        loop: fields scalar.
+        max_delay_steps: largest whole number of periods in any delay; fixes the matrix's size.
     """
     phi, older, newer, steps = period_map(loop)
     differenced = _is_differenced(loop)

@@ -36,14 +36,15 @@ from jaxact.analysis.sampled.servo import damped_oscillation, joint_change
 class PulseTransfer:
     """Coefficients of the sampled plant, from command to what the controller reads.
 
-    position: P [m/N], shape (..., 5)
-    velocity: V [m/s/N], shape (..., 4)
-    servo: (q0, q1, r2) [-], shape (..., 3)
-    steps: d [-], shape (...)
-    pole: b of the velocity filter [-], shape (...)
-    period: T [s], shape (...)
-    differenced: whether the velocity is the difference of positions
-    joint: as `servo`, of a joint with damping or stiffness of its own; None: S^2
+    Attributes:
+        position: P [m/N], shape (..., 5).
+        velocity: V [m/s/N], shape (..., 4).
+        servo: (q0, q1, r2) [-], shape (..., 3).
+        steps: d [-], shape (...).
+        pole: b of the velocity filter [-], shape (...).
+        period: T [s], shape (...).
+        differenced: whether the velocity is the difference of positions.
+        joint: as `servo`, of a joint with damping or stiffness of its own; None: S^2.
     """
 
     position: jax.Array
@@ -59,7 +60,8 @@ class PulseTransfer:
 def pulse_transfer(loop: SampledLoop) -> PulseTransfer:
     """Pulse-transfer function of one loop's plant, servo and delay (the gains do not enter).
 
-    loop: fields scalar
+    Args:
+        loop: fields scalar.
     """
     phi, older, newer, steps = period_map(loop)
     samples = [newer, phi @ newer + older]
@@ -121,12 +123,13 @@ def _servo_denominator(loop: SampledLoop) -> jax.Array:
 def plant_response(transfer: PulseTransfer, u: Any, s: Any, hold: Any) -> tuple[Any, Any]:
     """Gp [m/N] and the response of the velocity the controller reads [m/s/N], complex.
 
-    transfer: of one plant
-    u: exp(-j theta), any shape
-    s: 1 - u, computed without cancellation: 2 j sin(theta / 2) exp(-j theta / 2)
-    hold: u^{d+1}
-
     Plain arithmetic, so NumPy arrays stay NumPy.
+
+    Args:
+        transfer: of one plant.
+        u: exp(-j theta), any shape.
+        s: 1 - u, computed without cancellation: 2 j sin(theta / 2) exp(-j theta / 2).
+        hold: u^{d+1}.
     """
     q0, q1, r2 = transfer.servo[0], transfer.servo[1], transfer.servo[2]
     servo = q0 + s * (q1 + s * r2)

@@ -10,10 +10,11 @@ from jaxact.analysis.sampled.pulse import PulseTransfer, plant_response, pulse_t
 def sampled_roots(loop: SampledLoop, max_delay_steps: int) -> jax.Array:
     """Eigenvalues of the one-period matrix [-], complex, of one loop; NaN if the delay is too long.
 
-    loop: fields scalar
-    max_delay_steps: as in `one_period_matrix`
-
     Not differentiable: held commands that no longer act give defective eigenvalues at 0.
+
+    Args:
+        loop: fields scalar.
+        max_delay_steps: as in `one_period_matrix`.
     """
     matrix = jax.lax.stop_gradient(one_period_matrix(loop, max_delay_steps))
     fits = jnp.all(jnp.isfinite(matrix))
@@ -24,11 +25,12 @@ def sampled_roots(loop: SampledLoop, max_delay_steps: int) -> jax.Array:
 def spectral_radius(loop: SampledLoop, max_delay_steps: int) -> jax.Array:
     """Largest |eigenvalue| over one control period [-], of one loop; below 1 = stable.
 
-    loop: fields scalar
-    max_delay_steps: as in `one_period_matrix`
-
     The value is that of the eigenvalue z; the derivative is that of the implicit function
     1 + kp Gp(z) + kd Gv(z) = 0, which does not mind the other eigenvalues.
+
+    Args:
+        loop: fields scalar.
+        max_delay_steps: as in `one_period_matrix`.
     """
     roots = sampled_roots(loop, max_delay_steps)
     return dominant_modulus(loop, pulse_transfer(loop), roots)
@@ -37,8 +39,9 @@ def spectral_radius(loop: SampledLoop, max_delay_steps: int) -> jax.Array:
 def dominant_modulus(loop: SampledLoop, transfer: PulseTransfer, roots: jax.Array) -> jax.Array:
     """max |z| [-] over the roots of one loop, differentiable by the loop's fields.
 
-    transfer: the loop's `pulse_transfer`
-    roots: of `sampled_roots`, constant, shape (k,)
+    Args:
+        transfer: the loop's `pulse_transfer`.
+        roots: of `sampled_roots`, constant, shape (k,).
     """
     root = roots[jnp.argmax(jnp.abs(roots))]
 

@@ -39,12 +39,13 @@ Response = Callable[[jax.Array], jax.Array]
 class Found:
     """What the search found in one loop, all theta [rad] and constant.
 
-    gain, gain_present: gain crossovers and which slots are filled, shape (GAIN_SLOTS,)
-    phase, phase_present: crossings of the negative real axis, nearest to |L| = 1 first,
-        shape (PHASE_SLOTS,)
-    peaks: of |S|, |T|, |S - 1/2|, shape (3,)
-    overflow: bool, there were more than the slots hold
-    lead: bool, the phase is above -180 degrees at low frequency: small gains are stable
+    Attributes:
+        gain, gain_present: gain crossovers and which slots are filled, shape (GAIN_SLOTS,).
+        phase, phase_present: crossings of the negative real axis, nearest to |L| = 1 first, shape
+            (PHASE_SLOTS,).
+        peaks: of |S|, |T|, |S - 1/2|, shape (3,).
+        overflow: bool, there were more than the slots hold.
+        lead: bool, the phase is above -180 degrees at low frequency: small gains are stable.
     """
 
     gain: jax.Array
@@ -59,8 +60,9 @@ class Found:
 def sampled_response(loop: SampledLoop, w: jax.Array) -> jax.Array:
     """L(exp(j w T)) [-] of one loop, complex.
 
-    loop: fields scalar
-    w: frequency [rad/s], any shape, 0 < w <= pi/T
+    Args:
+        loop: fields scalar.
+        w: frequency [rad/s], any shape, 0 < w <= pi/T.
     """
     return response_at(loop, pulse_transfer(loop), w * loop.control_period)
 
@@ -103,7 +105,8 @@ def peak_slopes(
 ) -> tuple[jax.Array, jax.Array]:
     """First and second derivative by theta of ln |S|, ln |T|, ln |S - 1/2|, shape (3, k).
 
-    value, first, second: L and its derivatives, shape (3, k)
+    Args:
+        value, first, second: L and its derivatives, shape (3, k).
     """
 
     def log_slopes(f: jax.Array, sign: float) -> tuple[jax.Array, jax.Array]:
@@ -131,7 +134,8 @@ def peak_heights(value: jax.Array) -> jax.Array:
 def search(loop: SampledLoop, transfer: PulseTransfer, max_delay_steps: int) -> Found:
     """Refined crossovers and peaks of one loop; fields scalar and constant.
 
-    transfer: the loop's `pulse_transfer`
+    Args:
+        transfer: the loop's `pulse_transfer`.
     """
     response = partial(response_at, loop, transfer)
     grid = _with_gain_extremes(response, _grid(loop, max_delay_steps))

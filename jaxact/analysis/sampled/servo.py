@@ -26,11 +26,12 @@ _SERIES_TERMS = 26
 def servo_integrals(x: jax.Array, damping_ratio: jax.Array) -> tuple[jax.Array, ...]:
     """(b_{-1}, b_0, b_1, b_2, b_3) of the servo with natural frequency 1, at time x.
 
-    x: time times natural frequency [-], any shape, >= 0
-    damping_ratio: zeta [-], broadcastable, > 0
-
     For x < 2 / max(1, 2 zeta) the power series, otherwise the exact recurrence
     b_{k+1} = x^k / k! - 2 zeta b_k - b_{k-1}; both to a few units of rounding.
+
+    Args:
+        x: time times natural frequency [-], any shape, >= 0.
+        damping_ratio: zeta [-], broadcastable, > 0.
     """
     zeta = damping_ratio
     near = x * jnp.maximum(1.0, 2.0 * zeta) < _SERIES_REACH
@@ -72,8 +73,9 @@ def _servo_integrals_by_recurrence(x: jax.Array, zeta: jax.Array) -> tuple[jax.A
 def damped_oscillation(x: jax.Array, damping_ratio: jax.Array) -> tuple[jax.Array, jax.Array]:
     """exp(-zeta x) cos(r x) and exp(-zeta x) sin(r x) / r, r = sqrt(1 - zeta^2), for all zeta > 0.
 
-    x: time times natural frequency [-], any shape, >= 0
-    damping_ratio: zeta [-], broadcastable, > 0; at and above 1 the hyperbolic continuation
+    Args:
+        x: time times natural frequency [-], any shape, >= 0.
+        damping_ratio: zeta [-], broadcastable, > 0; at and above 1 the hyperbolic continuation.
     """
     zeta = damping_ratio
     square = (1.0 - zeta) * (1.0 + zeta)
@@ -115,12 +117,13 @@ def held_transition(
 ) -> tuple[jax.Array, jax.Array]:
     """Phi (4, 4) and Gamma (4,) of x(t) = Phi x(0) + Gamma u for x = (q, v, f, f'/wn).
 
-    time: t [s], scalar, >= 0
-    mass: m [kg], scalar
-    natural_frequency: wn [rad/s], scalar, inf = ideal (f = u, no state)
-    damping_ratio: zeta [-], scalar, ignored for the ideal servo
-
     f'/wn instead of f' keeps the matrix well scaled and the ideal servo finite.
+
+    Args:
+        time: t [s], scalar, >= 0.
+        mass: m [kg], scalar.
+        natural_frequency: wn [rad/s], scalar, inf = ideal (f = u, no state).
+        damping_ratio: zeta [-], scalar, ignored for the ideal servo.
     """
     ideal = jnp.isinf(natural_frequency)
     wn = jnp.where(ideal, 1.0, natural_frequency)
@@ -193,7 +196,8 @@ def joint_change(
 ) -> jax.Array:
     """J - 1 (2, 2) of (q, v t) of the joint alone, to the last digits however slow it is.
 
-    time, mass, joint_damping, joint_stiffness: as for `sprung_transition`
+    Args:
+        time, mass, joint_damping, joint_stiffness: as for `sprung_transition`.
     """
     rates = -joint_stiffness * time * time / mass, -joint_damping * time / mass
     zero = jnp.zeros_like(rates[0] + rates[1])

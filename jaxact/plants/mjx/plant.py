@@ -36,7 +36,8 @@ SLIDE = Path(__file__).with_name("slide.xml")
 def put_model(model: mujoco.MjModel) -> tuple[mjx.Model, list[str]]:
     """The model on the device, and what MJX warns of, each warning in one line.
 
-    Raises NotImplementedError where MJX refuses the model.
+    Raises:
+        NotImplementedError: MJX refuses the model.
     """
     with warnings.catch_warnings(record=True) as caught, jax.numpy_rank_promotion("allow"):
         warnings.simplefilter("always", UserWarning)

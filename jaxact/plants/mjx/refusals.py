@@ -17,7 +17,8 @@ _INSTEAD = "choose the engine `mujoco`"
 def find(model: mujoco.MjModel) -> list[Finding]:
     """Everything that MJX refuses or warns of, apart from what `jaxact.robots.parity` knows.
 
-    model: with its driven actuators converted
+    Args:
+        model: with its driven actuators converted.
     """
     probe = _without_known(model)
     types, affinities = probe.geom_contype.copy(), probe.geom_conaffinity.copy()

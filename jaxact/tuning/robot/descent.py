@@ -42,7 +42,8 @@ def usual(situations: Sequence[Situation], groups: Groups) -> np.ndarray:
 def bounds(goal: Goal, groups: Groups, *x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Smallest and largest log-gains, shape (2 g,) each: those of the goal, and not far from x.
 
-    x: one or more log-gains, shape (2 g,) each
+    Args:
+        x: one or more log-gains, shape (2 g,) each.
     """
     low, high = np.min(x, axis=0) - _REACH, np.max(x, axis=0) + _REACH
     kp = slice(0, len(groups))
