@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 
@@ -105,9 +105,6 @@ def simulate(specification: Specification) -> Single:
 def simulate_all(specification: Specification, samples: Samples) -> list[Single]:
     """Simulate every sample and keep its trajectory; for a few loops, side by side.
 
-    The random draws of a trajectory are those of its metrics, and those of the sample with that
-    number in a sweep with this seed.
-
     Args:
         specification: checked.
         samples: the loops.
@@ -115,33 +112,58 @@ def simulate_all(specification: Specification, samples: Samples) -> list[Single]
     Raises:
         UserError: as `jaxact.simulation.execute.run`, and for more steps than can be kept.
     """
-    one = dataclasses.replace(specification, devices=1, tile=None)
-    groups = plans.groups(one, samples)
+    groups = _groups(specification, samples)
     most = max(plan.case.rollout.ticks * plan.case.drive.substeps for plan in groups)
     if most * len(samples) > MOST_STEPS:
         raise UserError(
             f"duration = {specification.duration:g} s makes {most * len(samples):,} physics steps;"
             f" up to {MOST_STEPS:,} can be kept"
         )
-    joints = _joints(one)
-    found: dict[int, Single] = {}
-    for plan in groups:
+    found = dict(each(specification, samples))
+    return [found[number] for number in range(len(samples))]
+
+
+def _groups(specification: Specification, samples: Samples) -> list[plans.Plan]:
+    return plans.groups(dataclasses.replace(specification, devices=1, tile=None), samples)
+
+
+def each(
+    specification: Specification, samples: Samples, *, starts: bool = True
+) -> Iterator[tuple[int, Single]]:
+    """Simulate sample by sample, in batches of about a second of work.
+
+    The random draws of a trajectory are those of its metrics, and those of the sample with that
+    number in a sweep with this seed.
+
+    Args:
+        specification: checked.
+        samples: the loops.
+        starts: whether they are judged from other starts, too.
+
+    Yields:
+        The number of a sample and what it did, in no particular order.
+
+    Raises:
+        UserError: as `jaxact.simulation.execute.run`.
+    """
+    joints = _joints(specification)
+    for plan in _groups(specification, samples):
+        case = plan.case if starts else dataclasses.replace(plan.case, starts=())
         for batch, count in plans.batches(plan, samples):
-            rates = spectra.rates_batch(plan, one, samples, batch)
+            rates = spectra.rates_batch(plan, specification, samples, batch)
             values = samples.take(batch)
             numbers = samples.first + batch
-            row, kept, judged = _followed(one, plan.case, values, rates.growth, numbers)
+            row, kept, judged = _followed(specification, case, values, rates.growth, numbers)
             rows = {name: np.asarray(getattr(row, name)) for name in _NAMES}
             rows = execute.with_rates(rows, rates)
             for place, number in enumerate(batch[:count].tolist()):
-                found[number] = Single(
+                yield number, Single(
                     trajectory=jax.tree.map(lambda leaf, place=place: leaf[place], kept),
                     results={name: float(row[place]) for name, row in rows.items()},
                     values={name: float(array[place]) for name, array in values.items()},
                     joints=joints,
-                    starts=_started(plan.case, judged, place),
+                    starts=_started(case, judged, place),
                 )
-    return [found[number] for number in range(len(samples))]
 
 
 def _started(case: Case, judged: Judgement, place: int) -> tuple[Start, ...]:

@@ -7,31 +7,20 @@ ensemble of drives: the same rollouts and the same verdicts as those of a sweep.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxact.compilation.programs import building
 from jaxact.errors import UserError
 from jaxact.loops import robots
 from jaxact.loops.robots import Scene
 from jaxact.loops.samples import Samples, explicit
-from jaxact.loops.specification import Setting, Specification
+from jaxact.loops.specification import Specification
 from jaxact.parameters import FEEDFORWARD, GAIN_SCALE, KD, KP, check, known
-from jaxact.plants.engines import MUJOCO
 from jaxact.robots import posture as _posture
 from jaxact.simulation import engines as _engines
-from jaxact.simulation import kernel, mujoco_batch, plans, spectra
-from jaxact.simulation import metrics as _metrics
-from jaxact.simulation import rollout as _rollout
-from jaxact.simulation import starts as _starts
-from jaxact.simulation import verdicts as _verdicts
-from jaxact.simulation.metrics import Metrics
-from jaxact.simulation.plans import Plan
+from jaxact.simulation import single
 from jaxact.status import Verdict
 from jaxact.tuning.result import Tuned
 from jaxact.tuning.rollouts.exposure import exposed
@@ -67,11 +56,6 @@ class Validation:
     def stable(self) -> np.ndarray:
         """Which rollouts came to rest, shape (p, n)."""
         return self.verdict == Verdict.STABLE
-
-    @property
-    def all_stable(self) -> bool:
-        """Whether all did."""
-        return bool(self.stable.all())
 
     @property
     def worst(self) -> tuple[str, int, str]:
@@ -255,27 +239,22 @@ def _posture_row(
     verdict, growth = np.zeros(number, np.int8), np.zeros(number)
     excursion, fallen = np.zeros((number, len(joints))), np.zeros(number, bool)
     reasons = [""] * number
-    for group in plans.groups(asked, samples):
-        # Pushed as they are, these robots need no other starts.
-        plan = replace(group, case=replace(group.case, starts=()))
-        for batch, count in plans.batches(plan, samples):
-            # Linearised in C for either engine, which takes no compilation of MJX.
-            in_c = replace(plan, case=replace(plan.case, engine=MUJOCO))
-            rates = spectra.growth_batch(in_c, asked, samples, batch)
-            result, farthest, qpos = _simulated(plan, asked, samples, batch, rates)
-            for place, sample in enumerate(batch[:count]):
-                end = qpos[place]
-                growth[sample] = rates[place]
-                excursion[sample] = farthest[place][order]
-                fallen[sample] = _posture.fallen(scene.robot, end)
-                code = Verdict(int(result["verdict"][place]))
-                if fallen[sample] and code != Verdict.INVALID:
-                    code = Verdict.UNSTABLE
-                verdict[sample] = code
-                amplitude = float(result["limit_cycle_amplitude"][place])
-                reasons[sample] = _reason(
-                    code, rates[place], bool(fallen[sample]), amplitude
-                ) + _farthest(excursion[sample], joints)
+    # Pushed as they are, these robots need no other starts.
+    for sample, one in single.each(asked, samples, starts=False):
+        trajectory = one.trajectory
+        assert trajectory.configuration is not None
+        growth[sample] = one.results["growth_rate"]
+        off = np.abs(trajectory.position - trajectory.setpoint)
+        # What is not a number does not replace what came before.
+        excursion[sample] = np.fmax.reduce(off)[order]
+        fallen[sample] = _posture.fallen(scene.robot, np.asarray(trajectory.configuration[-1]))
+        code = Verdict(int(one.results["verdict"]))
+        if code == Verdict.TOPPLES or (fallen[sample] and code != Verdict.INVALID):
+            code = Verdict.UNSTABLE
+        verdict[sample] = code
+        amplitude = one.results["limit_cycle_amplitude"]
+        reasons[sample] = _reason(code, growth[sample], bool(fallen[sample]), amplitude)
+        reasons[sample] += _farthest(excursion[sample], joints)
     return verdict, growth, excursion, fallen, tuple(reasons)
 
 
@@ -303,90 +282,3 @@ def _farthest(excursion: np.ndarray, joints: tuple[str, ...]) -> str:
         return ""
     worst = int(np.argmax(excursion))
     return f"; {joints[worst]} is off by up to {excursion[worst]:.2g}"
-
-
-def _simulated(
-    plan: Plan, asked: Specification, samples: Samples, numbers: np.ndarray, growth: np.ndarray
-) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-    """Metrics of a batch, largest distances from the setpoint (n, m), and final configurations."""
-    simulate = _in_mjx if plan.case.engine.in_jax else _in_c
-    double = asked.precision == "float64"
-    with jax.enable_x64(True) if double else nullcontext():
-        result, farthest, qpos = simulate(plan, asked, samples.take(numbers), numbers, growth)
-        rows = {name: np.asarray(getattr(result, name)) for name in Metrics.__dataclass_fields__}
-        return rows, np.asarray(farthest, float), np.asarray(qpos, float)
-
-
-def _in_c(plan: Plan, asked: Specification, values: Columns, numbers, growth):
-    farthest = _Farthest()
-    result = mujoco_batch.metrics(
-        plan.case, asked.setting, values, growth, asked.seed, numbers, watch=farthest.watch
-    )
-    qpos = farthest.end()
-    return result, farthest.distance, qpos
-
-
-class _Farthest:
-    """Watches simulations in C: the largest distances from the setpoint at the control ticks."""
-
-    def watch(self, simulations, _coefficients):
-        """An observer of these simulations, see `jaxact.simulation.batch_rollout.evaluate`."""
-        self._simulations, self._setpoint, self.distance = simulations, None, 0.0
-
-        def observe(place, state, _force):
-            if place == 0:
-                self._look()
-                self._setpoint = state.setpoint.position
-
-        return observe
-
-    def _look(self) -> None:
-        """Take in where a control period has led."""
-        if self._setpoint is not None:
-            off = np.abs(self._simulations.measure()[:, 0] - np.asarray(self._setpoint))
-            # What is not a number does not replace what came before.
-            self.distance = np.fmax(self.distance, off)
-
-    def end(self) -> np.ndarray:
-        """Final configurations, the last period taken in."""
-        self._look()
-        return self._simulations.configuration()
-
-
-def _in_mjx(plan: Plan, asked: Specification, values: Columns, numbers, growth):
-    double = asked.precision == "float64"
-    dtype = np.float64 if double else np.float32
-    inputs = {name: jnp.asarray(value, dtype) for name, value in values.items()}
-    seed = jnp.full(len(numbers), asked.seed, jnp.uint32)
-    numbers = jnp.asarray(numbers, jnp.uint32)
-    loops = inputs, jnp.asarray(growth, dtype), seed, numbers
-    return _excursions(*loops, case=plan.case, setting=asked.setting)
-
-
-@building
-def _excursions(*, case: kernel.Case, setting: Setting) -> Callable:
-    """A batch of rollouts in MJX."""
-    template = kernel.template_of(case, setting, "metrics")
-
-    def one(values, growth_rate, seed, number):
-        """Metrics, largest distances and final configuration of one sample."""
-        key = jax.random.fold_in(jax.random.key(seed), number)
-        prepared, state, setpoint = kernel.start(case, template, values)
-        start, _ = prepared.plant.measure(state.plant)
-        end, running, envelopes = _rollout.run(
-            prepared, case.drive, case.rollout, state, setpoint, key,
-            setpoints=kernel.setpoints(template, values, case.rollout.ticks),
-        )  # fmt: skip
-        reference = _metrics.reference(start, setpoint.position)
-        drive = prepared.drive.drive
-        rest = _starts.rest_amplitude(case.drive, values, drive, robot=True)
-        size = jnp.maximum(jnp.abs(start), jnp.abs(setpoint.position))
-        result, _ = _metrics.finish(
-            running, envelopes, reference, growth_rate,
-            period=drive.control_period, ticks=case.rollout.ticks, counted=case.rollout.ticks,
-            scale=_verdicts.scale(drive, size, rest, linear_plant=False),
-        )  # fmt: skip
-        result = jax.tree.map(lambda leaf: jnp.nanmax(leaf) if leaf.ndim else leaf, result)
-        return result, running.farthest, end.plant.qpos
-
-    return jax.vmap(one)
