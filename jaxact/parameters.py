@@ -256,24 +256,28 @@ OF_MODEL = (KP, KD, WN, ZETA, DELAY, SETPOINT_DELAY, FORCE_LIMIT)
 # `jaxact.simulation.starts.rest_amplitude` puts a number to.
 OF_ROBOTS = {SETPOINT: 0.0, REST_AMPLITUDE: math.nan}
 # What changes the model of a robot, and has no meaning for a joint.
-ROBOT_ONLY = (
-    PAYLOAD,
-    INERTIA_SCALE,
-    JOINT_ARMATURE,
-    JOINT_FRICTION,
-    CONTACT_FRICTION,
-)
+ROBOT_ONLY = (PAYLOAD, INERTIA_SCALE, JOINT_ARMATURE, JOINT_FRICTION, CONTACT_FRICTION)
 # What makes a joint more than a bare mass. A robot has the springs of its model, and no others.
 OF_JOINT = (JOINT_DAMPING, JOINT_STIFFNESS)
 JOINT_ONLY = (JOINT_STIFFNESS,)
 # What changes the model of a plant that MuJoCo simulates.
 OF_PLANT = (*ROBOT_ONLY, *OF_JOINT)
+# Delays within the loop, of which only the sum counts; and all.
+LOOP_DELAYS = (DELAY, MEASUREMENT_DELAY, OUTPUT_DELAY)
+DELAYS = (*LOOP_DELAYS, SETPOINT_DELAY)
+# What is wrong with what a drive senses and commands.
+RESOLUTIONS = (POSITION_RESOLUTION, VELOCITY_RESOLUTION, COMMAND_RESOLUTION)
+NOISES = (POSITION_NOISE, VELOCITY_NOISE)
+BIASES = (POSITION_BIAS, VELOCITY_BIAS)
+WALKS = (POSITION_BIAS_WALK, VELOCITY_BIAS_WALK)
+ERRORS = (*RESOLUTIONS, *NOISES, *BIASES, *WALKS)
+# What bounds the force: by itself, its rate, and by the speed of the joint.
+LIMITS = (FORCE_LIMIT, FORCE_RATE_LIMIT, STALL_FORCE, NO_LOAD_SPEED)
 # What may be uncertain of a drive.
-OF_DRIVES = (WN, ZETA, DELAY, MEASUREMENT_DELAY, OUTPUT_DELAY)
+OF_DRIVES = (WN, ZETA, *LOOP_DELAYS)
 # What one number serves for all joints of a robot.
 SHARED = (
-    GAIN_SCALE, MASS, CONTROL_RATE, POLICY_RATE, PAYLOAD, CONTACT_FRICTION,
-    REST_AMPLITUDE,
+    GAIN_SCALE, MASS, CONTROL_RATE, POLICY_RATE, PAYLOAD, CONTACT_FRICTION, REST_AMPLITUDE,
 )  # fmt: skip
 
 # Given instead of the mass, it says that the joint is rotary.
@@ -289,15 +293,10 @@ PRESETS: dict[str, tuple[float, float]] = {
 _ALIASES = {parameter.long_name.replace(" ", "_"): parameter.name for parameter in _TABLE} | {
     "effort_limit": FORCE_LIMIT,
     "added_joint_damping": JOINT_DAMPING,
-    # Given so, it says that the joint is rotary.
-    INERTIA: MASS,
+    INERTIA: MASS,  # given so, it says that the joint is rotary
 }
 
-
-LINEAR = (
-    KP, KD, MASS, WN, ZETA, DELAY, MEASUREMENT_DELAY, OUTPUT_DELAY,
-    VELOCITY_FILTER, *OF_JOINT,
-)  # fmt: skip
+LINEAR = (KP, KD, MASS, *OF_DRIVES, VELOCITY_FILTER, *OF_JOINT)
 """What the stability of a linear loop depends on, beside its control rate."""
 
 

@@ -11,7 +11,7 @@ from quickly import compiled_quickly as compiled_quickly
 from jaxact.loops import reading
 from jaxact.loops.samples import expand
 from jaxact.simulation import plans, spectra
-from jaxact.sweeping import without_drive
+from jaxact.verbs.render import pair
 
 FOLDER = Path(__file__).resolve().parent.parent / "experiments" / "quadruped"
 with imported(FOLDER, "critical") as modules:
@@ -69,7 +69,7 @@ def test_each_loop_may_have_a_way_of_its_own():
 
 def test_the_bare_loop_has_the_same_gains_and_no_drive():
     specification = reading.parse(SPECIFICATION)
-    values = without_drive.pair(specification).values
+    values = pair(specification).values
     without, own = ({name: column[place] for name, column in values.items()} for place in (0, 1))
     assert own == specification.nominal
     changed = {name for name in own if own[name] != without[name]}

@@ -13,13 +13,12 @@ from jaxact.loops.specification import Specification
 from jaxact.parameters import (
     CONTROL_RATE,
     DELAY,
+    DELAYS,
     JOINT_ONLY,
-    MEASUREMENT_DELAY,
     NO_LOAD_SPEED,
     OUTPUT_DELAY,
     POLICY_RATE,
     ROBOT_ONLY,
-    SETPOINT_DELAY,
     STALL_FORCE,
     VELOCITY_BIAS,
     VELOCITY_BIAS_WALK,
@@ -35,11 +34,9 @@ from jaxact.parameters import (
 SPRINGS_OF_MODEL = "a robot's springs are those of its model"
 # Longest history of a signal that a loop keeps, in control periods.
 LONGEST_HISTORY = 4096
-_DELAYS = (DELAY, OUTPUT_DELAY, MEASUREMENT_DELAY, SETPOINT_DELAY)
 # The filter of the differenced velocity, and the sensor of the sampled one.
-_FILTER = VELOCITY_FILTER
 OF_VELOCITY = (
-    _FILTER, VELOCITY_RESOLUTION, VELOCITY_NOISE, VELOCITY_BIAS, VELOCITY_BIAS_WALK,
+    VELOCITY_FILTER, VELOCITY_RESOLUTION, VELOCITY_NOISE, VELOCITY_BIAS, VELOCITY_BIAS_WALK,
 )  # fmt: skip
 # Most physics steps of one rollout.
 MOST_STEPS = 100_000_000
@@ -145,7 +142,7 @@ def check_velocity(name: str, values: Iterable[float], key: str, *, differenced:
         key: how the message names it.
         differenced: whether the velocity is differenced.
     """
-    on_differenced = base(name) == _FILTER
+    on_differenced = base(name) == VELOCITY_FILTER
     if on_differenced == differenced or all(value == of(name).default for value in values):
         return
     if on_differenced:
@@ -243,8 +240,7 @@ def _check_push(specification: Specification) -> None:
 
 def _check_delays(specification: Specification, axes: dict[str, Axis], rates: np.ndarray) -> None:
     longest = {
-        name: axes[name].ends[1] if name in axes else specification.nominal[name]
-        for name in _DELAYS
+        name: axes[name].ends[1] if name in axes else specification.nominal[name] for name in DELAYS
     }
     check_history(longest, float(rates.max()))
 
@@ -256,7 +252,7 @@ def check_history(values: Mapping[str, float], rate: float, where: str = "") -> 
         values: parameters of the loop by name, all delays among them.
         where: what a message begins with.
     """
-    longest = {name: values[name] for name in _DELAYS}
+    longest = {name: values[name] for name in DELAYS}
     # the command and the output delay are one line
     longest[OUTPUT_DELAY] += longest[DELAY]
     most = LONGEST_HISTORY / rate

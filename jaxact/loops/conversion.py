@@ -28,39 +28,38 @@ from jaxact.loops.reading import explained
 from jaxact.loops.samples import Coordinate, Samples
 from jaxact.loops.specification import Specification
 from jaxact.parameters import (
+    BIASES,
     COMMAND_RESOLUTION,
     CONTROL_RATE,
     DELAY,
     FEEDFORWARD,
-    FORCE_LIMIT,
-    FORCE_RATE_LIMIT,
     GAIN_SCALE,
     KD,
     KP,
+    LIMITS,
+    LOOP_DELAYS,
     MASS,
     MEASUREMENT_DELAY,
-    NO_LOAD_SPEED,
+    NOISES,
     OF_JOINT,
     OUTPUT_DELAY,
     POLICY_RATE,
-    POSITION_BIAS,
-    POSITION_BIAS_WALK,
-    POSITION_NOISE,
     POSITION_RESOLUTION,
     PRESETS,
     SETPOINT_DELAY,
-    STALL_FORCE,
-    VELOCITY_BIAS,
-    VELOCITY_BIAS_WALK,
     VELOCITY_FILTER,
-    VELOCITY_NOISE,
     VELOCITY_RESOLUTION,
+    WALKS,
     WN,
     ZETA,
     of,
 )
 from jaxact.plants import engines
 
+# Fields of a sensor that are called as in the table.
+_OF_SENSOR = (
+    POSITION_RESOLUTION, VELOCITY_RESOLUTION, *NOISES, *BIASES, *WALKS, VELOCITY_FILTER,
+)  # fmt: skip
 # Rates must each fit the physics step; of what else varies the ends say enough.
 _EACH_COUNTS = (CONTROL_RATE, POLICY_RATE)
 _LOOP = {"long_name": "loop", "units": "1", "description": "Number of the loop."}
@@ -72,7 +71,7 @@ def total_delay(values: Mapping[str, Any]) -> Any:
     Args:
         values: parameters by short name, numbers or arrays.
     """
-    return values[DELAY] + values[MEASUREMENT_DELAY] + values[OUTPUT_DELAY]
+    return sum(values[name] for name in LOOP_DELAYS)
 
 
 def drive_of(values: Mapping[str, Any]) -> Drive:
@@ -89,22 +88,10 @@ def drive_of(values: Mapping[str, Any]) -> Drive:
             natural_frequency=values[WN],
             damping_ratio=values[ZETA],
             delay=values[DELAY],
-            force_limit=values[FORCE_LIMIT],
-            force_rate_limit=values[FORCE_RATE_LIMIT],
-            stall_force=values[STALL_FORCE],
-            no_load_speed=values[NO_LOAD_SPEED],
+            **{name: values[name] for name in LIMITS},
         ),
         sensor=Sensor(
-            delay=values[MEASUREMENT_DELAY],
-            position_resolution=values[POSITION_RESOLUTION],
-            velocity_resolution=values[VELOCITY_RESOLUTION],
-            position_noise=values[POSITION_NOISE],
-            velocity_noise=values[VELOCITY_NOISE],
-            position_bias=values[POSITION_BIAS],
-            velocity_bias=values[VELOCITY_BIAS],
-            position_bias_walk=values[POSITION_BIAS_WALK],
-            velocity_bias_walk=values[VELOCITY_BIAS_WALK],
-            velocity_filter=values[VELOCITY_FILTER],
+            delay=values[MEASUREMENT_DELAY], **{name: values[name] for name in _OF_SENSOR}
         ),
         output_delay=values[OUTPUT_DELAY],
         control_period=1.0 / values[CONTROL_RATE],

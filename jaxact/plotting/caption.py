@@ -10,7 +10,6 @@ import numpy as np
 import xarray as xr
 
 from jaxact.parameters import (
-    COMMAND_RESOLUTION,
     CONTROL_RATE,
     FORCE_LIMIT,
     FORCE_RATE_LIMIT,
@@ -18,15 +17,12 @@ from jaxact.parameters import (
     KD,
     KP,
     MASS,
+    NOISES,
     OF_JOINT,
-    POSITION_BIAS_WALK,
-    POSITION_NOISE,
-    POSITION_RESOLUTION,
+    RESOLUTIONS,
     STALL_FORCE,
-    VELOCITY_BIAS_WALK,
     VELOCITY_FILTER,
-    VELOCITY_NOISE,
-    VELOCITY_RESOLUTION,
+    WALKS,
     mass_word,
     of,
 )
@@ -37,19 +33,8 @@ from jaxact.status import Verdict
 if TYPE_CHECKING:
     from jaxact.sweeping.agreement import Agreement
 
-# Where any of these is active the loop is not linear: parameter, and its value when it is off.
-_NONLINEAR = {
-    POSITION_RESOLUTION: 0.0,
-    VELOCITY_RESOLUTION: 0.0,
-    COMMAND_RESOLUTION: 0.0,
-    POSITION_NOISE: 0.0,
-    VELOCITY_NOISE: 0.0,
-    POSITION_BIAS_WALK: 0.0,
-    VELOCITY_BIAS_WALK: 0.0,
-    FORCE_LIMIT: math.inf,
-    FORCE_RATE_LIMIT: math.inf,
-    STALL_FORCE: math.inf,
-}
+# Where any of these is not at its default the loop is not linear.
+_NONLINEAR = (*RESOLUTIONS, *NOISES, *WALKS, FORCE_LIMIT, FORCE_RATE_LIMIT, STALL_FORCE)
 
 
 def simulated(results: xr.Dataset) -> str:
@@ -124,7 +109,7 @@ def compared(agreement: Agreement) -> str:
 
 def linear_only(results: xr.Dataset) -> str:
     """A warning where a sweep has quantisation, noise or limits, which exact theory leaves out."""
-    active = [name for name, off in _NONLINEAR.items() if np.any(_parameter(results, name) != off)]
+    active = [name for name in _NONLINEAR if np.any(_parameter(results, name) != of(name).default)]
     if not active:
         return ""
     words = ", ".join(name.replace("_", " ") for name in active)

@@ -22,19 +22,11 @@ from jaxact.loops.robots import Scene
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.parameters import (
-    COMMAND_RESOLUTION,
+    ERRORS,
     INITIAL_POSITION,
     INITIAL_VELOCITY,
     JOINT_FRICTION,
-    POSITION_BIAS,
-    POSITION_BIAS_WALK,
-    POSITION_NOISE,
-    POSITION_RESOLUTION,
     SETPOINT,
-    VELOCITY_BIAS,
-    VELOCITY_BIAS_WALK,
-    VELOCITY_NOISE,
-    VELOCITY_RESOLUTION,
 )
 from jaxact.plants.mujoco import JointPush
 from jaxact.robot_margins import whole_robot
@@ -60,11 +52,7 @@ _OUT_OF_RANGE = 100.0
 # [m or rad] is at rest.
 _LASTING, _TURNS, _REST = 0.95, 3, 1e-6
 # What is left out of a simulation that is about friction.
-_ERRORS = (
-    POSITION_RESOLUTION, VELOCITY_RESOLUTION, COMMAND_RESOLUTION, POSITION_NOISE,
-    VELOCITY_NOISE, POSITION_BIAS, VELOCITY_BIAS, POSITION_BIAS_WALK,
-    VELOCITY_BIAS_WALK, SETPOINT, INITIAL_POSITION, INITIAL_VELOCITY,
-)  # fmt: skip
+_LEFT_OUT = (*ERRORS, SETPOINT, INITIAL_POSITION, INITIAL_VELOCITY)
 
 
 @dataclass(frozen=True)
@@ -228,7 +216,7 @@ class _Runs:
     def __init__(
         self, specification: Specification, values: dict[str, float], place: int, duration: float
     ) -> None:
-        quiet = values | {name: 0.0 for name in values if name.partition("@")[0] in _ERRORS}
+        quiet = values | {name: 0.0 for name in values if name.partition("@")[0] in _LEFT_OUT}
         self._specification = replace(
             specification, engine="mujoco", precision="float64", duration=duration, axes=(),
             sampling=None, motion=None, push=None, devices=1, tile=None,

@@ -199,9 +199,6 @@ def evaluate(
         others: from `judged`, of other starts of the same loop, shape (starts, joints).
         growth_rate: [1/s] if it is known already (in float64, say), else it is measured here.
         growth: static; how it is measured; None for the usual way.
-
-    Returns:
-        See `jaxact.simulation.metrics.Metrics`.
     """
     if growth_rate is None:
         # Whether a policy holds the setpoint is none of the loop's business.

@@ -157,12 +157,15 @@ def each(
             rows = {name: np.asarray(getattr(row, name)) for name in _NAMES}
             rows = execute.with_rates(rows, rates)
             for place, number in enumerate(batch[:count].tolist()):
-                yield number, Single(
-                    trajectory=jax.tree.map(lambda leaf, place=place: leaf[place], kept),
-                    results={name: float(row[place]) for name, row in rows.items()},
-                    values={name: float(array[place]) for name, array in values.items()},
-                    joints=joints,
-                    starts=_started(case, judged, place),
+                yield (
+                    number,
+                    Single(
+                        trajectory=jax.tree.map(lambda leaf, place=place: leaf[place], kept),
+                        results={name: float(row[place]) for name, row in rows.items()},
+                        values={name: float(array[place]) for name, array in values.items()},
+                        joints=joints,
+                        starts=_started(case, judged, place),
+                    ),
                 )
 
 

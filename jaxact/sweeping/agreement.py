@@ -17,16 +17,15 @@ import numpy as np
 
 from jaxact.compilation import filling
 from jaxact.compilation.programs import Program
+from jaxact.loops import conversion
 from jaxact.parameters import (
     CONTROL_RATE,
-    DELAY,
     GAIN_SCALE,
     KD,
     KP,
+    LINEAR,
     MASS,
-    MEASUREMENT_DELAY,
     OF_JOINT,
-    OUTPUT_DELAY,
     VELOCITY_FILTER,
     WN,
     ZETA,
@@ -39,10 +38,7 @@ if TYPE_CHECKING:
 
     from jaxact.analysis.boundary.boundary import BoundaryCurve
 # What the stability of the linear loop depends on; the gains first.
-LINEAR_PARAMETERS = (
-    KP, KD, MASS, WN, ZETA, DELAY, MEASUREMENT_DELAY, OUTPUT_DELAY,
-    CONTROL_RATE, VELOCITY_FILTER, *OF_JOINT,
-)  # fmt: skip
+LINEAR_PARAMETERS = (*LINEAR, CONTROL_RATE)
 # |rho - 1| within rounding of the eigenvalues: on the boundary, neither side is wrong there.
 ON_BOUNDARY = 1e-9
 # Factors tried on the gains, above and below 1, when the border is looked for.
@@ -117,7 +113,7 @@ def exact_boundary(
             return None
         values[name] = float(found[0])
     servo = values[MASS], values[WN], values[ZETA]
-    delay = values[DELAY] + values[MEASUREMENT_DELAY] + values[OUTPUT_DELAY]
+    delay = conversion.total_delay(values)
     window: dict[str, Any] = {"kp_range": kp_range, "kd_range": kd_range}
     window |= {name: values[name] for name in (VELOCITY_FILTER, *OF_JOINT)}
     continuous = continuous_boundary(*servo, delay, **window)
@@ -239,13 +235,8 @@ def gain_distances(
     return distance
 
 
-def total_delay(values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Command + measurement + output delay [s]: what the loop's stability depends on."""
-    return values[DELAY] + values[MEASUREMENT_DELAY] + values[OUTPUT_DELAY]
-
-
 def _whole_steps(values: Mapping[str, np.ndarray]) -> np.ndarray:
-    return np.ceil(total_delay(values) * values[CONTROL_RATE] - 1e-9).astype(int)
+    return np.ceil(conversion.total_delay(values) * values[CONTROL_RATE] - 1e-9).astype(int)
 
 
 def _stride(values: Mapping[str, np.ndarray], chosen: np.ndarray) -> int:

@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxact.compilation import filling
 from jaxact.compilation.programs import Program
+from jaxact.loops import conversion
 from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP
 from jaxact.sweeping import agreement, store
 from jaxact.sweeping.tracing import Curve, trace
@@ -124,7 +125,7 @@ def _traced(fixed: Mapping[str, float], x: Window, y: Window, velocity: str) -> 
 
 def _affordable(ends: Mapping[str, np.ndarray]) -> int:
     """Points of a grid's side whose eigenvalues take no longer than a picture may cost."""
-    steps = agreement.total_delay(ends) * ends[CONTROL_RATE]
+    steps = conversion.total_delay(ends) * ends[CONTROL_RATE]
     seconds = 1e-5 + 2e-8 * (8.0 + float(steps.max())) ** 3
     for points in _GRIDS:
         if (points**2 + 100 * points) * seconds <= _PATIENCE:

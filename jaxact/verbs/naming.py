@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.loops import conversion
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.parameters import (
-    DELAY,
     FEEDFORWARD,
     KD,
     KP,
+    LOOP_DELAYS,
     MASS,
-    MEASUREMENT_DELAY,
     OF_JOINT,
-    OUTPUT_DELAY,
     PRESETS,
     VELOCITY_FILTER,
     WN,
@@ -30,9 +29,6 @@ from jaxact.plotting.wording import quantity
 
 if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
-
-DELAYS = (DELAY, MEASUREMENT_DELAY, OUTPUT_DELAY)
-"""Delays within the loop: only their sum counts."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +91,8 @@ def _common_words(values: Mapping[str, float]) -> list[str]:
     words = []
     if WN in values and (ZETA in values or np.isinf(values[WN])):
         words.append(_actuator_name(values[WN], values.get(ZETA, 1.0)))
-    if all(name in values for name in DELAYS):
-        words.append(f"delay {quantity(sum(values[name] for name in DELAYS), 's')}")
+    if all(name in values for name in LOOP_DELAYS):
+        words.append(f"delay {quantity(conversion.total_delay(values), 's')}")
     return words
 
 
@@ -120,7 +116,7 @@ def loop_name(specification: Specification, values: Mapping[str, float] | None =
     actuator = _actuator_name(own[WN], own[ZETA])
     cutoff = own[VELOCITY_FILTER]
     words = f", velocity filter {quantity(cutoff, 'rad/s')}" if np.isfinite(cutoff) else ""
-    delay = sum(own[name] for name in DELAYS)
+    delay = conversion.total_delay(own)
     if np.isnan(delay):
         return f"{actuator}, delays as each joint has them{words}"
     return f"{actuator}, delay {quantity(delay, 's')}{words}"

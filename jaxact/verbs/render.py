@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxact.errors import UserError
+from jaxact.loops.samples import Samples, explicit
+from jaxact.loops.specification import Specification
+from jaxact.parameters import (
+    DELAYS,
+    ERRORS,
+    FORCE_RATE_LIMIT,
+    NO_LOAD_SPEED,
+    PARAMETERS,
+    POLICY_RATE,
+    STALL_FORCE,
+    VELOCITY_FILTER,
+    WN,
+    ZETA,
+    base,
+)
 from jaxact.plants.engines import best_precision
 
 if TYPE_CHECKING:
@@ -23,6 +39,12 @@ SIMULATED = 2.0
 """What is simulated and shown [s] where nothing else is asked for."""
 SIZES = range(64, 1921)
 """Of one half of the picture [pixels]."""
+# What a drive is, at its defaults: an ideal actuator, no delays, perfect sensors and converters.
+# What limits the force is the robot's and stays.
+_OF_DRIVE = (
+    WN, ZETA, *DELAYS, *ERRORS, VELOCITY_FILTER, POLICY_RATE, FORCE_RATE_LIMIT, STALL_FORCE,
+    NO_LOAD_SPEED,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -205,7 +227,6 @@ def _simulated(
     from jaxact.plotting.film import Motion
     from jaxact.simulation import engines, single
     from jaxact.status import Verdict
-    from jaxact.sweeping.without_drive import pair
 
     asked = engines.resolved(conversion.specification(loop, **options))
     motions, outcomes = [], []
@@ -217,6 +238,21 @@ def _simulated(
         rate, verdict = run.results["growth_rate"], Verdict(int(run.results["verdict"]))
         outcomes.append(f"{label}: {verdict.label}, growth rate {rate:.3g} 1/s")
     return motions, tuple(outcomes)
+
+
+def pair(specification: Specification) -> Samples:
+    """Two loops: the nominal one of a specification without its drive, and the same as it is.
+
+    Args:
+        specification: checked; both have its gains, setpoint, push and random numbers.
+    """
+    columns = {}
+    for key, value in specification.nominal.items():
+        name, some = base(key), "@" in key
+        if name in _OF_DRIVE:
+            # of some joints only: nothing of their own, so that what holds for all counts
+            columns[key] = np.array([math.nan if some else PARAMETERS[name].default, value])
+    return explicit(specification, columns)
 
 
 def _cut(motion: Motion, path: str, start: float, duration: float | None) -> Motion:

@@ -12,7 +12,7 @@ from jaxact.errors import UserError
 from jaxact.loops import reading, robots
 from jaxact.loops.specification import Push
 from jaxact.status import Verdict
-from jaxact.tuning.rollouts.exposure import ERRORS, exposed, usual_push
+from jaxact.tuning.rollouts.exposure import USUAL, exposed, usual_push
 from jaxact.tuning.rollouts.validation import validate
 
 KP, KD = np.array([80.0, 30.0]), np.array([4.0, 1.0])
@@ -116,7 +116,7 @@ def test_what_a_specification_says_of_errors_and_pushes_is_kept():
     assert kept.parameters["position_noise"] == given.parameters["position_noise"]
     assert exposed(given, duration=6.0, push=False).push is None
     bare = replace(given, parameters={}, push=None)
-    assert ERRORS.items() <= exposed(bare).parameters.items()
+    assert USUAL.items() <= exposed(bare).parameters.items()
     assert exposed(bare).push == usual_push(robots.scene(bare.plant), 2.0)
     with pytest.raises(UserError, match="first quarter"):
         exposed(given, duration=0.5)

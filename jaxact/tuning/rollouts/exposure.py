@@ -16,18 +16,14 @@ from jaxact.loops import robots
 from jaxact.loops.robots import Scene
 from jaxact.loops.specification import Push, Specification
 from jaxact.parameters import (
-    COMMAND_RESOLUTION,
-    POSITION_BIAS,
-    POSITION_BIAS_WALK,
+    ERRORS,
     POSITION_NOISE,
     POSITION_RESOLUTION,
-    VELOCITY_BIAS,
-    VELOCITY_BIAS_WALK,
     VELOCITY_NOISE,
     VELOCITY_RESOLUTION,
 )
 
-ERRORS: Mapping[str, float] = {
+USUAL: Mapping[str, float] = {
     POSITION_RESOLUTION: 2.0 * np.pi / 80_000,  # counts of the encoder per revolution
     POSITION_NOISE: 2e-5,  # [rad or m]
     VELOCITY_RESOLUTION: 5e-3,  # [rad/s or m/s]
@@ -35,10 +31,6 @@ ERRORS: Mapping[str, float] = {
 }
 """Errors of usual joint sensors; a specification that gives any error is taken to give all."""
 
-_OF_SENSORS = (
-    *ERRORS, POSITION_BIAS, VELOCITY_BIAS, POSITION_BIAS_WALK, VELOCITY_BIAS_WALK,
-    COMMAND_RESOLUTION,
-)  # fmt: skip
 _DURATION = 2.0  # [s]
 # The velocity that the push gives the body at once [m/s], and how long it takes at most [s].
 _SPEED, _LASTS = 0.1, 0.05
@@ -62,8 +54,8 @@ def exposed(
     """
     seconds = _DURATION if duration is None else duration
     parameters = dict(specification.parameters)
-    if not any(parameters.get(name) for name in _OF_SENSORS):
-        parameters |= ERRORS
+    if not any(parameters.get(name) for name in ERRORS):
+        parameters |= USUAL
     given = specification.push if push else None
     if push and given is None:
         given = usual_push(robots.scene(_plant(specification)), seconds)

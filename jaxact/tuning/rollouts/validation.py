@@ -15,7 +15,7 @@ import numpy as np
 from jaxact.errors import UserError
 from jaxact.loops import robots
 from jaxact.loops.robots import Scene
-from jaxact.loops.samples import Samples, explicit
+from jaxact.loops.samples import explicit
 from jaxact.loops.specification import Specification
 from jaxact.parameters import FEEDFORWARD, GAIN_SCALE, KD, KP, check, known
 from jaxact.robots import posture as _posture
@@ -246,7 +246,7 @@ def _posture_row(
         growth[sample] = one.results["growth_rate"]
         off = np.abs(trajectory.position - trajectory.setpoint)
         # What is not a number does not replace what came before.
-        excursion[sample] = np.fmax.reduce(off)[order]
+        excursion[sample] = np.nanmax(off, axis=0, initial=0.0)[order]
         fallen[sample] = _posture.fallen(scene.robot, np.asarray(trajectory.configuration[-1]))
         code = Verdict(int(one.results["verdict"]))
         if code == Verdict.TOPPLES or (fallen[sample] and code != Verdict.INVALID):
