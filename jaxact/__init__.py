@@ -30,6 +30,7 @@ _PUBLIC = {
     "JointLoop": "jaxact.analysis.joint.frequency",
     "linear": "jaxact.verbs.sweep",
     "load_result": "jaxact.sweeping.opening",
+    "load_drive": "jaxact.loops.drives",
     "log": "jaxact.verbs.sweep",
     "Loop": "jaxact.loops.loop",
     "loop_of": "jaxact.loops.building",

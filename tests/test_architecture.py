@@ -226,7 +226,7 @@ def _chains():
     for line in (line for _, block in _blocks("sh") for line in block.splitlines()):
         words = shlex.split(line, comments=True)
         if words[:1] == ["jaxact"]:
-            result = re.search(r"results/\w+", line)
+            result = re.search(r"results/\w+|(?<= )\w+\.toml", line)
             chains.setdefault(result[0] if result else words[1], []).append(words[1:])
     return chains
 

@@ -22,15 +22,9 @@ def main() -> None:
     )
     print(found.report)
     # The drive in front of a knee of 0.05 kg m^2, first with gains somebody chose.
-    loop = found.loop.replace(mass=0.05, kp=20.0, kd=0.6)
+    loop = jx.joint(drive=found, inertia=0.05, kp=20.0, kd=0.6)
     print(f"\nwith kp 20, kd 0.6:\n{jx.margins(loop)}")
-    known = {name: found.chosen.knowledge[name] for name in ("lag", "delay")}
-    # wn is 2 zeta over the time constant: its interval, as shares of the value.
-    share = known["lag"].value / known["lag"].high, known["lag"].value / known["lag"].low
-    best = jx.tune(
-        loop, max_peak=1.6,
-        uncertainty={"wn": share, "delay": (known["delay"].low, known["delay"].high)},
-    )  # fmt: skip
+    best = jx.tune(loop, max_peak=1.6, uncertainty=found)
     gains = f"kp {best.loop.kp:.3g}, kd {best.loop.kd:.3g}"
     print(f"\ncertified for all that the log leaves open: {gains}")
     print(jx.margins(best.loop))

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from tyro.conf import UseAppendAction, arg
 
 from jaxact.errors import UserError, nearest, shown
+from jaxact.loops.drives import DRIVE
 from jaxact.parameters import CONTROL_RATE, INERTIA, MASS, PARAMETERS, PRESETS, of
 
 # Default of a number that was not given; told from any number by being this very object. A type
@@ -40,6 +41,15 @@ LoopsFile = Annotated[
     option(
         "FILE",
         "TOML file of loops: [[loop]] tables, or the axes of a sweep's specification.",
+        "none",
+    ),
+]
+DriveFile = Annotated[
+    Path | None,
+    option(
+        "FILE",
+        "Drive from `jaxact identify`: its dynamics, delay, limit, resolution, rate, and the joint"
+        " that it was identified on (of a robot: its friction) where nothing else is said.",
         "none",
     ),
 ]
@@ -190,12 +200,13 @@ def demand_robot(options: Any, *, given: bool) -> bool:
     return given
 
 
-def parameters(names: Iterable[str], *, several: bool) -> type:
-    """A dataclass with one option for each parameter named, and `actuator`.
+def parameters(names: Iterable[str], *, several: bool, drive: bool = True) -> type:
+    """A dataclass with one option for each parameter named, and `actuator`, `unit` and `drive`.
 
     Args:
         names: of parameters of the table.
         several: each takes several values, none where it is not given; else one, or UNSET.
+        drive: with `drive`, which is one file in any case.
     """
     more = " ..." if several else ""
     preset = option(f"NAME{more}", f"Preset that sets wn and zeta: {', '.join(PRESETS)}.", "none")
@@ -209,6 +220,8 @@ def parameters(names: Iterable[str], *, several: bool) -> type:
         kind: Any = Annotated[tuple[str, ...] if several else str, shown_as]
         unset = dataclasses.field(default=(_UNSET_NAME,) if several else _UNSET_NAME)
         own.append((name, kind, unset))
+    if drive:
+        own.append((DRIVE, DriveFile, dataclasses.field(default=None)))
     for name in (*names, INERTIA):
         parameter = _ROTARY if name == INERTIA else PARAMETERS[name]
         units = "" if parameter.unit == "1" else f" [{parameter.unit}]"

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxact.cli import _arguments, _warnings
 from jaxact.cli._arguments import typed
 from jaxact.errors import UserError
+from jaxact.loops import drives
+from jaxact.loops.drives import DRIVE, IdentifiedDrive
 from jaxact.parameters import (
     CONTROL_RATE,
     FEEDFORWARD,
@@ -25,6 +27,8 @@ from jaxact.parameters import (
     SETPOINT,
     WN,
     ZETA,
+    mass_word,
+    of,
 )
 
 if TYPE_CHECKING:
@@ -56,6 +60,7 @@ def joints(chosen: Any, file: Path | None, velocity: str) -> ControlLoop:
     from jaxact.loops.building import joint, loop_of
 
     given = _arguments.given(chosen)
+    drive = {DRIVE: found} if (found := identified(given.pop(DRIVE, None), given)) else {}
     several = [name for name, values in given.items() if len(values) > 1]
     if "unit" in several:
         raise UserError("--unit: give one")
@@ -63,7 +68,7 @@ def joints(chosen: Any, file: Path | None, velocity: str) -> ControlLoop:
         if several:
             raise UserError(f"{typed(several[0])}: give one value, {file} lists the loops")
         alone = {name: values[0] for name, values in given.items()}
-        return loop_of(file, velocity=velocity, **alone)  # type: ignore[arg-type]
+        return loop_of(file, velocity=velocity, **drive, **alone)  # type: ignore[arg-type]
     for name in several:
         if len(set(given[name])) < len(given[name]):
             raise UserError(f"{typed(name)} has the same value more than once; give each once")
@@ -72,7 +77,37 @@ def joints(chosen: Any, file: Path | None, velocity: str) -> ControlLoop:
         name: np.asarray(given[name], object if name == "actuator" else float)[places]
         for name, places in zip(several, grid, strict=True)
     }
-    return joint(velocity=velocity, **{n: v[0] for n, v in given.items()} | spread)  # type: ignore[arg-type]
+    alone = {name: values[0] for name, values in given.items()}
+    return joint(velocity=velocity, **drive, **alone | spread)  # type: ignore[arg-type]
+
+
+def identified(
+    file: Path | None, given: Collection[str], *, robot: bool = False
+) -> IdentifiedDrive | None:
+    """The identified drive in a file, None without one; what it cannot say here is warned of.
+
+    Args:
+        file: of `jaxact identify`.
+        given: parameters that are given beside it.
+        robot: whether the loop is a robot's.
+
+    Raises:
+        UserError: the file is not a drive.
+    """
+    if file is None:
+        return None
+    found = drives.load_drive(file)
+    if left_out := found.left_out(robot=robot):
+        _warnings.warn(f"{found.name}: left out here: {', '.join(left_out)}")
+    if not robot and MASS not in found.joint and not {MASS, INERTIA} & set(given):
+        word, size = mass_word(found.unit), of(MASS, found.unit)
+        _warnings.warn(
+            f"{found.name}: does not say what the joint moves; taken: {size.default:g} {size.unit};"
+            f" give {typed(word)}"
+        )
+    if found.level == drives.NOT_ENOUGH:
+        _warnings.warn(f"{found.name}: the logs that it was not fitted to call it {found.level}")
+    return found
 
 
 def linear(chosen: Any, file: Path | None, velocity: str) -> ControlLoop:
@@ -129,6 +164,8 @@ def specified(
     """
     from jaxact.loops import reading, toml  # slow to import
 
+    given = dict(given)
+    file = given.pop(DRIVE, None)
     if robot.spec is None:
         if robot.set and robot.model is None:
             raise UserError(
@@ -136,7 +173,8 @@ def specified(
             )
         base: dict[str, Any] = dict(defaults or {})
     else:  # what it varies is left at its nominal value
-        base = reading.load(robot.spec, ["axes.feedforward=[0.0]"]).document
+        base = reading.load(robot.spec, ["axes.feedforward=[0.0]"], file).document
+        file = file or reading.named_drive(robot.spec)
     own = base.pop("parameters", {})
     if "actuator" in given:
         own = {name: value for name, value in own.items() if name not in (WN, ZETA)}
@@ -155,6 +193,9 @@ def specified(
         "axes": varied or {FEEDFORWARD: [0.0]},
     }
     document.pop("sampling", None)
+    if file is not None:
+        identified(file, {**own, **given}, robot=bool(plant))
+        document |= {} if robot.spec else {DRIVE: str(file.resolve())}
     try:
         return reading.parse(toml.dumps(document), overrides=robot.set)
     except UserError as error:

@@ -83,6 +83,7 @@ def main(
     examples:
       jaxact margins --mass 0.7 --kp 400 --kd 20 --actuator starleth --delay 5e-3
       jaxact margins --actuator hyq starleth --delay 0 0.001 0.005 --control-rate 1000
+      jaxact margins --drive drive.toml --inertia 0.05 --kp 20 --kd 0.6
       jaxact margins --loops loops.toml --json
       jaxact margins --loops sweep.toml --store margins.zarr  # for plot --variable gain_margin
       jaxact margins --model robot.xml --keyframe home --actuator hyq --delay 0.001

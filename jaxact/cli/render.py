@@ -11,7 +11,7 @@ from jaxact.cli._arguments import UNSET_NUMBER, option
 from jaxact.errors import UserError
 from jaxact.parameters import PARAMETERS
 
-Parameters = _arguments.parameters(PARAMETERS, several=False)
+Parameters = _arguments.parameters(PARAMETERS, several=False, drive=False)
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from jaxact.cli import _cache, _progress, _signals, _warnings, _xla
-from jaxact.cli._arguments import NoCache, option
+from jaxact.cli import _cache, _loops, _progress, _signals, _warnings, _xla
+from jaxact.cli._arguments import DriveFile, NoCache, option
 from jaxact.cli._signals import Terminated
 from jaxact.plants.engines import AUTO
 
@@ -74,6 +74,7 @@ def main(
         UseAppendAction[tuple[str, ...]],
         option("KEY=VALUE", "Change the specification for this run; see below."),
     ] = (),
+    drive: DriveFile = None,
     dry_run: Annotated[bool, arg(help="Only say what the sweep would take.")] = False,
     no_cache: NoCache = False,
     quiet: Annotated[bool, arg(help="Show no progress and no summary.")] = False,
@@ -101,7 +102,9 @@ def main(
     """
     from jaxact.loops import reading
 
-    asked = reading.load(specification, set)
+    asked = reading.load(specification, set, drive)
+    known = drive or reading.named_drive(specification)
+    _loops.identified(known, asked.parameters, robot=asked.robot)
     _cache.prepare(wanted=not no_cache)
     _xla.call_at_once(asked)
     from jaxact.sweeping import location

@@ -14,12 +14,17 @@ from tyro.conf import arg
 from jaxact.cli import _arguments, _cache, _folders, _loops, _progress, _warnings
 from jaxact.cli._arguments import UNSET, UNSET_NUMBER, option
 from jaxact.errors import UserError
-from jaxact.parameters import CONTROL_RATE, LINEAR
+from jaxact.loops.drives import DRIVE, load_drive
+from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, LINEAR
 
 if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
+    from jaxact.loops.drives import IdentifiedDrive
     from jaxact.tuning.result import Tuned
 
+# What an identified drive says of what is not known.
+INTERVALS, SAMPLES, NONE = "intervals", "samples", "none"
+DRAWN = 32
 # Exit code of a result that does not meet what was asked.
 NOT_MET = 1
 
@@ -94,8 +99,10 @@ class Search:
             "zeta as factors on the actuator's, mass [kg] and delay [s] as they are; an x makes "
             "them factors too: mass=0.8x..1.2x. Of a robot, for mass: payload [kg], the factors "
             "inertia_scale and contact_friction, and joint_damping [N m s/rad] and joint_armature "
-            "[kg m^2] added to the model's; of some joints: wn@.*_knee=0.8..1.2.",
-            "none",
+            "[kg m^2] added to the model's; of some joints: wn@.*_knee=0.8..1.2. With --drive "
+            "also: intervals, the box of its 95 % intervals, which ranges behind it replace; "
+            "samples, drives drawn from its covariance; none.",
+            "none; intervals with --drive",
         ),
     ] = ""
     ensemble: Annotated[
@@ -214,10 +221,14 @@ def main(
     feedforward stay those of the robot without, and each member is linearised where it rests under
     its own weight. --pareto begins at the smallest peak within reach.
 
+    With --drive the gains hold for all that the logs leave open; "drive_gain" of the JSON is the
+    force that the drive gives over the one that it is told, by which gains are divided to be told.
+
     examples:
       jaxact tune --mass 0.7 --actuator starleth --delay 1e-3 --max-peak 1.6
       jaxact tune --actuator starleth --delay 1e-3 --uncertainty delay=0..5e-3,mass=0.5..1 --json
       jaxact tune --actuator hyq --delay 1e-3 --kp 400 --kd 20 --pareto 20 --out tuned
+      jaxact tune --drive drive.toml --inertia 0.05 --uncertainty samples
       jaxact tune --model robot.xml --keyframe home --actuator hyq --groups hip,knee --max-peak 3
       jaxact tune --model robot.xml --uncertainty payload=0..3,delay=0..2e-3 --pareto 10 --out tuned
     """
@@ -230,13 +241,18 @@ def main(
     if whole and not (robot.validate >= 0.0 and math.isfinite(robot.validate)):
         raise UserError(f"--validate {robot.validate:g}: give seconds, 0 for none")
     _cache.prepare(wanted=not no_cache)
+    drive = None if whole else _loops.identified(given.get(DRIVE), given)
     loops = _postures(robot, given, velocity) if whole else [_joint(given, velocity)]
+    drive = None
+    if DRIVE in given:  # what a robot cannot take of it was said for each posture
+        drive = load_drive(given[DRIVE]) if whole else _loops.identified(given[DRIVE], given)
+    unsure = _uncertainty(search, drive, loops[0], given)
 
     from jaxact.tuning.rollouts import validation
     from jaxact.verbs import tuning_tables
 
     with _progress.phases(quiet=json) as phase:
-        best = _tuned(loops, goal, search, robot, phase)
+        best = _tuned(loops, goal, search, robot, unsure, phase)
         rollouts = None
         if whole and robot.validate:
             phase("simulating")
@@ -255,7 +271,12 @@ def main(
     if out is not None:
         with _folders.whole_folder(out) as folder:
             result.write(folder, document, shlex.join(["jaxact", *sys.argv[1:]]))
+    strength = float(loops[0].values.get(GAIN_SCALE, 1.0)) if drive is not None else 1.0
+    if strength != 1.0:
+        document["drive_gain"] = strength
     print(tuning_tables.as_json(document) if json else result.text(document))
+    if strength != 1.0 and not json:
+        print(f"the drive gives {strength:.4g} of its command: divide the gains by that to tell it")
     if out is not None and not json:
         print(f"wrote {out}")
     if rollouts is not None:
@@ -273,7 +294,40 @@ def _warn_of(stable: int, of: int) -> None:
         )
 
 
-def _tuned(loops: list[ControlLoop], goal: Goal, search: Search, robot: Robot, phase: Any) -> Tuned:
+def _uncertainty(
+    search: Search, drive: IdentifiedDrive | None, loop: ControlLoop, given: dict[str, Any]
+) -> str | ControlLoop:
+    """What is not known: as it is written, or by the identified drive.
+
+    Raises:
+        UserError: it is what only a drive says, and there is none.
+    """
+    words = search.uncertainty or ("" if drive is None else INTERVALS)
+    first, _, rest = words.partition(",")
+    if first not in (INTERVALS, SAMPLES, NONE):
+        return words
+    if drive is None:
+        raise UserError(f"--uncertainty {first}: is of an identified drive; give one with --drive")
+    if first == INTERVALS:
+        from jaxact.verbs.tune import intervals
+
+        return intervals(drive, loop, rest)
+    if first == NONE and not rest:
+        return ""
+    robot = loop.kind.plant is not None
+    if robot or rest:
+        why = f"of a robot give {INTERVALS}" if robot else "leave the ranges behind it out"
+        raise UserError(f"--uncertainty {first}: {why}")
+    from jaxact.loops.building import joint
+
+    number = DRAWN if search.ensemble == UNSET_NUMBER else search.ensemble
+    velocity: Any = loop.kind.velocity
+    return joint(**given | {DRIVE: drive}, samples=number, seed=search.seed, velocity=velocity)
+
+
+def _tuned(
+    loops: list[ControlLoop], goal: Goal, search: Search, robot: Robot, unsure: Any, phase: Any
+) -> Tuned:
     from jaxact.verbs.tune import tune
 
     bounds = {name: value for name, value in vars(goal).items() if value is not UNSET}
@@ -284,7 +338,7 @@ def _tuned(loops: list[ControlLoop], goal: Goal, search: Search, robot: Robot, p
         "tracking_weight": robot.tracking_weight, "derivative": robot.derivative,
     }  # fmt: skip
     return tune(
-        loops, name, uncertainty=search.uncertainty, samples=samples, starts=search.starts,
+        loops, name, uncertainty=unsure, samples=samples, starts=search.starts,
         steps=search.steps, seed=search.seed, front=search.pareto, verify=search.verify,
         phase=phase, **own, **bounds,
     )  # fmt: skip
@@ -294,7 +348,7 @@ def _joint(given: dict[str, Any], velocity: str) -> ControlLoop:
     from jaxact.loops.building import joint
 
     loop = joint(velocity=velocity, **given)  # type: ignore[arg-type]
-    if CONTROL_RATE not in given:
+    if CONTROL_RATE not in loop.values:
         _loops.check_continuous(loop)
     return loop
 

@@ -81,7 +81,7 @@ def identify(
         else:
             family = motion.family(fitted, plant, control_rate)
         ladder = climb(family, fitted, held, loss=loss, bootstrap=bootstrap, report=progress)
-        return Identified(plant, ladder, inspected(ladder), judge(ladder))
+        return Identified(plant, ladder, inspected(ladder), judge(ladder), control_rate)
 
 
 def _logs(

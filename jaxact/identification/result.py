@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,27 +9,16 @@ import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.identification import inspection
+from jaxact.identification.fitting import Unknown
 from jaxact.identification.inspection import Inspection
 from jaxact.identification.ladder import Candidate, Ladder
 from jaxact.identification.model import effective_lag
 from jaxact.identification.verdict import Verdict
+from jaxact.loops import drives
 from jaxact.loops.building import joint
 from jaxact.loops.control_loop import ControlLoop
-from jaxact.parameters import (
-    CONTROL_RATE,
-    DELAY,
-    FORCE_LIMIT,
-    JOINT_DAMPING,
-    KD,
-    KP,
-    MASS,
-    POSITION_RESOLUTION,
-    WN,
-    ZETA,
-    of,
-)
-
-_MOST_TRIES = 50
+from jaxact.loops.drives import IdentifiedDrive
+from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, POSITION_RESOLUTION
 
 
 @dataclass(frozen=True)
@@ -42,12 +30,14 @@ class Identified:
         ladder: every model that was tried.
         inspections: of the logs, the fitted ones first.
         verdict: whether it can be used.
+        control_rate: of the drive's own controller [Hz], None for once a row.
     """
 
     plant: str
     ladder: Ladder
     inspections: tuple[Inspection, ...]
     verdict: Verdict
+    control_rate: float | None = None
 
     @property
     def chosen(self) -> Candidate:
@@ -55,13 +45,17 @@ class Identified:
         return self.ladder.chosen
 
     @property
+    def drive(self) -> IdentifiedDrive:
+        """The drive as its file has it, for `jaxact.joint`, `jaxact.robot` and `jaxact.tune`."""
+        return drives.of_document("identified", self.document())
+
+    @property
     def loop(self) -> ControlLoop:
         """The loop with the identified numbers; gains of the log where they are known.
 
         Of the force loop alone the plant is the default one.
         """
-        values: dict[str, Any] = dict(self._loop_values(self.chosen.numbers))
-        return joint(**values)
+        return joint(drive=self)
 
     def samples(self, number: int = 32, *, seed: int = 0) -> ControlLoop:
         """Loops drawn from what is known of the numbers, an ensemble for `jaxact.tune`.
@@ -73,74 +67,63 @@ class Identified:
         Returns:
             Loops of shape (number,).
         """
-        fit, covariance = self.chosen.fit, self.chosen.knowledge.covariance
-        low, high = self._limits()
-        generator = np.random.default_rng(seed)
-        values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-        spread = vectors * np.sqrt(np.maximum(values, 0.0))
-        drawn: list[np.ndarray] = []
-        for _ in range(_MOST_TRIES):
-            points = fit.point + generator.standard_normal((number, len(fit.point))) @ spread.T
-            drawn += [point for point in points if np.all((point >= low) & (point <= high))]
-            if len(drawn) >= number:
-                break
-        else:
-            # So wide that most draws leave the range: kept within it instead.
-            points = fit.point + generator.standard_normal((number, len(fit.point))) @ spread.T
-            drawn += list(np.clip(points, low, high))
-        rows = [self._loop_values(fit.problem.model_values(point)) for point in drawn[:number]]
-        each: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-        return joint(**each)
+        return joint(drive=self, samples=number, seed=seed)
 
-    def _limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ends of the delay's interval and of the ranges, in the coordinates of the search."""
-        unknowns = self.chosen.fit.problem.unknowns
-        both = np.array([sorted((u.inner(u.low), u.inner(u.high))) for u in unknowns])
-        return both[:, 0], both[:, 1]
-
-    def _loop_values(self, numbers: dict[str, float]) -> dict[str, float]:
-        log = self.ladder.fitted[0]
-        values = {
-            WN: min(numbers[WN], of(WN).maximum) if math.isfinite(numbers[WN]) else math.inf,
-            ZETA: numbers[ZETA],
-            DELAY: numbers[DELAY],
-        }
-        limit = numbers.get(FORCE_LIMIT, math.inf)
-        values[FORCE_LIMIT] = math.inf if limit >= 1e12 else limit
-        gain = abs(numbers.get("gain", 1.0))
-        if self.plant != "none":
-            values[MASS] = numbers["inertia"]
-            values[JOINT_DAMPING] = numbers["viscous"]
-            kp, kd = log.gains
-            if kp is None and KP in self.chosen.rung.free:
-                kp, kd = numbers[KP], numbers[KD]
-            if kp is not None:
-                values[KP] = gain * kp
-                values[KD] = gain * (kd or 0.0)
+    def _loop_values(self) -> dict[str, float]:
+        """The parameters of the loop: the model's, the controller's and the sensor's."""
+        log, numbers = self.ladder.fitted[0], self._numbers()
+        values = drives.parameters_of(numbers, self.plant)
+        gain, (kp, kd) = abs(numbers.get("gain", 1.0)), log.gains
+        if self.plant != "none" and kp is not None:
+            # A controller whose command was not recorded may have units of its own.
+            values |= {KP: gain * kp, KD: gain * (kd or 0.0)}
+        elif gain != 1.0:
+            values[GAIN_SCALE] = gain
         quanta = self.inspections[0].quanta
         if "position" in quanta:
             values[POSITION_RESOLUTION] = quanta["position"]
-        values[CONTROL_RATE] = 1.0 / log.period
+        values[CONTROL_RATE] = self.control_rate or round(1.0 / log.period, 6)
         return values
+
+    def _numbers(self) -> dict[str, float]:
+        """The model's numbers by name, without those that change nothing."""
+        chosen, neutral = self.chosen, self.ladder.family.neutral
+        free = {u.model_name for u in chosen.fit.problem.unknowns}
+        return {
+            name: value
+            for name, value in chosen.numbers.items()
+            if "[" not in name and (name in free or value != neutral.get(name))
+        }
+
+    def _spread(self) -> dict[str, Any]:
+        """What is known of the model's numbers together, of all logs."""
+        known, unknowns = self.chosen.knowledge, self.chosen.fit.problem.unknowns
+        kept = [index for index, unknown in enumerate(unknowns) if not unknown.nuisance]
+        own = [unknowns[index] for index in kept]
+        ends = [sorted(_model_value(u, end) for end in (u.low, u.high)) for u in own]
+        return {
+            "names": [u.model_name for u in own],
+            "logarithms": [u.positive for u in own],
+            "low": [low for low, _ in ends],
+            "high": [high for _, high in ends],
+            "rows": known.covariance[np.ix_(kept, kept)].tolist(),
+        }
 
     def document(self) -> dict[str, Any]:
         """Everything as plain numbers and words, for TOML and JSON."""
         chosen, known = self.chosen, self.chosen.knowledge
-        drive = {
-            name: value
-            for name, value in self._loop_values(chosen.numbers).items()
-            if math.isfinite(value)
-        }
+        models = {u.name: u.model_name for u in chosen.fit.problem.unknowns}
         estimates = {
             e.name: {
                 "value": e.value, "unit": e.unit, "low": e.low, "high": e.high,
                 "identified": e.identified, "reason": e.reason, "wider_than_naive": e.wider,
+                **({"number": models[e.name]} if models[e.name] != e.name else {}),
             }
             for e in known.estimates
         }  # fmt: skip
         return {
             # A list of one, as files of loops have it: `jaxact margins --loops` reads it.
-            "loop": [{"name": "identified", **drive}],
+            "loop": [{"name": "identified", **self._loop_values()}],
             "model": chosen.rung.name,
             "plant": self.plant,
             "unit": self.ladder.fitted[0].unit,
@@ -155,11 +138,8 @@ class Identified:
                 "value": effective_lag(chosen.numbers),
                 "deviation": 0.0 if known.lag is None else known.lag[1],
             },
-            "covariance": {
-                "names": list(known.names),
-                "logarithms": [u.positive for u in chosen.fit.problem.unknowns],
-                "rows": known.covariance.tolist(),
-            },
+            "numbers": self._numbers(),
+            "covariance": self._spread(),
             "logs": {
                 "fitted": [log.title for log in self.ladder.fitted],
                 "validation": [log.title for log in self.ladder.validation],
@@ -176,6 +156,11 @@ class Identified:
     def __str__(self) -> str:
         """The report."""
         return self.report
+
+
+def _model_value(unknown: Unknown, value: float) -> float:
+    """The model's number for a value of an unknown."""
+    return unknown.inverse_of[1] / value if unknown.inverse_of else value
 
 
 def inspected(ladder: Ladder) -> tuple[Inspection, ...]:

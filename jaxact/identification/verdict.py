@@ -14,6 +14,7 @@ from jaxact.identification.inspection import excited_band
 from jaxact.identification.ladder import Candidate, Ladder
 from jaxact.identification.log import Log
 from jaxact.identification.model import Family, predicted
+from jaxact.loops import drives
 from jaxact.parameters import DELAY, WN, ZETA
 
 # A share of amplitude in error up to which a model is usable at a frequency, and for being good.
@@ -33,7 +34,7 @@ class Level(Enum):
 
     GOOD = "good"
     USABLE = "usable"
-    NOT_ENOUGH = "not good enough"
+    NOT_ENOUGH = drives.NOT_ENOUGH
 
 
 @dataclass(frozen=True)

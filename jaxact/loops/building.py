@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pydantic import ValidationError
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.loops import listed
+from jaxact.loops import drives, listed
 from jaxact.loops.axes import MOST_SAMPLES, NO_AXIS
 from jaxact.loops.control_loop import ACTUATOR, ControlLoop, Kind, made, read, rotary
 from jaxact.loops.reading import explained, load
@@ -28,7 +28,8 @@ _VELOCITIES = ("sampled", "differenced")
 def joint(
     *, actuator: str | Sequence[str] | None = None, velocity: Velocity = "sampled",
     physics_step: float | None = None, unit: Literal["m", "rad"] | None = None,
-    names: Sequence[str] = (), **parameters: Any,
+    names: Sequence[str] = (), drive: Any = None, samples: int | None = None, seed: int = 0,
+    **parameters: Any,
 ) -> ControlLoop:  # fmt: skip
     """The loop of one joint: a mass under PD control through an actuator with delays.
 
@@ -42,6 +43,11 @@ def joint(
             as everything that is said of it; None for m, or for rad where `inertia` is given
             instead of `mass`.
         names: what tables and pictures call the loops of a batch; () for what tells them apart.
+        drive: an identified drive, a file of `jaxact identify` or what `jaxact.identify` gave: it
+            says what is not given here.
+        samples: loops drawn from what is known of the drive's numbers together, a batch; None for
+            the one loop of its estimates.
+        seed: of these draws.
         parameters: any parameter of `jaxact parameters` by its short or long name, scalars or
             arrays that broadcast: kp [N/m], kd [N s/m], mass [kg], joint_damping [N s/m],
             joint_stiffness [N/m], wn [rad/s], zeta, delay, measurement_delay, output_delay [s],
@@ -55,11 +61,17 @@ def joint(
     Raises:
         UserError: an unknown name, a value out of bounds, shapes that do not broadcast.
     """
+    known = None if drive is None else drives.taken(drive)
+    if known is None and samples is not None:
+        raise UserError("`samples`: are those of a `drive`; give one")
+    own = {} if known is None else known.draws(samples, seed) if samples else known.parameters()
     kind = Kind(
-        velocity=_velocity(velocity), physics_step=physics_step, unit=_unit(unit, parameters),
+        velocity=_velocity(velocity), physics_step=physics_step,
+        unit=_unit(unit, parameters) or (None if known is None else known.unit),
         names=tuple(map(str, names)),
     )  # fmt: skip
-    return made(read({"actuator": actuator, **parameters}, robot=False), kind)
+    given = read({"actuator": actuator, **parameters}, robot=False)
+    return made(drives.filled(own, given), kind)
 
 
 def robot(
@@ -78,6 +90,7 @@ def robot(
     integrator_correction: bool = False,
     motion: Motion | None = None,
     push: Push | None = None,
+    drive: Any = None,
     **parameters: Any,
 ) -> ControlLoop:
     """The loop of a MuJoCo robot: its model under the drives of its joints.
@@ -99,6 +112,8 @@ def robot(
         physics_step: [s], None for the model's own.
         integrator_correction: take back MuJoCo's half step of lead.
         motion, push: of the setpoint, and on a body, in simulations.
+        drive: an identified drive of every joint, as for `jaxact.joint`; its dynamics, delay,
+            friction, limit, resolution and rate say what is not given here.
         parameters: as for `jaxact.joint`; gains, limits and delays that are not given are those of
             the model's own actuators. For some joints, a table of patterns:
             `kp={".*_knee": 300, ".*_hip": 200}` [N m/rad of hinges].
@@ -121,7 +136,9 @@ def robot(
     except ValidationError as error:
         raise UserError(explained(error)) from None
     kind = Kind(plant, _velocity(velocity), physics_step, integrator_correction, motion, push)
-    return made(read({"actuator": actuator, **parameters}, robot=True), kind)
+    given = read({"actuator": actuator, **parameters}, robot=True)
+    own = {} if drive is None else drives.taken(drive).parameters(robot=True)
+    return made(drives.filled(own, given), kind)
 
 
 def loop_of(
@@ -134,9 +151,10 @@ def loop_of(
 
     Args:
         specification: read, or a TOML file: of a sweep, what it varies is a batch over its axes; or
-            of `[[loop]]` tables, each with its parameters and perhaps a `name`.
+            of `[[loop]]` tables, each with its parameters and perhaps a `name` and a `drive`.
         velocity: as for `jaxact.joint`; "sampled" leaves a specification its own.
-        parameters: of listed loops, what they do not say themselves, as for `jaxact.joint`.
+        parameters: of listed loops, what they do not say themselves, as for `jaxact.joint`; a
+            `drive` among them.
 
     Returns:
         The loop, or a batch of loops.
@@ -149,7 +167,8 @@ def loop_of(
         rows = listed.rows(path)
         if rows is not None:
             unit = _unit(parameters.pop("unit", None), {*parameters, *itertools.chain(*rows)})
-            names, own = listed.values(path, rows, parameters)
+            names, own, of_drives = listed.values(path, rows, parameters)
+            unit = unit or of_drives
             kind = Kind(velocity=_velocity(velocity), unit=unit, names=tuple(names))
             return made(own, kind)
         if parameters:

@@ -1,4 +1,7 @@
-"""Loops listed in a TOML file, one below the other: `[[loop]]` tables of parameters."""
+"""Loops listed in a TOML file, one below the other: `[[loop]]` tables of parameters.
+
+A table may name an identified drive, `drive = "drive.toml"`, which says what the table does not.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from jaxact.errors import UserError, shown
+from jaxact.loops import drives
 from jaxact.loops.checks import check_history
 from jaxact.loops.control_loop import read
+from jaxact.loops.drives import DRIVE
 from jaxact.parameters import CONTROL_RATE, PARAMETERS
 
 _RATE = CONTROL_RATE
@@ -42,34 +47,51 @@ def rows(path: Path) -> list[dict[str, Any]] | None:
 
 def values(
     path: Path, tables: Sequence[Mapping[str, Any]], given: Mapping[str, Any]
-) -> tuple[list[str], dict[str, np.ndarray]]:
-    """Names of the loops, and every parameter that is given of one of them, shape (n,) each.
+) -> tuple[list[str], dict[str, np.ndarray], str | None]:
+    """Names of the loops, every parameter that is given of one of them, shape (n,) each, and the
+    unit of their drives, None where none has one.
 
     Args:
         path: of the file, for messages.
         tables: from `rows`.
-        given: parameter (or `actuator`) -> value, of what a table does not say itself.
+        given: parameter (or `actuator`, or `drive`) -> value, of what a table does not say itself.
 
     Raises:
-        UserError: an unknown parameter, a value out of bounds, or a delay too long to keep.
+        UserError: an unknown parameter, a value out of bounds, a delay too long to keep, or drives
+            of joints that slide beside those of rotary ones.
     """
-    common = read(given, robot=False)
-    names, filled = [], []
+    common = read({name: v for name, v in given.items() if name != DRIVE}, robot=False)
+    names, filled, units = [], [], set()
     for index, table in enumerate(tables):
         key = f"{path}: loop[{index}]"
         name = table.get("name", f"loop {index}")
         if not isinstance(name, str):
             raise UserError(f"{key}.name = {shown(name)} is not text")
-        own = common | _read(key, {k: v for k, v in table.items() if k != "name"})
+        own = common | _read(key, {k: v for k, v in table.items() if k not in ("name", DRIVE)})
+        drive = _drive(key, path, table) or given.get(DRIVE)
+        if drive is not None:
+            units.add(drives.taken(drive).unit)
+            own = drives.filled(drives.taken(drive).parameters(), own)
         if _RATE in own:
             every = {name: parameter.default for name, parameter in PARAMETERS.items()} | own
             check_history(every, every[_RATE], f"{key}: ")
         names.append(name)
         filled.append(own)
+    if len(units) > 1:
+        raise UserError(f"{path}: some drives are of joints that slide, others of rotary ones")
     kept = dict.fromkeys(name for own in filled for name in own)
-    return names, {
+    rows = {
         name: np.array([own.get(name, PARAMETERS[name].default) for own in filled]) for name in kept
     }
+    return names, rows, next(iter(units), None)
+
+
+def _drive(key: str, path: Path, table: Mapping[str, Any]) -> Path | None:
+    """The file of a loop's drive, relative to that of the loops."""
+    given = table.get(DRIVE)
+    if given is not None and not isinstance(given, str):
+        raise UserError(f"{key}.{DRIVE} = {shown(given)} is not a path of a drive")
+    return None if given is None else path.parent / given
 
 
 def _read(key: str, table: Mapping[str, Any]) -> dict[str, Any]:

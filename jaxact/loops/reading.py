@@ -15,8 +15,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.loops import checks
+from jaxact.loops import checks, drives
 from jaxact.loops.axes import read_axis
+from jaxact.loops.drives import DRIVE
 from jaxact.loops.specification import (
     OPTIONS,
     SECTIONS,
@@ -43,12 +44,13 @@ _LARGEST_FILE = 500_000
 _WORD = re.compile(r"[^\W\d][\w.-]*")
 
 
-def load(path: Path, overrides: Sequence[str] = ()) -> Specification:
+def load(path: Path, overrides: Sequence[str] = (), drive: Path | None = None) -> Specification:
     """Read and check a specification file.
 
     Args:
-        path: TOML file; a model it names is relative to its folder.
+        path: TOML file; a model or a drive that it names is relative to its folder.
         overrides: `key=value` each, applied over the file and checked like it.
+        drive: file of an identified drive in place of the one that it names.
 
     Raises:
         UserError: it names the file or the override, the key, what was given, what is allowed.
@@ -63,10 +65,21 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Specification:
     except UserError as error:
         raise UserError(f"--set {error}") from None
     try:
+        document |= {} if drive is None else {DRIVE: str(drive.resolve())}
         return _checked(document, path.parent)
     except UserError as error:
         where = "--set" if _blames(str(error), overridden) else path
         raise UserError(f"{where}: {error}") from None
+
+
+def named_drive(path: Path) -> Path | None:
+    """The file of the drive that a specification names, None for none.
+
+    Raises:
+        UserError: the specification cannot be read.
+    """
+    given = _read(path).get(DRIVE)
+    return path.parent / given if isinstance(given, str) else None
 
 
 def parse(text: str, folder: Path = Path(), overrides: Sequence[str] = ()) -> Specification:
@@ -74,7 +87,7 @@ def parse(text: str, folder: Path = Path(), overrides: Sequence[str] = ()) -> Sp
 
     Args:
         text: as in a file.
-        folder: what a model's path is relative to.
+        folder: what the paths of a model and of a drive are relative to.
         overrides: as for `load`.
 
     Raises:
@@ -90,6 +103,9 @@ def parse(text: str, folder: Path = Path(), overrides: Sequence[str] = ()) -> Sp
 
 
 def _checked(document: Mapping[str, Any], folder: Path) -> Specification:
+    if DRIVE in document:
+        file = _file(document[DRIVE], folder, DRIVE, "a file of jaxact identify")
+        document = drives.written_out(document, drives.load_drive(file))
     specification = _build(document, folder)
     checks.check(specification)
     return specification
@@ -190,10 +206,10 @@ def _apply(document: dict[str, Any], override: str) -> str:
     if keys == ["damping"] and value in ("joint", "drive"):
         raise UserError(f"{shown(override)}: of a robot, write it as plant.damping={value}")
     _say_rotary(document, keys[-1:])
-    if len(keys) == 1 and keys[0] not in (*OPTIONS, *SECTIONS):
+    if len(keys) == 1 and keys[0] not in (*OPTIONS, *SECTIONS, DRIVE):
         name = canonical(keys[0])
         if not known(name) and name != "actuator":
-            raise UserError(_unknown(keys[0], (*OPTIONS, *PARAMETERS, "actuator")))
+            raise UserError(_unknown(keys[0], (*OPTIONS, *PARAMETERS, "actuator", DRIVE)))
         varied = isinstance(value, list | dict)
         if not varied:
             document["axes"].pop(name, None)
@@ -228,7 +244,7 @@ def _build(document: Mapping[str, Any], folder: Path) -> Specification:
     """The specification that a document with canonical names describes; raises UserError."""
     for key in document:
         if key not in (*OPTIONS, *SECTIONS):
-            raise UserError(_unknown(key, (*OPTIONS, *SECTIONS)))
+            raise UserError(_unknown(key, (*OPTIONS, DRIVE, *SECTIONS)))
     options = {key: document[key] for key in OPTIONS if key in document}
     for table in TABLES:
         if table in document:

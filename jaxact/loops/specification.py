@@ -1,6 +1,7 @@
 """The specification of a sweep: what a TOML file says.
 
     engine = "mjx"                                 # top level: how every loop is simulated
+    drive = "drive.toml"                           # identified; says what is not said below
     [plant]                                        # a robot in place of a single joint
     model = "robot.xml"
     [parameters]                                   # fixed values, see jaxact.parameters

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxact.errors import UserError, shown
-from jaxact.loops import conversion
+from jaxact.loops import conversion, drives
 from jaxact.loops.control_loop import ControlLoop
+from jaxact.loops.drives import IdentifiedDrive
 from jaxact.parameters import (
     CONTROL_RATE,
     GAIN_SCALE,
+    JOINT_STIFFNESS,
     KD,
     KP,
     MASS,
@@ -26,11 +28,11 @@ from jaxact.parameters import (
     base,
     canonical,
 )
-from jaxact.tuning.box import read_box
+from jaxact.tuning.box import KNOWN, read_box
 from jaxact.tuning.goal import MOST_PEAKS, Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.joint import search as _joint_search
-from jaxact.tuning.joint.ensemble import FIELDS, Ensemble, Sampling, ensemble
+from jaxact.tuning.joint.ensemble import FIELDS, Ensemble, Sampling, ensemble, joined
 from jaxact.tuning.optimise import Descent
 from jaxact.tuning.phases import Phase, silent
 from jaxact.tuning.result import Tuned
@@ -49,7 +51,7 @@ def tune(
     loop: ControlLoop | Sequence[ControlLoop],
     goal: str | Goal = "stiffness",
     *,
-    uncertainty: Mapping[str, Range] | str = "",
+    uncertainty: Mapping[str, Range] | str | ControlLoop | IdentifiedDrive = "",
     samples: int | None = None,
     sampled: bool | None = None,
     groups: Sequence[str] = (),
@@ -76,7 +78,9 @@ def tune(
             CSV file of time [s], setpoint [m]), or a `jaxact.tuning.goal.Goal`.
         uncertainty: parameter -> (low, high) of what is not known: wn and zeta as factors, mass
             [kg] and delays [s] as they are; of a robot also payload [kg], inertia_scale, ...; or
-            as the command line writes it.
+            as the command line writes it; or an identified drive, for the 95 % intervals of all
+            that the loop has from it. Of a joint also a batch of loops, such as the `samples` of
+            what was identified; their gains do not count.
         samples: of the uncertainty, beside its corners and its worst interior point; None: 32, of a
             robot 8.
         sampled: of a joint, whether the margins are those of the sampled loop; None: where the loop
@@ -109,8 +113,10 @@ def tune(
         raise UserError(f"`pareto` {front}: give between 2 and {MOST_PEAKS} points")
     if front and tracking_weight:
         raise UserError("`pareto`: cannot be combined with `tracking_weight`")
-    text = uncertainty if isinstance(uncertainty, str) else _ranges(uncertainty)
-    common: dict[str, Any] = {"uncertainty": text, "samples": samples, "starts": starts,
+    if not isinstance(uncertainty, str | Mapping | ControlLoop):
+        uncertainty = intervals(drives.taken(uncertainty), loops[0])
+    unsure = _ranges(uncertainty) if isinstance(uncertainty, Mapping) else uncertainty
+    common: dict[str, Any] = {"uncertainty": unsure, "samples": samples, "starts": starts,
                               "steps": steps, "seed": seed, "front": front, "verify": verify,
                               "phase": phase}  # fmt: skip
     if any(one.kind.plant is not None for one in loops):
@@ -123,6 +129,27 @@ def tune(
         if value:
             raise UserError(f"`{name}`: is for a robot; make one with jaxact.robot(model, ...)")
     return _of_joint(loops[0], asked, sampled, **common)
+
+
+def intervals(drive: IdentifiedDrive, loop: ControlLoop, ranges: str = "") -> str:
+    """The 95 % intervals of what a loop has from its drive, as the command line writes them.
+
+    Args:
+        drive: identified.
+        loop: what it says otherwise is known.
+        ranges: that replace those of the drive, or are beside them.
+    """
+    given = {canonical(part.partition("=")[0].strip()) for part in ranges.split(",") if part}
+    found = drive.uncertainty
+    if loop.kind.plant is not None:
+        found = {name: span for name, span in found.items() if name not in (MASS, JOINT_STIFFNESS)}
+    own = {
+        name: span
+        for name, span in found.items()
+        if name not in given
+        and (name not in drive.joint or np.all(loop.parameters[name] == drive.joint[name]))
+    }
+    return ",".join(part for part in (_ranges(own), ranges) if part)
 
 
 def _ranges(uncertainty: Mapping[str, Range]) -> str:
@@ -141,7 +168,7 @@ def _of_joint(
     goal: Goal,
     sampled: bool | None,
     *,
-    uncertainty: str,
+    uncertainty: str | ControlLoop,
     samples: int | None,
     starts: int,
     steps: int | None,
@@ -154,8 +181,13 @@ def _of_joint(
     nominal = _nominal(loop, CONTROL_RATE in loop.values if sampled is None else sampled)
     start = _start_of_joint(loop)
     how = Descent(steps=steps or _joint_search.STEPS)
+    box = KNOWN
+    if isinstance(uncertainty, ControlLoop):
+        nominal = joined(nominal, _drawn(uncertainty, loop, nominal.sampling))
+    else:
+        box = read_box(uncertainty, FIELDS)
     tuned = _joint_search.tune(
-        nominal, goal, read_box(uncertainty, FIELDS), number=samples or _joint_search.SAMPLES,
+        nominal, goal, box, number=samples or _joint_search.SAMPLES,
         seed=seed, start=start, starts=starts, how=how, verify=verify, phase=phase,
     )  # fmt: skip
     points: Sequence[Tuned] = ()
@@ -197,6 +229,18 @@ def _nominal(loop: ControlLoop, sampled: bool) -> Ensemble:
                     sampling=sampling, names=(label,))  # fmt: skip
 
 
+def _drawn(loops: ControlLoop, loop: ControlLoop, sampling: Sampling) -> Ensemble:
+    """Other plants for the gains of a loop: one whose gains count more is a lighter one."""
+    if loops.kind.plant is not None:
+        raise UserError("`uncertainty`: loops of a robot; give ranges, or an identified drive")
+    own = {name: np.ravel(np.asarray(v, float)) for name, v in loops.parameters.items()}
+    share = own[GAIN_SCALE] / float(loop.parameters[GAIN_SCALE])
+    joint = (own[name] / share for name in OF_JOINT)
+    number = len(np.broadcast_arrays(*own.values())[0])
+    return ensemble(own[MASS] / share, own[WN], own[ZETA], conversion.total_delay(own), *joint,
+                    sampling=sampling, names=tuple(f"draw {i}" for i in range(number)))  # fmt: skip
+
+
 def _named(loops: Sequence[ControlLoop]) -> list[tuple[str, Specification]]:
     """A name and a specification for every posture of a robot."""
     named: list[tuple[str, Specification]] = []
@@ -215,7 +259,7 @@ def _of_robot(
     named: Sequence[tuple[str, Specification]],
     goal: Goal,
     *,
-    uncertainty: str = "",
+    uncertainty: str | ControlLoop = "",
     samples: int | None = None,
     groups: Sequence[str] = (),
     starts: int = _joint_search.STARTS,
@@ -240,6 +284,8 @@ def _of_robot(
     from jaxact.tuning.robot import search
     from jaxact.tuning.robot.loops import VARIED, situation
 
+    if isinstance(uncertainty, ControlLoop):
+        raise UserError("`uncertainty`: of a robot give ranges, or an identified drive")
     box = read_box(uncertainty, VARIED, patterns=True)
     situations: list[Situation] = []
     for place, (name, one) in enumerate(named, 1):

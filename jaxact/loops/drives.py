@@ -1,0 +1,366 @@
+"""Identified drives, as `jaxact identify` writes them: the one place where their numbers become
+the parameters of a loop.
+
+    drive = "drive.toml"     # of a specification or a [[loop]], relative to the folder of the file
+
+What the loop says itself wins. Nothing here needs JAX.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxact.errors import UserError
+from jaxact.parameters import (
+    DELAY,
+    FORCE_LIMIT,
+    GAIN_SCALE,
+    INERTIA,
+    JOINT_DAMPING,
+    JOINT_FRICTION,
+    JOINT_STIFFNESS,
+    KD,
+    KP,
+    MASS,
+    PARAMETERS,
+    WN,
+    ZETA,
+    base,
+    check,
+    known,
+)
+from jaxact.units import UNITS
+
+DRIVE = "drive"
+"""The key of a specification, and the argument of a loop, that names an identified drive."""
+NOT_ENOUGH = "not good enough"
+"""The verdict on a drive that should not be used."""
+# What a joint of a robot has from its model, and not from the bench on which its drive was.
+_OF_BENCH = (MASS, KP, KD, JOINT_STIFFNESS)
+# A bound that is larger than this is none.
+_NO_LIMIT = 1e12
+_MOST_TRIES = 50
+_FRICTION = {
+    "viscous_asymmetry": "viscous friction that differs by direction",
+    "coulomb_asymmetry": "dry friction that differs by direction",
+    "loaded": "friction that grows with the drive's force",
+    "carried": "friction that grows with the load",
+    "stribeck": "larger friction at rest",
+    "offset": "a constant force",
+}
+
+
+@dataclass(frozen=True)
+class Spread:
+    """What is known of some numbers together: a normal distribution within bounds.
+
+    Attributes:
+        names: of the numbers.
+        logarithms: whether each is distributed as its logarithm.
+        low, high: bounds of each.
+        rows: covariance of the numbers or their logarithms, shape (numbers, numbers).
+    """
+
+    names: tuple[str, ...]
+    logarithms: tuple[bool, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    rows: tuple[tuple[float, ...], ...]
+
+    def draw(self, centre: Mapping[str, float], number: int, seed: int) -> dict[str, np.ndarray]:
+        """Draws around a centre, those out of bounds drawn anew, shape (number,) each."""
+
+        def inner(values: Any) -> np.ndarray:
+            values = np.asarray(values, float)
+            logs = np.log(np.where(self.logarithms, np.maximum(values, 1e-300), 1.0))
+            return np.where(self.logarithms, logs, values)
+
+        middle = inner([centre[name] for name in self.names])
+        low, high = inner(self.low), inner(self.high)
+        covariance = np.array(self.rows).reshape((len(self.names),) * 2)
+        values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+        spread = vectors * np.sqrt(np.maximum(values, 0.0))
+        generator = np.random.default_rng(seed)
+        kept = np.empty((0, len(middle)))
+        for _ in range(_MOST_TRIES):
+            points = middle + generator.standard_normal((number, len(middle))) @ spread.T
+            inside = np.all((points >= low) & (points <= high), axis=1)
+            kept = np.concatenate([kept, points[inside]])
+            if len(kept) >= number:
+                break
+        else:
+            # So wide that most draws leave the range: kept within it instead.
+            kept = np.concatenate([kept, np.clip(points, low, high)])
+        drawn = kept[:number]
+        each = np.where(self.logarithms, np.exp(np.where(self.logarithms, drawn, 0.0)), drawn)
+        return dict(zip(self.names, each.T, strict=True))
+
+
+@dataclass(frozen=True)
+class IdentifiedDrive:
+    """An identified drive, in front of the joint that it was identified on.
+
+    Attributes:
+        name: of its file.
+        plant: on which it was identified, "none" where its force was measured.
+        unit: of the joint's position, "rad" or "m".
+        level: of the verdict, such as "good".
+        joint: parameters of the loop by short name.
+        numbers: of the model by name, without those that change nothing.
+        intervals: 95 % intervals of the model's numbers by name.
+        spread: of the model's numbers together; None where the file has none.
+        document: everything.
+    """
+
+    name: str
+    plant: str
+    unit: str
+    level: str
+    joint: Mapping[str, float]
+    numbers: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    spread: Spread | None = None
+    document: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    def parameters(self, *, robot: bool = False) -> dict[str, float]:
+        """What the drive says of a loop, by short name.
+
+        Args:
+            robot: of a robot, whose own inertias, springs and gains stay; else of the joint on
+                which the drive was identified.
+        """
+        if not robot:
+            return dict(self.joint)
+        kept = {name: value for name, value in self.joint.items() if name not in _OF_BENCH}
+        if KP in self.numbers:  # per unit of an inertia that is not known
+            return {name: value for name, value in kept.items() if name != JOINT_DAMPING}
+        dry = self.numbers.get("coulomb", 0.0)
+        return kept | ({JOINT_FRICTION: dry} if dry else {})
+
+    def left_out(self, *, robot: bool = False) -> list[str]:
+        """What the drive has and such a loop does not take, in words."""
+        force = "N m" if self.unit == "rad" else "N"
+        dry = self.numbers.get("coulomb", 0.0)
+        said = [words for name, words in _FRICTION.items() if self.numbers.get(name)]
+        if robot and KP in self.numbers:
+            said = ["friction, which is known per unit of inertia only"] if dry else []
+        elif dry and not robot:
+            said = [f"dry friction of {dry:.3g} {force}", *said]
+        if robot:
+            own = {MASS: INERTIA if self.unit == "rad" else MASS, JOINT_STIFFNESS: "gravity"}
+            said += [f"its joint's {words}" for name, words in own.items() if name in self.joint]
+            said += ["the gains of its log"] if KP in self.joint else []
+        return said
+
+    @property
+    def uncertainty(self) -> dict[str, tuple[float, float] | str]:
+        """The 95 % intervals as `jaxact.tune` takes them: wn and zeta as factors.
+
+        A drive whose gain is not known moves a joint as one whose inertia is not.
+        """
+        found: dict[str, tuple[float, float] | str] = {}
+        for name in (WN, ZETA):
+            if name in self.intervals and name in self.numbers:
+                low, high = (end / self.numbers[name] for end in self.intervals[name])
+                found[name] = (low, high)
+        for name, own in ((DELAY, DELAY), ("viscous", JOINT_DAMPING), ("gravity", JOINT_STIFFNESS)):
+            if name in self.intervals and own in self.joint:
+                found[own] = self.intervals[name]
+        low, high = self.intervals.get("gain", (1.0, 1.0))
+        gain = abs(self.numbers.get("gain", 1.0))
+        weak, strong = sorted((abs(low) / gain, abs(high) / gain)) if low * high > 0 else (1.0, 1.0)
+        light, heavy = (
+            end / self.numbers.get("inertia", 1.0)
+            for end in self.intervals.get("inertia", (self.numbers.get("inertia", 1.0),) * 2)
+        )
+        if {"gain", "inertia"} & set(self.intervals) and KP not in self.numbers:
+            found[MASS] = f"{light / strong!r}x..{heavy / weak!r}x"
+        return found
+
+    def draws(self, number: int, seed: int = 0) -> dict[str, Any]:
+        """Parameters of the loop, drawn from what is known of them together.
+
+        Args:
+            number: of draws.
+            seed: of the draws.
+
+        Returns:
+            By short name, those that are not known of shape (number,).
+
+        Raises:
+            UserError: the file has no covariance.
+        """
+        if self.spread is None:
+            raise UserError(f"{self.name}: has no covariance to draw from; identify the drive anew")
+        # All that is not drawn is what it was; a gain of the drive scales the controller's.
+        drawn = dict(self.numbers) | self.spread.draw(self.numbers, number, seed)
+        own = parameters_of(drawn, self.plant)
+        share = np.abs(drawn["gain"]) / abs(self.numbers["gain"]) if "gain" in drawn else 1.0
+        scaled = (GAIN_SCALE,) if GAIN_SCALE in self.joint else (KP, KD)
+        gains = {name: self.joint[name] * share for name in scaled if name in self.joint}
+        return {**self.joint, **{n: v for n, v in own.items() if n in self.joint}, **gains}
+
+
+def parameters_of(numbers: Mapping[str, Any], plant: str) -> dict[str, Any]:
+    """The parameters of a joint that a model's numbers say, by short name; the controller's apart.
+
+    Args:
+        numbers: of the model by name, numbers or arrays.
+        plant: "none" where a force was measured and no joint moved.
+    """
+    limit = numbers.get(FORCE_LIMIT, math.inf)
+    found = {WN: numbers.get(WN, math.inf), ZETA: numbers.get(ZETA, 1.0),
+             DELAY: numbers.get(DELAY, 0.0), FORCE_LIMIT: limit}  # fmt: skip
+    if np.any(np.asarray(limit) >= _NO_LIMIT):
+        del found[FORCE_LIMIT]
+    if np.any(np.isinf(found[WN])):
+        del found[WN], found[ZETA]
+    if plant != "none":
+        found[MASS] = numbers.get("inertia", 1.0)
+        own = {JOINT_DAMPING: "viscous", JOINT_STIFFNESS: "gravity"}
+        found |= {name: numbers[model] for name, model in own.items() if model in numbers}
+    if KP in numbers:
+        found |= {KP: numbers[KP], KD: numbers.get(KD, 0.0)}
+    return found
+
+
+def load_drive(path: str | os.PathLike[str]) -> IdentifiedDrive:
+    """Read a drive that `jaxact identify` wrote.
+
+    Args:
+        path: TOML file.
+
+    Raises:
+        UserError: it cannot be read, or is not such a file.
+    """
+    where = Path(path)
+    try:
+        document = tomllib.loads(where.read_text(encoding="utf-8"))
+    except OSError as error:
+        reason = error.strerror or error
+        raise UserError(f"{where}: cannot be read ({reason}); give a drive of identify") from None
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"{where}: is not valid TOML: {str(error)[:200]}") from None
+    return of_document(where.name, document)
+
+
+def of_document(name: str, document: Mapping[str, Any]) -> IdentifiedDrive:
+    """An identified drive from all that its file says.
+
+    Args:
+        name: of the file, for messages.
+        document: as `jaxact.identification.result.Identified.document` has it.
+
+    Raises:
+        UserError: it is not such a document.
+    """
+    loops, plant = document.get("loop"), document.get("plant")
+    if not isinstance(loops, list) or not isinstance(plant, str) or "estimates" not in document:
+        raise UserError(f"{name}: is not a drive; give a file that jaxact identify wrote")
+    if len(loops) != 1:
+        raise UserError(f"{name}: has {len(loops)} loops; a drive has one")
+    try:
+        covariance = document.get("covariance")
+        keys = Spread.__dataclass_fields__
+        spread = None if covariance is None else Spread(*(_frozen(covariance[k]) for k in keys))
+        found = IdentifiedDrive(
+            name=name, plant=plant, unit=str(document["unit"]),
+            level=document.get("verdict", {}).get("level", ""),
+            joint=_checked(name, loops[0]),
+            numbers={k: float(v) for k, v in document.get("numbers", {}).items()},
+            intervals={k: (float(e["low"]), float(e["high"])) for k, e in _estimates(document)},
+            spread=spread, document=document,
+        )  # fmt: skip
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise UserError(
+            f"{name}: is damaged ({type(error).__name__}: {error}); identify it anew"
+        ) from None
+    if found.unit not in UNITS:
+        raise UserError(f"{name}: unit = {found.unit!r}; allowed: {', '.join(UNITS)}")
+    return found
+
+
+def taken(drive: Any) -> IdentifiedDrive:
+    """A drive from its file's path, or from whatever has one as `drive`.
+
+    Args:
+        drive: path, `IdentifiedDrive`, or what `jaxact.identify` gave.
+
+    Raises:
+        UserError: it is none of these, or its file cannot be read.
+    """
+    if isinstance(drive, IdentifiedDrive):
+        return drive
+    if isinstance(drive, str | os.PathLike):
+        return load_drive(drive)
+    own = getattr(drive, DRIVE, None)
+    if not isinstance(own, IdentifiedDrive):
+        raise UserError(f"`drive` is {type(drive).__name__}; give a file of jaxact identify")
+    return own
+
+
+def filled(drive: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """What a loop says itself, and what its drive says of the rest.
+
+    Args:
+        drive: parameters of the drive by short name.
+        own: parameters of the loop by short name, or `actuator`, which sets wn and zeta.
+    """
+    said = {*own, *((WN, ZETA) if "actuator" in own else ())}
+    rest = {name: v for name, v in drive.items() if name not in said and base(name) not in said}
+    return {**rest, **own}
+
+
+def written_out(document: Mapping[str, Any], drive: IdentifiedDrive) -> dict[str, Any]:
+    """A specification with the parameters of its drive, where it does not say them itself.
+
+    Args:
+        document: of the specification, with canonical names.
+        drive: that it names.
+    """
+    rest = {key: value for key, value in document.items() if key != DRIVE}
+    robot = "plant" in rest
+    if drive.unit == "rad" and not robot:
+        rest.setdefault("unit", drive.unit)
+    said = drive.parameters(robot=robot)
+    own = filled(said, {**rest["axes"], **rest["parameters"]})
+    # What is varied keeps the drive's number as its nominal one.
+    own |= {name: said[name] for name in rest["axes"] if name in said}
+    fixed = {n: v for n, v in own.items() if n not in rest["axes"] or n in said}
+    return {**rest, "parameters": fixed | rest["parameters"]}
+
+
+def _estimates(document: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """(name of the model's number, estimate) of all; a time constant as the frequency it is."""
+    found = []
+    for name, one in document["estimates"].items():
+        own = one.get("number", name)
+        if own != name:
+            one = {"low": one["value"] / one["high"], "high": one["value"] / one["low"]}
+            one = {end: ratio * document["numbers"][own] for end, ratio in one.items()}
+        found.append((own, one))
+    return found
+
+
+def _checked(name: str, table: Mapping[str, Any]) -> dict[str, float]:
+    """The parameters of the loop in a file."""
+    found = {}
+    for key, value in table.items():
+        if key == "name":
+            continue
+        if base(key) not in PARAMETERS or not known(key):
+            raise UserError(f"{name}: {key} is not a parameter")
+        found[key] = check(key, value, f"{name}: {key}")
+    return found
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value

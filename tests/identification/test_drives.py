@@ -1,0 +1,231 @@
+"""Identified drives as parts of loops: joints, robots, specifications, gains."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from quickly import compiled_quickly as compiled_quickly
+
+import jaxact as jx
+from jaxact.cli._loops import identified
+from jaxact.cli.main import main
+from jaxact.errors import UserError
+from jaxact.loops import reading
+from jaxact.tuning.box import read_box
+from jaxact.tuning.joint.ensemble import FIELDS
+from jaxact.verbs.tune import intervals
+
+ROOT = Path(__file__).resolve().parents[2]
+BENCH = """
+model = "second order with delay"
+plant = "none"
+unit = "rad"
+[[loop]]
+wn = 110.0
+zeta = 0.9
+delay = 0.002
+gain_scale = 0.8
+control_rate = 500.0
+[verdict]
+level = "good"
+[estimates]
+gain = { value = 0.8, low = 0.76, high = 0.84 }
+wn = { value = 110.0, low = 99.0, high = 121.0 }
+zeta = { value = 0.9, low = 0.81, high = 0.99 }
+delay = { value = 0.002, low = 0.0018, high = 0.0023 }
+[numbers]
+gain = 0.8
+wn = 110.0
+zeta = 0.9
+delay = 0.002
+[covariance]
+names = ["gain", "wn", "zeta", "delay"]
+logarithms = [false, true, true, false]
+low = [0.1, 10.0, 0.02, 0.0]
+high = [10.0, 3e4, 50.0, 0.012]
+rows = [[4e-4, 0.0, 0.0, 0.0], [0.0, 0.0025, 0.002, 0.0], [0.0, 0.002, 0.0025, 0.0],
+        [0.0, 0.0, 0.0, 1e-8]]
+"""
+SERVO = """
+model = "delay, viscous and dry"
+plant = "pendulum"
+unit = "rad"
+[[loop]]
+name = "identified"
+delay = 0.004
+mass = 0.03
+joint_damping = 0.2
+joint_stiffness = 0.5
+kp = 12.0
+kd = 0.5
+position_resolution = 0.0015
+control_rate = 200.0
+[verdict]
+level = "not good enough"
+[estimates]
+lag = { value = 0.01, low = 0.008, high = 0.0125, number = "wn" }
+inertia = { value = 0.03, low = 0.027, high = 0.033 }
+[numbers]
+inertia = 0.03
+viscous = 0.2
+coulomb = 0.1
+loaded = 0.2
+gravity = 0.5
+delay = 0.004
+wn = 20000.0
+zeta = 100.0
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "bench.toml").write_text(BENCH)
+    (tmp_path / "servo.toml").write_text(SERVO)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_joint_takes_what_it_does_not_say_itself():
+    loop = jx.joint(drive="bench.toml", inertia=0.05, kp=20, kd=0.6, delay=0.005)
+    told = jx.joint(inertia=0.05, kp=16, kd=0.48, wn=110, zeta=0.9, delay=0.005, control_rate=500)
+    assert loop.kind.unit == "rad" and loop.delay == 0.005
+    assert float(jx.margins(loop).sensitivity_peak) == pytest.approx(
+        float(jx.margins(told).sensitivity_peak), rel=1e-12
+    )
+    other = jx.joint(drive="bench.toml", actuator="hyq")
+    assert (other.wn, other.zeta, other.delay) == (800.0, 0.45, 0.002)
+
+
+def test_a_robot_takes_dynamics_and_friction_and_keeps_its_bodies():
+    model = ROOT / "experiments" / "quadruped" / "quadruped.xml"
+    loop = jx.robot(model, drive="servo.toml", delay={".*_knee": 0.01})
+    assert loop.values == {
+        "delay": 0.004, "joint_damping": 0.2, "joint_friction": 0.1, "position_resolution": 0.0015,
+        "control_rate": 200.0, "delay@.*_knee": 0.01,
+    }  # fmt: skip
+    left_out = jx.load_drive("servo.toml").left_out(robot=True)
+    assert "its joint's inertia" in left_out and "the gains of its log" in left_out
+
+
+def test_a_specification_names_its_drive_beside_it(folder):
+    inner = folder / "inner"
+    inner.mkdir()
+    text = 'drive = "../servo.toml"\n[parameters]\ndelay = 0.001\n[axes]\nkp = [1.0, 20.0]\n'
+    (inner / "sweep.toml").write_text(text)
+    found = reading.load(inner / "sweep.toml")
+    assert found.unit == "rad" and found.nominal["kp"] == 12.0
+    assert found.parameters["delay"] == 0.001 and found.parameters["mass"] == 0.03
+    assert reading.parse(found.text) == found  # a store needs the drive's file no more
+    other = reading.load(inner / "sweep.toml", drive=folder / "bench.toml")
+    assert other.parameters["wn"] == 110.0 and "mass" not in other.parameters
+    again = reading.load(inner / "sweep.toml", ['drive="../bench.toml"', "wn=90"])
+    assert again.parameters["wn"] == 90.0 and again.parameters["zeta"] == 0.9
+
+
+def test_listed_loops_have_drives_of_their_own(folder):
+    text = '[[loop]]\ndrive = "bench.toml"\n[[loop]]\ndrive = "servo.toml"\ndelay = 0.0\n'
+    (folder / "loops.toml").write_text(text)
+    loops = jx.loop_of("loops.toml", kp=5.0)
+    assert loops.kind.unit == "rad"
+    np.testing.assert_array_equal(loops.delay, [0.002, 0.0])
+    np.testing.assert_array_equal(loops.kp, [5.0, 5.0])
+    np.testing.assert_array_equal(loops.mass, [0.7, 0.03])
+
+
+def test_draws_have_the_covariance_of_the_file():
+    many = jx.joint(drive="bench.toml", samples=4000, seed=3)
+    logs = np.log(np.stack([many.wn, many.zeta]))
+    np.testing.assert_allclose(np.cov(logs), [[0.0025, 0.002], [0.002, 0.0025]], atol=2e-4)
+    assert np.std(many.delay) == pytest.approx(1e-4, rel=0.05)
+    assert np.mean(many.gain_scale) == pytest.approx(0.8, rel=1e-2)
+    assert np.std(many.gain_scale) == pytest.approx(0.02, rel=0.05)
+
+
+def test_intervals_are_of_what_the_loop_has_from_its_drive():
+    drive = jx.load_drive("bench.toml")
+    loop = jx.joint(drive=drive, inertia=0.05, delay=0.001)
+    box = read_box(intervals(drive, loop), FIELDS)
+    ends = {one.name: (one.low, one.high) for one in box.ranges}
+    assert ends == {
+        "mass": pytest.approx((0.8 / 0.84, 0.8 / 0.76)),  # a stronger drive moves a lighter joint
+        "wn": pytest.approx((0.9, 1.1)),
+        "zeta": pytest.approx((0.9, 1.1)),
+    }
+    assert "mass=0.5x..2x" in intervals(drive, loop, "mass=0.5x..2x")
+    servo = jx.load_drive("servo.toml")
+    # A time constant's interval is its frequency's turned round.
+    assert servo.uncertainty["wn"] == (pytest.approx(0.8), pytest.approx(1.25))
+
+
+def test_gains_are_robust_over_the_drawn_drives(capsys):
+    given = ["--drive", "bench.toml", "--inertia", "0.05", "--max-peak", "2"]
+    words = ["--uncertainty", "samples", "--ensemble", "8", "--starts", "2", "--steps", "60"]
+    assert main(["tune", *given, *words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["drive_gain"] == 0.8
+    # The gains are those at the joint: a draw's is in proportion to the drive's.
+    drawn = jx.joint(drive="bench.toml", inertia=0.05, samples=8)
+    share = np.asarray(drawn.gain_scale) / 0.8
+    drawn = drawn.replace(kp=found["kp"], kd=found["kd"], gain_scale=share)
+    margins = jx.margins(drawn, sampled=True)
+    worst = max(np.max(margins.sensitivity_peak), np.max(margins.complementary_peak))
+    assert worst == pytest.approx(2.0, rel=1e-3)
+
+
+def test_what_is_left_out_or_assumed_is_said(capsys):
+    assert identified(Path("servo.toml"), ()) is not None
+    said = capsys.readouterr().err
+    assert "left out here: dry friction of 0.1 N m, friction that grows" in said
+    assert "call it not good enough" in said
+    identified(Path("bench.toml"), ("kp",))
+    assert "does not say what the joint moves; taken: 0.7 kg m^2" in capsys.readouterr().err
+    identified(Path("bench.toml"), ("inertia",))
+    assert capsys.readouterr().err == ""
+
+
+def _broken(folder, old, new):
+    (folder / "broken.toml").write_text(BENCH.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[estimates]", "[other]", "is not a drive; give a file that jaxact identify wrote"),
+        ("wn = 110.0\nzeta", 'wn = "fast"\nzeta', "wn = 'fast' is not a number"),
+        ("low = 0.76, ", "", "is damaged (KeyError: 'low')"),
+        ('unit = "rad"', 'unit = "deg"', "unit = 'deg'; allowed: m, rad"),
+        ("[verdict]", "[[loop]]\n[verdict]", "has 2 loops; a drive has one"),
+        ("[numbers]", "[numbers", "is not valid TOML"),
+    ],
+)
+def test_a_broken_file_is_one_line(folder, capsys, old, new, said):
+    _broken(folder, old, new)
+    assert main(["margins", "--drive", "broken.toml"]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        (["margins", "--drive", "none.toml"], "none.toml: cannot be read"),
+        (["tune", "--uncertainty", "samples"], "is of an identified drive; give one with --drive"),
+        (
+            ["tune", "--drive", "bench.toml", "--uncertainty", "samples,mass=1..2"],
+            "leave the ranges",
+        ),
+        (
+            ["tune", "--drive", "servo.toml", "--uncertainty", "samples"],
+            "no covariance to draw from",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_said(capsys, command, said):
+    assert main(command) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_samples_need_a_drive():
+    with pytest.raises(UserError, match="are those of a `drive`"):
+        jx.joint(samples=3)
