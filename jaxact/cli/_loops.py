@@ -174,7 +174,7 @@ def specified(
         base: dict[str, Any] = dict(defaults or {})
     else:  # what it varies is left at its nominal value
         base = reading.load(robot.spec, ["axes.feedforward=[0.0]"], file).document
-        file = file or reading.named_drive(robot.spec)
+        file = file or drives.named_by(robot.spec)
     own = base.pop("parameters", {})
     if "actuator" in given:
         own = {name: value for name, value in own.items() if name not in (WN, ZETA)}

@@ -100,10 +100,10 @@ def main(
       jaxact sweep experiments/paper_gain_map.toml --resume
       jaxact sweep experiments/paper_gain_map.toml --adaptive --out results/boundary
     """
-    from jaxact.loops import reading
+    from jaxact.loops import drives, reading
 
     asked = reading.load(specification, set, drive)
-    known = drive or reading.named_drive(specification)
+    known = drive or drives.named_by(specification)
     _loops.identified(known, asked.parameters, robot=asked.robot)
     _cache.prepare(wanted=not no_cache)
     _xla.call_at_once(asked)

@@ -319,6 +319,12 @@ def filled(drive: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
     return {**rest, **own}
 
 
+def named_by(specification: Path) -> Path | None:
+    """The file of the drive that a specification names, which was read; None for none."""
+    given = tomllib.loads(specification.read_text(encoding="utf-8")).get(DRIVE)
+    return None if given is None else specification.parent / given
+
+
 def written_out(document: Mapping[str, Any], drive: IdentifiedDrive) -> dict[str, Any]:
     """A specification with the parameters of its drive, where it does not say them itself.
 

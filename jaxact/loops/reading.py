@@ -72,16 +72,6 @@ def load(path: Path, overrides: Sequence[str] = (), drive: Path | None = None) -
         raise UserError(f"{where}: {error}") from None
 
 
-def named_drive(path: Path) -> Path | None:
-    """The file of the drive that a specification names, None for none.
-
-    Raises:
-        UserError: the specification cannot be read.
-    """
-    given = _read(path).get(DRIVE)
-    return path.parent / given if isinstance(given, str) else None
-
-
 def parse(text: str, folder: Path = Path(), overrides: Sequence[str] = ()) -> Specification:
     """Read and check a specification from TOML text.
 
