@@ -3,10 +3,14 @@
 import mujoco
 import numpy as np
 import pytest
+import scipy.linalg
 from quickly import compiled_quickly as compiled_quickly
+from scipy.optimize import brentq
 
 from jaxact.analysis.robot import limits as multiloop_limits
 from jaxact.analysis.robot import multiloop
+from jaxact.analysis.robot.delay import delay_borne
+from jaxact.analysis.robot.modes import Robot
 from jaxact.loops import reading
 from jaxact.robot_margins import whole_robot
 
@@ -98,3 +102,45 @@ def test_joints_that_creep_bear_a_quarter_of_their_turn(tmp_path):
              for joint in ("shoulder", "elbow")]  # fmt: skip
     borne = _found(tmp_path, *gains, "joint_damping=5").delay_borne
     assert borne.stable and borne.delay == pytest.approx(0.5 * np.pi * 5.0 / 1e-3, rel=1e-4)
+
+
+def _late(kp, kd, extra):
+    """1 kg without a drive at 1 Hz; states q, v and the last command, `extra` of a second late."""
+    A = np.array([[1.0, 1.0, extra * (1.0 - 0.5 * extra)], [0.0, 1.0, extra], [0.0, 0.0, 0.0]])
+    N = np.array([[0.5 * (1.0 - extra) ** 2], [1.0 - extra], [1.0]])
+    C = np.array([[-kp, -kd, 0.0]])
+    return A + N @ C, N, C
+
+
+def _critical(kp, kd):
+    """The delay at which a root of one joint leaves the unit circle [s]."""
+
+    def outside(delay):
+        M, N, C = _late(kp, kd, delay - np.floor(delay))
+        line = np.block([[M - N @ C, N], [C, np.zeros((1, 1))]]) if delay >= 1.0 else M
+        return np.max(np.abs(np.linalg.eigvals(line))) - 1.0
+
+    return brentq(outside, 0.5, 1.999)
+
+
+@pytest.mark.parametrize(
+    "gains",
+    [
+        ((2.647e-3, 0.828), (1.415e-4, 0.758)),
+        ((0.0766, 0.6445), (0.085, 0.7061)),
+        ((9.8e-3, 0.7608), (7.29e-3, 0.7506)),
+    ],
+)
+def test_the_joint_that_loses_its_delay_margin_first_is_named(gains):
+    """Two joints that know nothing of each other, at 0.7 rad a period, where a part of a period's
+    delay is more than its phase."""
+
+    def later(extra):
+        joints = zip(*(_late(*own, extra) for own in gains), strict=True)
+        return tuple(scipy.linalg.block_diag(*parts) for parts in joints)
+
+    rows = np.eye(6)
+    robot = Robot(later(0.0), rows[[0, 3]], rows[[1, 4]], np.ones(2), ("a", "b"), 1.0, later)
+    borne, alone = delay_borne(robot), [_critical(*own) for own in gains]
+    assert borne.delay == pytest.approx(min(alone), rel=1e-7)
+    np.testing.assert_allclose(borne.participation, np.eye(2)[np.argmin(alone)], atol=1e-6)

@@ -103,7 +103,7 @@ def changes(
     return Changes(
         more_gain=gain(up=True, swing=True),
         less_gain=gain(up=False, swing=True),
-        more_delay=None if shaking else _more_delay(robot, loop, angle, followed, known.delay),
+        more_delay=None if shaking else _more_delay(robot, angle, followed, known.delay),
         less_delay=_less_delay(robot) if shaking else None,
         topple_more_gain=gain(up=True, swing=False),
         topple_less_gain=gain(up=False, swing=False),
@@ -122,16 +122,12 @@ def _at(robot: Robot, matrices: Matrices, value: float, *, swing: bool) -> Chang
 
 
 def _more_delay(
-    robot: Robot,
-    loop: Multiloop,
-    grid: np.ndarray,
-    followed: np.ndarray,
-    known: tuple[float, float] | None,
+    robot: Robot, grid: np.ndarray, followed: np.ndarray, known: tuple[float, float] | None
 ) -> Change | None:
     delay, angle = _delay.limit(robot, grid, followed) if known is None else known
     if not math.isfinite(delay):
         return None
-    shares = _delay.marginal(robot, loop, angle, delay)
+    shares = _delay.marginal(robot, angle, delay)
     return Change(delay, angle / robot.period, shares)
 
 

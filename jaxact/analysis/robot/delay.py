@@ -14,7 +14,6 @@ from jaxact.analysis.robot import limits as _limits
 from jaxact.analysis.robot import modes as _modes
 from jaxact.analysis.robot import multiloop as _multiloop
 from jaxact.analysis.robot.modes import Robot
-from jaxact.analysis.robot.multiloop import Multiloop
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ def delay_borne(robot: Robot) -> DelayBorne:
     delay, angle = limit(robot, grid, _limits.followed(S))
     frequency, shares = math.inf, np.full(len(robot.names), 1.0 / len(robot.names))
     if math.isfinite(delay):
-        frequency, shares = angle / robot.period, marginal(robot, loop, angle, delay)
+        frequency, shares = angle / robot.period, marginal(robot, angle, delay)
     return DelayBorne(not topples, False, topples, growth, delay, frequency, shares)
 
 
@@ -78,12 +77,11 @@ def limit(robot: Robot, grid: np.ndarray, followed: np.ndarray) -> tuple[float, 
     return _limits.delay_limit(robot.later_by, robot.period, turned, _modes.shakes)
 
 
-def marginal(robot: Robot, loop: Multiloop, angle: float, delay: float) -> np.ndarray:
-    """Shares of the joints in the motion that is marginal at w T under a delay [s]; (joints,).
-
-    Its commands are the eigenvector of L = S^-1 - I whose eigenvalue the delay turns nearest to -1.
-    """
-    values, vectors = np.linalg.eig(_multiloop.sensitivity(loop, np.array([angle]))[0])
-    turned = (1.0 - values) / values * np.exp(-1j * angle * delay / robot.period)
-    nearest = vectors[:, np.argmin(np.abs(turned + 1.0))]
-    return _modes.participation(robot, loop.kept, _multiloop.states(loop, angle, nearest))
+def marginal(robot: Robot, angle: float, delay: float) -> np.ndarray:
+    """Shares of the joints in the motion that is marginal at w T under a delay [s]; (joints,)."""
+    kept, moved, returned = _limits.feedback(
+        robot.later_by, robot.period, angle, delay / robot.period
+    )
+    values, vectors = np.linalg.eig(returned)
+    nearest = vectors[:, np.argmin(np.abs(values - 1.0))]
+    return _modes.participation(robot, kept, moved @ nearest)

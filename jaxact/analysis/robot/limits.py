@@ -17,7 +17,7 @@ import numpy as np
 import scipy.linalg
 from scipy.optimize import linear_sum_assignment, root
 
-from jaxact.analysis.robot.multiloop import Matrices, Multiloop, reduced, sensitivity
+from jaxact.analysis.robot.multiloop import Matrices, Multiloop, joined, reduced, sensitivity
 
 # A root this little outside the unit circle is on it: a robot's matrices come from differences.
 MARGINAL = 1e-9
@@ -271,14 +271,9 @@ def _marginal(
     """The delay in periods and the angle w T near a guess at which the loop is marginal."""
 
     def residual(point: np.ndarray) -> list[float]:
-        angle, delay = point
-        whole = math.floor(delay)
-        M, N, C = reduced(later_by((delay - whole) * period))
-        z = np.exp(1j * angle)
-        S = np.eye(N.shape[1]) + C @ np.linalg.solve(z * np.eye(len(M)) - M, N.astype(complex))
-        s = np.linalg.eigvals(S)
-        turned = z**-whole * (1.0 - s) / s
-        near = turned[np.argmin(np.abs(turned + 1.0))] + 1.0
+        _, _, returned = feedback(later_by, period, *point)
+        values = np.linalg.eigvals(returned)
+        near = values[np.argmin(np.abs(values - 1.0))] - 1.0
         return [near.real, near.imag]
 
     found = root(residual, [start.angle, guess], tol=1e-12)
@@ -287,6 +282,28 @@ def _marginal(
     if accurate and delay >= 0.0 and 0.0 < angle <= math.pi * (1.0 + 1e-12):
         return delay, angle
     return None
+
+
+def feedback(
+    later_by: Callable[[float], Matrices], period: float, angle: float, delay: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What comes back of commands of one frequency under a delay: marginal where 1 of them is.
+
+    z^-k C (z I - A)^-1 N of k whole periods, with A = M - N C and N of the part that is left, which
+    changes the loop by more than its phase.
+
+    angle: w T [rad]
+    delay: [periods]
+
+    Returns the places of the states, these in response to each command, shape (n, m), and what
+    comes back, shape (m, m).
+    """
+    whole = math.floor(delay)
+    matrices = later_by((delay - whole) * period)
+    M, N, C = reduced(matrices)
+    opened = np.exp(1j * angle) * np.eye(len(M)) - (M - N @ C)
+    moved = np.linalg.solve(opened, N.astype(complex))
+    return joined(matrices), moved, np.exp(-1j * angle * whole) * (C @ moved)
 
 
 def _early(
