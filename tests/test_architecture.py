@@ -23,8 +23,8 @@ PACKAGE = ROOT / "jaxact"
 # Folders are layers, from low to high; a module imports only from its own layer and lower ones.
 LAYERS = (
     "errors", "status", "files", "units", "parameters", "matrix_exponential", "compilation",
-    "drive", "robots", "plants", "analysis", "loops", "simulation", "robot_margins", "sweeping",
-    "tuning", "identification", "plotting", "verbs", "cli", "__main__",
+    "drive", "robots", "gains", "plants", "analysis", "loops", "simulation", "robot_margins",
+    "sweeping", "tuning", "identification", "environments", "plotting", "verbs", "cli", "__main__",
 )  # fmt: skip
 MOST_AT_ROOT = 10
 # Theory and simulation are written independently, so that each can catch the other's mistakes.

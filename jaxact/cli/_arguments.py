@@ -99,6 +99,17 @@ Damping = Annotated[
     ),
 ]
 
+Gains = Annotated[
+    str | None,
+    option(
+        "FILE",
+        "Robots only: file of gains instead of the model's: jaxact's TOML, MJCF, a deployment's"
+        " YAML, a configuration of legged_gym, Isaac Lab or mjlab (.py, env.yaml); joints are"
+        " matched by name. FILE.py:NAME where it has several.",
+        "the model's own",
+    ),
+]
+
 
 @dataclass(frozen=True)
 class Mounting:
@@ -113,6 +124,7 @@ class Mounting:
     ] = None
     base: Base = None
     damping: Damping = None
+    gains: Gains = None
     friction: Annotated[
         str | None,
         option(
@@ -135,7 +147,8 @@ class Mounting:
             UserError: a value that is not known.
         """
         chosen = {name: getattr(self, name) for name in ("posture", *_CHOICES)}
-        return mounted(**chosen) | ({"joints": list(self.joints)} if self.joints else {})
+        more = {"joints": list(self.joints)} if self.joints else {}
+        return mounted(**chosen) | more | ({} if self.gains is None else {"gains": self.gains})
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ def posture(plant: Plant | None) -> None:
     """Warn of a robot whose joints are too weak for its posture, or that creeps; else nothing."""
     if plant is None:
         return
+    gains(plant)
     overload(plant)
     from jaxact.loops import robots
     from jaxact.verbs.robot_tables import RESIDUAL
@@ -31,6 +32,17 @@ def posture(plant: Plant | None) -> None:
             "small growth rates, and verdicts that follow from their sign, are those of its "
             "creeping"
         )
+
+
+def gains(plant: Plant | None) -> None:
+    """Warn of what a file of gains has no counterpart of, and has that is not taken."""
+    if plant is None or plant.gains is None:
+        return
+    from jaxact.loops import robots
+
+    for found in robots.scene(plant).robot.findings:
+        if found.where == "gains" and ";" in found.advice:  # more than what was asked for
+            warn(f"{plant.gains}: {found.advice}")
 
 
 def older(result: str) -> None:

@@ -19,6 +19,7 @@ def main(
     joints: _arguments.Joints = (".*",),
     base: _arguments.Base = None,
     damping: _arguments.Damping = None,
+    gains: _arguments.Gains = None,
     control_rate: Annotated[
         float,
         _arguments.option("HZ", "Of the controllers, at which the gains have to bear delay [Hz]."),
@@ -63,7 +64,14 @@ def main(
     from jaxact.verbs.check import check
 
     found = check(
-        robot(model, keyframe=keyframe, joints=joints, control_rate=control_rate, **mounted)  # type: ignore[arg-type]
+        robot(
+            model,
+            keyframe=keyframe,
+            joints=joints,
+            control_rate=control_rate,
+            gains=gains,
+            **mounted,
+        )  # type: ignore[arg-type]
     )
     print(_options.typed(found.to_json() if json else repr(found), "margins"))
     if found.refused:

@@ -142,6 +142,7 @@ def _of_robot(robot: Robot, given: dict[str, Any], velocity: str, *, json: bool)
         found = margins(loop, engine=engine)
         phase("looking for what dry friction holds")
         _ = found.stiction  # printed too
+    _warnings.gains(loop.kind.plant)
     _warnings.overload(loop.kind.plant)
     print(found.to_json() if json else _options.typed(repr(found), "margins"))
     if robot.out is not None:

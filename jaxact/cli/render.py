@@ -126,6 +126,7 @@ def main(
             )
         loop = loop_of(asked)
         options = {"engine": asked.engine, "precision": asked.precision, "seed": asked.seed}
+    _warnings.gains(loop.kind.plant)
     made = render.render(loop, out, **vars(film), **options)
     for line in made.outcomes:
         print(line)
@@ -137,7 +138,8 @@ def main(
 def _refuse(robot: Robot, given: dict[str, Any]) -> None:
     """Raise UserError for options of a simulation where none is made."""
     placed = robot.keyframe if robot.base is None else None
-    others = (robot.spec, robot.push, robot.engine, robot.damping, robot.friction, placed)
+    others = (robot.spec, robot.push, robot.engine, robot.damping, robot.friction,
+              robot.gains, placed)  # fmt: skip
     if given or robot.set or any(one is not None for one in others):
         first = _arguments.typed(next(iter(given))) if given else "the others"
         raise UserError(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import os
 import shlex
 import sys
 import time
@@ -12,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from jaxact.cli import _cache, _loops, _progress, _signals, _warnings, _xla
-from jaxact.cli._arguments import DriveFile, NoCache, option
+from jaxact.cli._arguments import DriveFile, Gains, NoCache, option
 from jaxact.cli._signals import Terminated
 from jaxact.plants.engines import AUTO
 
@@ -75,6 +77,7 @@ def main(
         option("KEY=VALUE", "Change the specification for this run; see below."),
     ] = (),
     drive: DriveFile = None,
+    gains: Gains = None,
     dry_run: Annotated[bool, arg(help="Only say what the sweep would take.")] = False,
     no_cache: NoCache = False,
     quiet: Annotated[bool, arg(help="Show no progress and no summary.")] = False,
@@ -102,6 +105,8 @@ def main(
     """
     from jaxact.loops import drives, reading
 
+    if gains is not None:  # a path from here, where the specification's own are from its folder
+        set = (*set, f"plant.gains={json.dumps(os.path.abspath(gains))}")  # noqa: A001
     asked = reading.load(specification, set, drive)
     known = drive or drives.named_by(specification)
     _loops.identified(known, asked.parameters, robot=asked.robot)

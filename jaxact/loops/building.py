@@ -83,6 +83,7 @@ def robot(
     damping: Literal["joint", "drive"] = "joint",
     friction: Literal["moving", "stuck"] = "moving",
     posture: Literal["settled", "keyframe"] = "settled",
+    gains: str | os.PathLike[str] | None = None,
     payload_body: str | None = None,
     actuator: str | Sequence[str] | None = None,
     velocity: Velocity = "sampled",
@@ -106,6 +107,9 @@ def robot(
         damping: the joints' own, left in the "joint", or moved into the "drive" as part of kd.
         friction: dry friction of the linearised robot, see `jaxact.loops.specification.Plant`.
         posture: brought to rest first ("settled"), or as the "keyframe" has it.
+        gains: file of gains instead of the model's: jaxact's own TOML, MJCF, a deployment's YAML, a
+            configuration of legged_gym, Isaac Lab or mjlab, see docs/gains.md. Joints are matched
+            by name; what does not match is said by `jaxact.check`.
         payload_body: that carries the payload, None for the heaviest.
         actuator: preset of all joints that sets wn and zeta.
         velocity: that the controllers see.
@@ -132,6 +136,7 @@ def robot(
         plant = Plant(
             model=path, keyframe=keyframe, posture=posture, joints=patterns,
             payload_body=payload_body, base=base, damping=damping, friction=friction,
+            gains=None if gains is None else os.fspath(gains),
         )  # fmt: skip
     except ValidationError as error:
         raise UserError(explained(error)) from None

@@ -303,10 +303,21 @@ def _plant(table: Any, folder: Path) -> Plant:
     changed: dict[str, Any] = {}
     if isinstance(table, dict) and "model" in table:
         changed["model"] = _file(table["model"], folder, "plant.model", "an MJCF or URDF file")
+    if isinstance(table, dict) and "gains" in table:
+        changed["gains"] = _gains(table["gains"], folder)
     if isinstance(table, dict) and "joints" in table:
         changed["joints"] = _patterns(table["joints"])
     plant: Plant = _filled(Plant, "plant", table, **changed)
     return plant
+
+
+def _gains(given: Any, folder: Path) -> str:
+    """A file of gains, perhaps with the name of one of its configurations behind a colon."""
+    if isinstance(given, str) and not (folder / given).is_file():
+        before, colon, name = given.rpartition(":")
+        if colon and name.isidentifier():
+            return f"{_file(before, folder, 'plant.gains', 'a file of gains')}:{name}"
+    return str(_file(given, folder, "plant.gains", "a file of gains"))
 
 
 def _patterns(given: Any) -> tuple[str, ...]:

@@ -87,7 +87,7 @@ def scene(plant: Plant) -> Scene:
         UserError: the file, the keyframe, a pattern or a body is wrong, or the robot does not come
             to rest.
     """
-    robot = files.once_read(plant, lambda: _read(plant))
+    robot = files.once_read(plant, lambda: read(plant))
     _model.demand(robot, "mujoco")
     key = (robot.digest, plant)
     if key not in _POSTURES:
@@ -97,8 +97,13 @@ def scene(plant: Plant) -> Scene:
     return Scene(robot, _POSTURES[key], body(robot, plant.payload_body, "plant.payload_body"))
 
 
-def _read(plant: Plant) -> Robot:
-    return _model.read(
+def read(plant: Plant) -> Robot:
+    """The robot of a specification, with the gains of its file where it names one.
+
+    Raises:
+        UserError: the model, the keyframe, a pattern or the file of gains is wrong.
+    """
+    robot = _model.read(
         plant.model,
         keyframe=plant.keyframe,
         joints=plant.joints,
@@ -106,6 +111,11 @@ def _read(plant: Plant) -> Robot:
         damping=plant.damping,
         settle=plant.posture == "settled",
     )
+    if plant.gains is None:
+        return robot
+    from jaxact.gains import applying  # with YAML's reader, which few need
+
+    return applying.applied(robot, plant.gains)
 
 
 def linearised(scene: Scene, plant: Plant | None) -> Scene:

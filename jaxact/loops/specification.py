@@ -67,6 +67,8 @@ class Plant:
             of kd.
         friction: dry friction of the linearised robot: "moving", none, as for joints that slide, or
             "stuck", as MuJoCo linearises it at rest, as very strong damping.
+        gains: file of gains that the joints have instead of the model's, see
+            `jaxact.gains.reading`.
     """
 
     model: Path
@@ -77,6 +79,7 @@ class Plant:
     base: Literal["free", "fixed", "held"] = "free"
     damping: Literal["joint", "drive"] = "joint"
     friction: Literal["moving", "stuck"] = "moving"
+    gains: Annotated[str, Field(max_length=4000)] | None = None
 
 
 @dataclass(frozen=True, config=_STRICT)

@@ -132,7 +132,8 @@ def identity(
         if name not in ("devices", "tile", "model", "engine")
     }
     if "plant" in document:
-        document["plant"] = {k: v for k, v in document["plant"].items() if k != "model"}
+        places = ("model", "gains")  # what is in them is in the digest
+        document["plant"] = {k: v for k, v in document["plant"].items() if k not in places}
     found = {
         "specification": document,
         "engine": planned.engine,

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from jaxact.errors import UserError
-from jaxact.loops import conversion
+from jaxact.loops import conversion, robots
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.parameters import (
     CONTROL_RATE,
@@ -25,7 +25,6 @@ from jaxact.plants import warp
 from jaxact.plants.mjx import refusals as mjx_refusals
 from jaxact.robots import inertia as _inertia
 from jaxact.robots.findings import ENGINES, WARP, Finding, refused
-from jaxact.robots.model import read
 from jaxact.robots.robot import Robot
 from jaxact.verbs import check_gains, check_tables
 
@@ -140,8 +139,7 @@ def check(loop: ControlLoop) -> RobotCheck:
     plant = loop.kind.plant
     if plant is None:
         raise UserError("only a robot is checked; make one with jaxact.robot(model, ...)")
-    robot = read(plant.model, keyframe=plant.keyframe, joints=plant.joints, base=plant.base,
-                 damping=plant.damping, settle=plant.posture == "settled")  # fmt: skip
+    robot = robots.read(plant)
     known = check_gains.found(plant, robot, conversion.one(loop)[CONTROL_RATE])
     more = (*mjx_refusals.find(robot.model), *_of_warp(robot))
     return RobotCheck(loop, replace(robot, findings=(*robot.findings, *more)), known)

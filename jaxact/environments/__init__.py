@@ -1,0 +1,1 @@
+"""Drives and gains for other people's simulators and controllers."""

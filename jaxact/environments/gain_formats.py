@@ -1,0 +1,186 @@
+"""Writing joints' gains in the formats of other people's files.
+
+Every number is written with all its digits, so that it is read back as it is. What a format has no
+place for stands in a comment, and in `lost`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+from jaxact.loops import toml as _toml
+from jaxact.parameters import FORCE_LIMIT, KD, KP
+
+
+@dataclass(frozen=True)
+class JointGains:
+    """The gains of joints, in their order.
+
+    Attributes:
+        names: of the joints.
+        kp, kd: [N m/rad, N m s/rad; of slides N/m, N s/m], as many.
+        force_limit: [N m or N], inf where there is none, as many.
+        position: that the joints rest at [rad or m], as many; () where it is not known.
+        period: of the setpoints [s]; nan where it is not known.
+    """
+
+    names: tuple[str, ...]
+    kp: tuple[float, ...]
+    kd: tuple[float, ...]
+    force_limit: tuple[float, ...]
+    position: tuple[float, ...] = ()
+    period: float = math.nan
+
+    @property
+    def limited(self) -> bool:
+        """Whether a joint has a force limit."""
+        return any(math.isfinite(one) for one in self.force_limit)
+
+
+def text(joints: JointGains, kind: str, source: str) -> str:
+    """The content of a file.
+
+    Args:
+        joints: what is written.
+        kind: of `FORMATS`.
+        source: where the gains come from, for the comment at the top.
+    """
+    comments = [f"Gains of {len(joints.names)} joints, from {source}, written by jaxact", *_units()]
+    return FORMATS[kind](joints, [*comments, *lost(joints, kind)])
+
+
+def lost(joints: JointGains, kind: str) -> list[str]:
+    """What the format has no place for, or what is not known that it asks for; sentences."""
+    said = []
+    if joints.limited and kind in ("deploy-yaml", "rl-gym", "legged-gym"):
+        limits = ", ".join(f"{one:g}" for one in joints.force_limit)
+        said.append(f"Left out, this format has no place for them: force limits {limits}")
+    if kind in ("deploy-yaml", "rl-gym") and not joints.position:
+        said.append("The positions at rest are not known without the model")
+    if kind in ("deploy-yaml", "rl-gym") and math.isnan(joints.period):
+        said.append("The period of the policy is not known here: set it")
+    return said
+
+
+def _units() -> list[str]:
+    return ["kp in N m/rad, kd in N m s/rad; of slides N/m, N s/m"]
+
+
+def _own(joints: JointGains, comments: Sequence[str]) -> str:
+    tables: dict[str, Any] = {
+        KP: dict(zip(joints.names, joints.kp, strict=True)),
+        KD: dict(zip(joints.names, joints.kd, strict=True)),
+    }
+    limits = {name: limit for name, _, _, limit in _rows(joints) if math.isfinite(limit)}
+    return _head(comments) + _toml.dumps(tables | ({FORCE_LIMIT: limits} if limits else {}))
+
+
+def _mjcf(joints: JointGains, comments: Sequence[str]) -> str:
+    elements = []
+    for name, kp, kd, limit in _rows(joints):
+        written = {"name": name, "joint": name, "kp": repr(kp), "kv": repr(kd)}
+        written["forcelimited"] = "true" if math.isfinite(limit) else "false"
+        if math.isfinite(limit):
+            written["forcerange"] = f"{-limit!r} {limit!r}"
+        inside = " ".join(f"{key}={quoteattr(value)}" for key, value in written.items())
+        elements.append(f"    <position {inside}/>\n")
+    notes = "".join(f"  <!-- {one.replace('--', '- -')} -->\n" for one in comments)
+    return f"<mujoco>\n{notes}  <actuator>\n{''.join(elements)}  </actuator>\n</mujoco>\n"
+
+
+def _deploy(joints: JointGains, comments: Sequence[str]) -> str:
+    return _yaml(comments, {
+        "joint_names": list(joints.names),
+        "joint_ids_map": list(range(len(joints.names))),
+        **({} if math.isnan(joints.period) else {"step_dt": joints.period}),
+        "stiffness": list(joints.kp),
+        "damping": list(joints.kd),
+        **({"default_joint_pos": list(joints.position)} if joints.position else {}),
+    })  # fmt: skip
+
+
+def _rl_gym(joints: JointGains, comments: Sequence[str]) -> str:
+    return _yaml(comments, {
+        **({} if math.isnan(joints.period) else {"control_dt": joints.period}),
+        "joint_names": list(joints.names),
+        "kps": list(joints.kp),
+        "kds": list(joints.kd),
+        **({"default_angles": list(joints.position)} if joints.position else {}),
+    })  # fmt: skip
+
+
+def _yaml(comments: Sequence[str], document: dict[str, Any]) -> str:
+    import yaml
+
+    body = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100)
+    return _head(comments) + str(body)
+
+
+def _legged_gym(joints: JointGains, comments: Sequence[str]) -> str:
+    # a joint takes the last key that is part of its name: longer names come later
+    order = sorted(range(len(joints.names)), key=lambda i: len(joints.names[i]))
+    kp = {joints.names[i]: joints.kp[i] for i in order}
+    kd = {joints.names[i]: joints.kd[i] for i in order}
+    return (
+        f"{_head(comments)}class control:\n"
+        f"    stiffness = {_table(kp, 8)}\n    damping = {_table(kd, 8)}\n"
+    )
+
+
+def _isaac_lab(joints: JointGains, comments: Sequence[str]) -> str:
+    patterns = [re.escape(name) for name in joints.names]
+    fields = [
+        ("stiffness", dict(zip(patterns, joints.kp, strict=True))),
+        ("damping", dict(zip(patterns, joints.kd, strict=True))),
+    ]
+    limits = [one if math.isfinite(one) else 1e9 for one in joints.force_limit]
+    if joints.limited:
+        fields.append(("effort_limit", dict(zip(patterns, limits, strict=True))))
+    rows = "".join(f"        {name}={_table(table, 12)},\n" for name, table in fields)
+    return (
+        f"{_head(comments)}from isaaclab.actuators import IdealPDActuatorCfg\n\n"
+        'ACTUATORS = {\n    "joints": IdealPDActuatorCfg(\n'
+        f"        joint_names_expr={patterns!r},\n{rows}    ),\n}}\n"
+    )
+
+
+def _mjlab(joints: JointGains, comments: Sequence[str]) -> str:
+    groups: dict[tuple[float, float, float], list[str]] = {}
+    for name, *numbers in _rows(joints):
+        groups.setdefault((numbers[0], numbers[1], numbers[2]), []).append(re.escape(name))
+    rows = []
+    for (kp, kd, limit), names in groups.items():
+        effort = f"        effort_limit={limit!r},\n" if math.isfinite(limit) else ""
+        rows.append(
+            f"    IdealPdActuatorCfg(\n        target_names_expr={tuple(names)!r},\n"
+            f"        stiffness={kp!r},\n        damping={kd!r},\n{effort}    ),\n"
+        )
+    return (
+        f"{_head(comments)}from mjlab.actuator import IdealPdActuatorCfg\n\n"
+        f"ACTUATORS = (\n{''.join(rows)})\n"
+    )
+
+
+def _rows(joints: JointGains) -> Iterator[tuple[str, float, float, float]]:
+    """Name, kp, kd and force limit of each joint."""
+    return zip(joints.names, joints.kp, joints.kd, joints.force_limit, strict=True)
+
+
+def _table(table: dict[str, float], indent: int) -> str:
+    rows = "".join(f"{' ' * indent}{name!r}: {value!r},\n" for name, value in table.items())
+    return f"{{\n{rows}{' ' * (indent - 4)}}}"
+
+
+def _head(comments: Sequence[str]) -> str:
+    return "".join(f"# {' '.join(one.split())}\n" for one in comments) + "\n"
+
+
+FORMATS: dict[str, Callable[[JointGains, Sequence[str]], str]] = {
+    "toml": _own, "mjcf": _mjcf, "deploy-yaml": _deploy, "rl-gym": _rl_gym,
+    "legged-gym": _legged_gym, "isaaclab": _isaac_lab, "mjlab": _mjlab,
+}  # fmt: skip

@@ -1,0 +1,1 @@
+"""Gains in other people's files: read, matched to joints by name, written."""

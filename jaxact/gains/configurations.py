@@ -1,0 +1,95 @@
+"""Gains in configurations of simulators: legged_gym's, Isaac Lab's, mjlab's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxact.errors import UserError, shown
+from jaxact.gains.deployment import number
+from jaxact.gains.table import Entry, GainFile
+from jaxact.parameters import FORCE_LIMIT, KD, KP
+
+# What a group of joints calls its patterns: whose configuration it is.
+PATTERNS = {"joint_names_expr": "isaaclab", "target_names_expr": "mjlab"}
+# Names of the drive's parameters; of several for one the first that is given counts.
+_FIELDS = {
+    KP: ("stiffness",),
+    KD: ("damping",),
+    FORCE_LIMIT: ("actuator_effort_limit", "effort_limit", "effort_limit_sim",
+                  "joint_effort_limit"),
+}  # fmt: skip
+# What is not a parameter of the drive, or is the model's own.
+_NOT_TAKEN = (
+    "armature", "friction", "frictionloss", "viscous_damping", "velocity_limit",
+    "velocity_limit_sim", "saturation_effort", "min_delay", "max_delay", "delay_min_lag",
+    "delay_max_lag",
+)  # fmt: skip
+
+
+def legged_gym(path: Path, document: Mapping[str, Any]) -> GainFile | None:
+    """Of `control: stiffness, damping`, parts of names -> number; None where there is none.
+
+    As legged_gym reads it, a joint gets the numbers of the last key that is part of its name.
+    """
+    control = document.get("control", document)
+    if not isinstance(control, Mapping):
+        return None
+    tables = [control.get("stiffness"), control.get("damping")]
+    if not all(isinstance(one, Mapping) and one for one in tables):
+        return None
+    stiffness, damping = tables
+    if set(stiffness) != set(damping):  # type: ignore[arg-type]
+        odd = next(iter(set(stiffness) ^ set(damping)))  # type: ignore[arg-type]
+        raise UserError(f"{path}: {shown(odd)} is in one of stiffness and damping only")
+    entries = [
+        Entry(parameter, str(key), number(path, f"{name}[{key!r}]", value))
+        for parameter, name, table in ((KP, "stiffness", stiffness), (KD, "damping", damping))
+        for key, value in table.items()  # type: ignore[union-attr]
+    ]
+    return GainFile(path, "legged-gym", tuple(entries), "part")
+
+
+def groups(path: Path, found: Sequence[tuple[str, Mapping[str, Any]]]) -> GainFile:
+    """Of groups of actuators, each with patterns of joints.
+
+    Args:
+        path: of the file.
+        found: name and fields of each group.
+
+    Raises:
+        UserError: a field is not what it should be.
+    """
+    kinds = {PATTERNS[key] for _, fields in found for key in PATTERNS if key in fields}
+    entries = tuple(entry for name, fields in found for entry in _entries(path, name, fields))
+    left = dict.fromkeys(
+        key for key in _NOT_TAKEN for _, fields in found if fields.get(key) not in (None, {}, 0)
+    )
+    notes = (f"not taken from it: {', '.join(left)}",) if left else ()
+    return GainFile(
+        path, "mjlab" if kinds == {"mjlab"} else "isaaclab", entries, "pattern", notes,
+        later_wins=False,
+    )  # fmt: skip
+
+
+def _entries(path: Path, group: str, fields: Mapping[str, Any]) -> Iterator[Entry]:
+    key = next(key for key in PATTERNS if key in fields)
+    within = fields[key]
+    within = [within] if isinstance(within, str) else within
+    if not isinstance(within, list | tuple) or not all(isinstance(one, str) for one in within):
+        raise UserError(f"{path}: {group}: {key} = {shown(within)}; give a list of patterns")
+    for parameter, names in _FIELDS.items():
+        given = [name for name in names if fields.get(name) is not None]
+        if not given:
+            if parameter == FORCE_LIMIT:
+                continue
+            raise UserError(f"{path}: {group}: has no {names[0]}, so its gains are not known")
+        value = fields[given[0]]
+        if isinstance(value, Mapping):
+            rows = list(value.items())
+        else:
+            rows = [(one, value) for one in within]
+        for pattern, one in rows:
+            read = number(path, f"{group}: {given[0]}", one)
+            yield Entry(parameter, str(pattern), read, tuple(within))

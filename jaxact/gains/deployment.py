@@ -1,0 +1,182 @@
+"""Gains in the YAML files that policies are deployed with: lists in the order of the joints.
+
+Formats: unitree_rl_lab's `deploy.yaml` (gains in the order of the motors; entry k of
+`joint_ids_map` is the motor of the policy's joint k), unitree_rl_gym's `deploy/*/configs/*.yaml`,
+rl_sar's `base.yaml` and `config.yaml` (all lists in the order of `joint_names`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxact.errors import UserError, shown
+from jaxact.gains.table import Entry, GainFile
+from jaxact.parameters import FORCE_LIMIT, KD, KP
+
+_ASSUMED = "it names no joints: its gains are taken to be in the order of the model's driven joints"
+
+_MOST_MOTORS = 10_000
+
+
+def unitree(path: Path, document: Mapping[str, Any]) -> GainFile | None:
+    """Of a `deploy.yaml`; None where it is not one."""
+    if not all(isinstance(document.get(key), list) for key in ("stiffness", "damping")):
+        return None
+    kp, kd = (numbers(path, key, document[key]) for key in ("stiffness", "damping"))
+    _same_length(path, {"stiffness": kp, "damping": kd})
+    notes = _unused(document, ("default_joint_pos", "step_dt"))
+    ids = document.get("joint_ids_map")
+    names = document.get("joint_names")
+    if isinstance(ids, list) and ids and all(isinstance(one, str) for one in ids):
+        ids, names = None, ids  # some write the names themselves there
+    motors = _motors(path, ids, len(kp))
+    if names is None:
+        order = sorted(motors)
+        rows = [(place, kp[motor], kd[motor]) for place, motor in enumerate(order)]
+        return _file(path, "deploy-yaml", rows, "place", (_ASSUMED, *notes))
+    listed = _names(path, names)
+    _same_length(path, {"joint_names": listed, "joint_ids_map": motors})
+    named = [(name, kp[m], kd[m]) for name, m in zip(listed, motors, strict=True)]
+    return _file(path, "deploy-yaml", named, "name", notes)
+
+
+def rl_gym(path: Path, document: Mapping[str, Any]) -> GainFile | None:
+    """Of a file with `kps` and `kds`; None where it is not one."""
+    if not {"kps", "kds"} <= set(document):
+        return None
+    kp, kd = (numbers(path, key, document[key]) for key in ("kps", "kds"))
+    _same_length(path, {"kps": kp, "kds": kd})
+    notes = _unused(document, ("default_angles", "simulation_dt", "control_dt"))
+    if "joint_names" in document:
+        listed = _names(path, document["joint_names"])
+        _same_length(path, {"kps": kp, "joint_names": listed})
+        return _file(path, "rl-gym", list(zip(listed, kp, kd, strict=True)), "name", notes)
+    ids = document.get("leg_joint2motor_idx", document.get("joint2motor_idx"))
+    if not isinstance(ids, list) or len(ids) != len(kp):
+        rows = list(zip(range(len(kp)), kp, kd, strict=True))
+        return _file(path, "rl-gym", rows, "place", (_ASSUMED, *notes))
+    motors = _motors(path, ids, None)
+    more = (
+        document.get("arm_waist_joint2motor_idx"),
+        *(document.get(f"arm_waist_{key}") for key in ("kps", "kds")),
+    )
+    if all(isinstance(one, list) for one in more):
+        waist, extra_kp, extra_kd = more
+        added = _motors(path, waist, None)
+        own = [
+            numbers(path, f"arm_waist_{k}", v) for k, v in (("kps", extra_kp), ("kds", extra_kd))
+        ]
+        _same_length(path, {"arm_waist_joint2motor_idx": added, "arm_waist_kps": own[0],
+                            "arm_waist_kds": own[1]})  # fmt: skip
+        motors, kp, kd = motors + added, kp + own[0], kd + own[1]
+    said = "motor i is taken to be the model's driven joint i, from 0"
+    return _file(path, "rl-gym", list(zip(motors, kp, kd, strict=True)), "motor", (said, *notes))
+
+
+def rl_sar(path: Path, document: Mapping[str, Any]) -> GainFile | None:
+    """Of a file with `rl_kp` and `rl_kd`, or with `fixed_...`; None where it is not one."""
+    nested = [value for value in document.values() if isinstance(value, Mapping)]
+    for table in (document, *nested):
+        for kind in ("rl", "fixed"):
+            if {f"{kind}_kp", f"{kind}_kd"} <= set(table):
+                return _rl_sar(path, table, kind)
+    return None
+
+
+def _rl_sar(path: Path, table: Mapping[str, Any], kind: str) -> GainFile:
+    lists = {f"{kind}_kp": KP, f"{kind}_kd": KD, "torque_limits": FORCE_LIMIT}
+    given = {key: numbers(path, key, table[key]) for key in lists if key in table}
+    if "joint_names" not in table:
+        _same_length(path, given)
+        rows = list(zip(range(len(given[f"{kind}_kp"])), *list(given.values())[:2], strict=True))
+        return _file(path, "rl-sar", rows, "place", (_ASSUMED,))
+    listed = _names(path, table["joint_names"])
+    _same_length(path, {"joint_names": listed, **given})
+    entries = tuple(
+        Entry(lists[key], name, value)
+        for key, values in given.items()
+        for name, value in zip(listed, values, strict=True)
+    )
+    notes = _unused(table, ("default_dof_pos", "dt", "decimation"))
+    if kind == "fixed":
+        notes = ("its gains are those that it stands up with; it has no rl_kp", *notes)
+    return GainFile(path, "rl-sar", entries, "name", notes)
+
+
+def numbers(path: Path, key: str, value: Any) -> list[float]:
+    """A list of numbers.
+
+    Raises:
+        UserError: it is something else.
+    """
+    if isinstance(value, list) and value:
+        try:
+            return [number(path, key, one) for one in value]
+        except RecursionError:  # an alias of YAML that contains itself
+            pass
+    raise UserError(f"{path}: {key} = {shown(value)}; give a list of numbers, one a joint")
+
+
+def number(path: Path, key: str, value: Any) -> float:
+    """A number.
+
+    Raises:
+        UserError: it is something else.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise UserError(f"{path}: {key} = {shown(value)}; give a number")
+    return float(value)
+
+
+def _file(
+    path: Path, kind: str, rows: Sequence[tuple[Any, float, float]], keys: Any,
+    notes: Sequence[str],
+) -> GainFile:  # fmt: skip
+    entries = [Entry(KP, key, kp) for key, kp, _ in rows] + [Entry(KD, k, d) for k, _, d in rows]
+    return GainFile(path, kind, tuple(entries), keys, tuple(notes))
+
+
+def _names(path: Path, value: Any) -> list[str]:
+    if not isinstance(value, list) or not all(isinstance(one, str) and one for one in value):
+        raise UserError(f"{path}: joint_names = {shown(value)}; give a list of names")
+    if len(set(value)) < len(value):
+        twice = next(one for one in value if value.count(one) > 1)
+        raise UserError(f"{path}: joint_names has {shown(twice)} twice")
+    return list(value)
+
+
+def _motors(path: Path, ids: Any, count: int | None) -> list[int]:
+    """Numbers of the policy's joints' motors; in order where the file does not say."""
+    if ids is None and count is not None:
+        return list(range(count))
+    whole = isinstance(ids, list) and all(
+        isinstance(one, int | float) and not isinstance(one, bool) and one in range(_MOST_MOTORS)
+        for one in ids
+    )
+    if not whole or len({int(one) for one in ids}) < len(ids):
+        raise UserError(
+            f"{path}: joint_ids_map = {shown(ids)}; give the number of each joint's motor, from 0,"
+            " each once"
+        )
+    if count is not None and any(one >= count for one in ids):
+        raise UserError(
+            f"{path}: joint_ids_map has motor {int(max(ids))}, and there are gains of {count}"
+        )
+    return [int(one) for one in ids]
+
+
+def _same_length(path: Path, lists: Mapping[str, Sequence[Any]]) -> None:
+    first, *others = lists.items()
+    for name, values in others:
+        if len(values) != len(first[1]):
+            raise UserError(
+                f"{path}: {first[0]} has {len(first[1])} entries and {name} has {len(values)};"
+                " give one of each for every joint"
+            )
+
+
+def _unused(document: Mapping[str, Any], keys: Sequence[str]) -> tuple[str, ...]:
+    found = [key for key in keys if key in document]
+    return (f"not taken from it: {', '.join(found)}",) if found else ()

@@ -1,0 +1,110 @@
+"""Gains in jaxact's own TOML, and in MJCF."""
+
+from __future__ import annotations
+
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from jaxact.errors import UserError, shown
+from jaxact.gains.deployment import number
+from jaxact.gains.table import READ, Entry, GainFile
+from jaxact.parameters import FORCE_LIMIT, KD, KP
+
+
+def toml(path: Path, text: str) -> GainFile:
+    """Tables `[kp]` and `[kd]`, and perhaps `[force_limit]`: joint, or pattern, = number.
+
+    Raises:
+        UserError: it is not TOML, or has no such tables.
+    """
+    try:
+        document = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise UserError(f"{path}: is not TOML: {error}") from None
+    tables = {name: document[name] for name in READ if isinstance(document.get(name), Mapping)}
+    if not {KP, KD} <= set(tables):
+        if isinstance(document.get("gains"), Mapping):
+            raise UserError(
+                f"{path}: has the gains of a single joint; give them with --kp and --kd"
+            )
+        raise UserError(f"{path}: has no tables [kp] and [kd] of joint = number")
+    entries = tuple(
+        Entry(name, key, number(path, f"{name}.{key}", value))
+        for name, table in tables.items()
+        for key, value in table.items()
+    )
+    return GainFile(path, "toml", entries, "pattern")
+
+
+def mjcf(path: Path, text: str) -> GainFile:
+    """Position actuators, of a whole model or of an `<actuator>` section alone.
+
+    Raises:
+        UserError: it is not MJCF, or has no position actuators with gains.
+    """
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise UserError(f"{path}: is not XML: {error}") from None
+    if root.tag not in ("mujoco", "mujocoinclude"):
+        raise UserError(f"{path}: <{shown(root.tag)[1:-1]}> is not MJCF; gains are read from MJCF")
+    whole = root.find("worldbody") is not None or root.find("include") is not None
+    entries = tuple(_of_model(path) if whole else _of_section(path, root))
+    if not any(one.parameter == KP for one in entries):
+        raise UserError(f"{path}: has no position actuators with gains")
+    return GainFile(path, "mjcf", entries, "name")
+
+
+def _of_model(path: Path) -> Iterator[Entry]:
+    """Gains at the joints, as MuJoCo compiles them, classes and gears and all."""
+    import math
+
+    from jaxact.robots import model
+
+    for joint in model.read(path).joints:
+        if math.isnan(joint.kp) or math.isnan(joint.kd):
+            continue
+        yield Entry(KP, joint.name, joint.kp)
+        yield Entry(KD, joint.name, joint.kd)
+        if math.isfinite(joint.force_high) and joint.force_high == -joint.force_low:
+            yield Entry(FORCE_LIMIT, joint.name, joint.force_high)
+
+
+def _of_section(path: Path, root: ElementTree.Element) -> Iterator[Entry]:
+    """Gains at the joints of elements that say all themselves."""
+    for one in root.iterfind("actuator/position"):
+        name = one.get("joint") or one.get("name")
+        if name is None:
+            raise UserError(f"{path}: a <position> has no joint; name it")
+        where = f"<position joint={name!r}>"
+        gear = _number(path, where, "gear", one.get("gear", "1"))
+        for parameter, key in ((KP, "kp"), (KD, "kv")):
+            value = one.get(key)
+            if value is None:
+                raise UserError(
+                    f"{path}: {where} has no {key}; give the whole model if a class has it"
+                )
+            yield Entry(parameter, name, _number(path, where, key, value) * gear**2)
+        if one.get("forcelimited", "true") == "true" and one.get("forcerange"):
+            low, high = (gear * end for end in _pair(path, where, one.get("forcerange", "")))
+            if high == -low:
+                yield Entry(FORCE_LIMIT, name, high)
+
+
+def _number(path: Path, where: str, key: str, text: str) -> float:
+    """The first of the numbers of an attribute."""
+    try:
+        return float(text.split()[0])
+    except (ValueError, IndexError):
+        raise UserError(f"{path}: {where}: {key} = {shown(text)} is not a number") from None
+
+
+def _pair(path: Path, where: str, text: str) -> tuple[float, float]:
+    parts = text.split()
+    if len(parts) != 2:
+        raise UserError(f"{path}: {where}: forcerange = {shown(text)}; give two numbers")
+    return _number(path, where, "forcerange", parts[0]), _number(
+        path, where, "forcerange", parts[1]
+    )

@@ -1,0 +1,183 @@
+"""What a file says of gains, and which joints it means."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from jaxact.errors import UserError, shown
+from jaxact.parameters import FORCE_LIMIT, KD, KP
+
+Keys = Literal["name", "part", "pattern", "place", "motor"]
+"""What the keys of a file are: names of joints, parts of names (legged_gym: the last that is part
+of a joint's name counts), regular expressions that match a name in full, places among the driven
+joints from 0, which must be as many, or numbers of motors, which are such places of some."""
+
+# The drive's parameters that such files have.
+READ = (KP, KD, FORCE_LIMIT)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A number, and the joints that it is for.
+
+    Attributes:
+        parameter: kp [N m/rad], kd [N m s/rad] or force_limit [N m]; of slides N and m.
+        key: as `Keys` says.
+        value: of the parameter.
+        within: patterns; only joints that one of them matches are meant.
+    """
+
+    parameter: str
+    key: str | int
+    value: float
+    within: tuple[str, ...] = (".*",)
+
+
+@dataclass(frozen=True)
+class GainFile:
+    """What a file says.
+
+    Attributes:
+        path: of the file.
+        format: of `jaxact.gains.reading.FORMATS`.
+        entries: its numbers.
+        keys: what their keys are.
+        notes: what else it says, which gains do not carry, and what had to be assumed.
+        later_wins: where several entries are for one joint, the last counts; else it is a mistake.
+    """
+
+    path: Path
+    format: str
+    entries: tuple[Entry, ...]
+    keys: Keys
+    notes: tuple[str, ...] = ()
+    later_wins: bool = True
+
+    def __post_init__(self) -> None:
+        for one in self.entries:
+            if not math.isfinite(one.value) and one.parameter != FORCE_LIMIT or one.value < 0.0:
+                raise UserError(
+                    f"{self.path}: {one.parameter} of {shown(one.key)} is {one.value:g}; give a"
+                    " number that is not negative"
+                )
+
+
+@dataclass(frozen=True)
+class Matched:
+    """The numbers of a file, joint by joint.
+
+    Attributes:
+        parameters: name of the parameter -> name of the joint -> its value.
+        unmatched: keys of the file that are for none of the joints.
+        without: driven joints that the file gives no gains.
+        notes: of the file, and of how names were matched.
+    """
+
+    parameters: Mapping[str, Mapping[str, float]]
+    unmatched: tuple[str, ...]
+    without: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def matched(file: GainFile, joints: Sequence[tuple[str, str]]) -> Matched:
+    """Which joint gets which numbers.
+
+    Args:
+        file: as it was read.
+        joints: of each driven joint its name and its actuator's, in the order of the actuators.
+
+    Raises:
+        UserError: no joint is meant, the number of gains is not that of the joints where the file
+            has no names, or several entries are for one joint and none of them counts more.
+    """
+    if file.keys == "place":
+        _check_places(file, len(joints))
+    meant = {_id(one): _joints_of(file, one, joints) for one in file.entries}
+    notes = list(file.notes)
+    if file.keys == "name" and not any(meant.values()):
+        meant = {_id(one): _alike(one, joints) for one in file.entries}
+        if any(meant.values()):
+            notes.append("its names have no, or another, ending `_joint` than the model's")
+    found: dict[str, dict[str, float]] = {}
+    by: dict[tuple[str, str], Entry] = {}
+    for one in file.entries:
+        for name in meant[_id(one)]:
+            before = by.get((one.parameter, name))
+            if before is not None and not file.later_wins and before.value != one.value:
+                raise UserError(
+                    f"{file.path}: {shown(before.key)} and {shown(one.key)} both give"
+                    f" {one.parameter} of {name}; make the patterns exclude each other"
+                )
+            by[one.parameter, name] = one
+            found.setdefault(one.parameter, {})[name] = one.value
+    names = [name for name, _ in joints]
+    if not found.get(KP):
+        given = list(dict.fromkeys(str(one.key) for one in file.entries))
+        raise UserError(
+            f"{file.path}: none of its joints ({_few(given)}) is one of the robot's ({_few(names)})"
+        )
+    unmatched = dict.fromkeys(str(one.key) for one in file.entries if not meant[_id(one)])
+    without = [name for name in names if not all(name in found.get(one, {}) for one in (KP, KD))]
+    return Matched(found, tuple(unmatched), tuple(without), tuple(notes))
+
+
+def _id(entry: Entry) -> tuple[object, ...]:
+    return entry.parameter, entry.key, entry.within
+
+
+def _joints_of(file: GainFile, entry: Entry, joints: Sequence[tuple[str, str]]) -> list[str]:
+    """Names of the joints that an entry is for."""
+    if isinstance(entry.key, int):
+        return [joints[entry.key][0]] if entry.key < len(joints) else []
+    if file.keys == "name":
+        exact = [pair[0] for pair in joints if pair[0] == entry.key]
+        return exact or [pair[0] for pair in joints if pair[1] == entry.key]
+    found = []
+    for name, actuator in joints:
+        if file.keys == "part":
+            fits = entry.key in name
+        else:
+            fits = any(
+                _full(file, entry.key, one) and any(_full(file, p, one) for p in entry.within)
+                for one in (name, actuator)
+            )
+        found += [name] if fits else []
+    return found
+
+
+def _full(file: GainFile, pattern: str, name: str) -> bool:
+    try:
+        return pattern == name or re.fullmatch(pattern, name) is not None
+    except re.error as error:
+        raise UserError(
+            f"{file.path}: {shown(pattern)} is not a regular expression: {error}"
+        ) from None
+
+
+def _alike(entry: Entry, joints: Iterable[tuple[str, str]]) -> list[str]:
+    """As `_joints_of`, of names that differ in case, or in whether they end in `_joint`."""
+    key = _plain(str(entry.key))
+    found = [name for name, actuator in joints if key in (_plain(name), _plain(actuator))]
+    return found if len(found) == 1 else []
+
+
+def _plain(name: str) -> str:
+    return name.casefold().removesuffix("_joint")
+
+
+def _check_places(file: GainFile, joints: int) -> None:
+    places = {one.key for one in file.entries}
+    if len(places) != joints:
+        raise UserError(
+            f"{file.path}: has gains for {len(places)} joints without their names, and the robot"
+            f" has {joints} driven joints; choose as many with `joints`"
+        )
+
+
+def _few(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (f", ... {len(names)} in all" if len(names) > 3 else "")
