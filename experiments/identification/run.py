@@ -22,7 +22,7 @@ import numpy as np
 import jaxact as jx
 from jaxact.identification.identify import identify
 from jaxact.identification.ladder import Candidate
-from jaxact.identification.model import effective_lag
+from jaxact.identification.problem import effective_lag
 from jaxact.identification.result import Identified
 from jaxact.plotting import theme
 from jaxact.verbs.identify import identification_sheet

@@ -4,199 +4,38 @@
 
 The delay of a held command makes the sum smooth between control ticks and gives it a kink at each:
 its range is therefore cut at whole periods, each piece is a problem of its own, and those whose
-start is best are solved. Positive unknowns are searched as logarithms.
+start is best are solved: a little first, and the best one to the end.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
-from jaxact.parameters import DELAY
-
-Values = Mapping[str, jax.Array]
+from jaxact.identification.problem import Problem, Unknown, effective_lag
+from jaxact.parameters import DELAY, WN, ZETA
 
 # The most promising pieces are solved; from a solution at a tick the search goes on beyond it.
 _MOST_PIECES = 2
 _MOST_CROSSED = 4
-_TOLERANCE = 1e-8
+# A step that changes the sum by less than this share of one residual's ends the search: what is
+# left is some hundredths of a standard deviation.
+_TOLERANCE = 1e-3
+# Evaluations after which the best piece is known; and of all.
+_FIRST_EVALUATIONS = 4
 _MOST_EVALUATIONS = 40
-# Unknowns that are differentiated together are padded to a multiple of this.
-_LANES = 4
-_LARGEST_EXPONENT = 700.0
+# A model that after some evaluations is not better than a simpler one by this share is left there.
+_WORTH = 5e-3
+_HOPELESS_AFTER = 12
+# A search that gains less than this share in so many evaluations creeps along a flat valley.
+_CREEPING = 1e-3
 # At most so many starts are looked at before the best ones are solved.
 _MOST_STARTS = 256
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """A number that is sought.
-
-    Attributes:
-        name: as it is reported.
-        unit: "1" for none.
-        low, high: bounds, both finite.
-        starts: where the search begins.
-        positive: sought as a logarithm.
-        nuisance: of no interest itself, such as where a log begins.
-        inverse_of: name of the model's number and a factor, where what is reported is the factor
-            over that number: a time constant instead of a frequency.
-    """
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    starts: tuple[float, ...]
-    positive: bool = False
-    nuisance: bool = False
-    inverse_of: tuple[str, float] | None = None
-
-    @property
-    def model_name(self) -> str:
-        """Of the model's number that it is."""
-        return self.inverse_of[0] if self.inverse_of else self.name
-
-    def inner(self, value: float) -> float:
-        """The value as it is searched."""
-        if self.inverse_of:
-            return math.log(self.inverse_of[1] / value)
-        return math.log(value) if self.positive else value
-
-    def value(self, inner: float) -> float:
-        """The value that is searched as `inner`."""
-        if self.inverse_of:
-            return self.inverse_of[1] * math.exp(min(-inner, _LARGEST_EXPONENT))
-        return math.exp(min(inner, _LARGEST_EXPONENT)) if self.positive else float(inner)
-
-
-@dataclass(frozen=True)
-class Problem:
-    """What is fitted to what.
-
-    All numbers of the model are arguments of one compiled function, sought or not, so that it
-    serves every rung of a ladder.
-
-    Attributes:
-        unknowns: sought.
-        numbers: of the model by name, with the values of those that are not sought; positive ones
-            are searched as logarithms.
-        positive: names of the positive ones.
-        simulate: (values by name, inputs of one log) -> the signal, shape (rows,); pure and
-            hashable.
-        inputs: of each log, pytrees of arrays.
-        measured: of each log, shape (rows,).
-        scale: by which residuals are multiplied.
-        period: control period at whose multiples the delay has kinks [s]; None where it has none.
-    """
-
-    unknowns: tuple[Unknown, ...]
-    numbers: Mapping[str, float]
-    positive: frozenset[str]
-    simulate: Callable[[Values, Any], jax.Array]
-    inputs: tuple[Any, ...]
-    measured: tuple[np.ndarray, ...]
-    scale: float
-    period: float | None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the unknowns."""
-        return tuple(unknown.name for unknown in self.unknowns)
-
-    @property
-    def lengths(self) -> tuple[int, ...]:
-        """Rows of each log."""
-        return tuple(len(rows) for rows in self.measured)
-
-    def values(self, point: np.ndarray) -> dict[str, float]:
-        """The unknowns by name at a point of the search."""
-        return {u.name: u.value(x) for u, x in zip(self.unknowns, point.tolist(), strict=True)}
-
-    def model_values(self, point: np.ndarray) -> dict[str, float]:
-        """All numbers of the model at a point of the search."""
-        sought = zip(self.unknowns, self.values(point).values(), strict=True)
-        own = {
-            u.model_name: u.inverse_of[1] / value if u.inverse_of else value for u, value in sought
-        }
-        return {**self.numbers, **own}
-
-    def outer(self, point: np.ndarray) -> np.ndarray:
-        """Residuals at a point of the search, shape (rows,)."""
-        return np.asarray(_outer(self._whole(point), *self._data()))
-
-    def slopes(self, point: np.ndarray) -> np.ndarray:
-        """Derivatives of the residuals there, shape (rows, unknowns)."""
-        places = self._places()
-        # Padded, so that the rungs of a ladder share a program whatever they leave free.
-        lanes = _LANES * -(-len(places) // _LANES)
-        directions = np.zeros((lanes, len(self.numbers)))
-        directions[np.arange(len(places)), places] = 1.0
-        every = _slopes(self._whole(point), jnp.asarray(directions), *self._data())
-        return np.asarray(every)[: len(places)].T
-
-    def _places(self) -> list[int]:
-        names = list(self.numbers)
-        return [names.index(u.model_name) for u in self.unknowns]
-
-    def _whole(self, point: np.ndarray) -> jax.Array:
-        whole = np.array(
-            [math.log(v) if name in self.positive else v for name, v in self.numbers.items()]
-        )
-        whole[self._places()] = point
-        return jnp.asarray(whole)
-
-    def _data(self) -> tuple[Any, ...]:
-        described = tuple((name, name in self.positive) for name in self.numbers)
-        return self.inputs, self.measured, self.scale, self.simulate, described
-
-
-def _residuals(whole, inputs, measured, scale, simulate, described):
-    values = {
-        name: _exponential(whole[at]) if positive else whole[at]
-        for at, (name, positive) in enumerate(described)
-    }
-    rows = [
-        scale * (simulate(_of_log(values, number), own) - given)
-        for number, (own, given) in enumerate(zip(inputs, measured, strict=True))
-    ]
-    return jnp.concatenate(rows)
-
-
-def _exponential(x: jax.Array) -> jax.Array:
-    """exp(x), whose derivative is 0 and not undefined where x is infinite."""
-    infinite = jnp.isinf(x)
-    return jnp.where(infinite, jnp.inf, jnp.exp(jnp.where(infinite, 0.0, x)))
-
-
-def _of_log(values: Values, number: int) -> Values:
-    """The numbers of one log: `name[2]` is the `name` of log 2 alone."""
-    own = {name: value for name, value in values.items() if "[" not in name}
-    mark = f"[{number}]"
-    return own | {
-        name.removesuffix(mark): value for name, value in values.items() if name.endswith(mark)
-    }
-
-
-# Logs are arguments, so that a program serves all logs of its length.
-_outer = jax.jit(_residuals, static_argnums=(4, 5))
-
-
-@partial(jax.jit, static_argnums=(5, 6))
-def _slopes(whole, directions, *data):
-    """Derivatives of the residuals along each direction, shape (directions, rows)."""
-    return jax.vmap(lambda along: jax.jvp(lambda x: _residuals(x, *data), (whole,), (along,))[1])(
-        directions
-    )
 
 
 @dataclass(frozen=True)
@@ -210,6 +49,7 @@ class Fit:
         slopes: derivatives of the residuals there, shape (rows, unknowns).
         at_bounds: unknowns that lie at a bound of their range.
         evaluations: of the residuals, in all.
+        converged: whether the search ended by itself.
     """
 
     problem: Problem
@@ -218,6 +58,7 @@ class Fit:
     slopes: np.ndarray
     at_bounds: tuple[str, ...]
     evaluations: int
+    converged: bool = True
 
     @property
     def values(self) -> dict[str, float]:
@@ -236,6 +77,8 @@ def solve(
     loss: str = "linear",
     fixed: Mapping[str, float] | None = None,
     start: Mapping[str, float] | None = None,
+    near: Fit | None = None,
+    enough: float = 0.0,
 ) -> Fit:
     """The least squares, from the most promising starts.
 
@@ -244,33 +87,56 @@ def solve(
         loss: of `scipy.optimize.least_squares`; "soft_l1" and "huber" bear outliers.
         fixed: unknowns that are held at a value.
         start: unknowns that begin at a value instead of each of their starts.
+        near: a solution of another model of the same logs, whose values are begun from.
+        enough: sum of squares of a simpler model; the search is left early where this one is
+            hardly better.
 
     Returns:
         The best solution found.
     """
     held = {} if fixed is None else dict(fixed)
-    best: Fit | None = None
-    counted = 0
-    seen: set[int | None] = set()
-    waiting = _begin(sought, held, {} if start is None else start)[:_MOST_PIECES]
-    while waiting and len(seen) < _MOST_PIECES + _MOST_CROSSED:
-        piece, point = waiting.pop(0)
-        if piece in seen:
-            continue
-        seen.add(piece)
-        found = _solve_piece(sought, held, point, piece, loss)
-        counted += found.evaluations
-        if best is None or found.square_sum < best.square_sum:
-            best = found
-            waiting = [(beyond, found.point) for beyond in _beyond(sought, found, piece)] + waiting
-    assert best is not None
-    return replace(best, evaluations=counted)
+    begun = _begin(sought, held, {} if start is None else start, near)
+    tried = {
+        piece: _solve_piece(sought, held, point, piece, loss, _FIRST_EVALUATIONS)
+        for piece, point in begun[:_MOST_PIECES]
+    }
+    piece = min(tried, key=lambda one: tried[one].square_sum)
+    best = tried[piece]
+    while True:
+        best = _finished(sought, held, best, piece, loss, enough)
+        beyond = _beyond(sought, best, piece)
+        if beyond is None or beyond in tried or len(tried) >= _MOST_PIECES + _MOST_CROSSED:
+            break
+        tried[beyond] = _solve_piece(sought, held, best.point, beyond, loss, _FIRST_EVALUATIONS)
+        if tried[beyond].square_sum >= best.square_sum:
+            break
+        piece, best = beyond, tried[beyond]
+    return best
+
+
+def _finished(
+    sought: Problem, held: Mapping[str, float], begun: Fit, piece: int | None, loss: str,
+    enough: float,
+) -> Fit:  # fmt: skip
+    """A solution searched to its end, or left where it is hardly better than a simpler model's."""
+    best = begun
+    while not best.converged and best.evaluations < _MOST_EVALUATIONS:
+        hopeless = best.square_sum > (1.0 - _WORTH) * enough > 0.0
+        if hopeless and best.evaluations >= _HOPELESS_AFTER:
+            break
+        before = best.square_sum
+        more = _solve_piece(sought, held, best.point, piece, loss, _HOPELESS_AFTER)
+        best = replace(more, evaluations=best.evaluations + more.evaluations)
+        if best.square_sum > (1.0 - _CREEPING) * before:
+            break
+    return best
 
 
 def _solve_piece(
-    sought: Problem, held: Mapping[str, float], point: np.ndarray, piece: int | None, loss: str
-) -> Fit:
-    """The least squares with the delay between two ticks."""
+    sought: Problem, held: Mapping[str, float], point: np.ndarray, piece: int | None, loss: str,
+    most: int,
+) -> Fit:  # fmt: skip
+    """The least squares with the delay between two ticks, in so many evaluations at most."""
     low, high = _bounds(sought, piece)
     free = [index for index, u in enumerate(sought.unknowns) if u.name not in held]
     base = np.clip(point, low, high)
@@ -278,41 +144,55 @@ def _solve_piece(
         if unknown.name in held:
             base[index] = unknown.inner(held[unknown.name])
     if not free:
-        return at(sought, base, evaluations=1)
+        return at(sought, base, sought.evaluate(base), evaluations=1)
+    known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
-    def full(inner: np.ndarray) -> np.ndarray:
-        whole = base.copy()
-        whole[free] = inner
-        return whole
+    def evaluated(inner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        key = inner.tobytes()
+        if key not in known:
+            if len(known) > 1:
+                known.pop(next(iter(known)))
+            whole = base.copy()
+            whole[free] = inner
+            known[key] = sought.evaluate(whole)
+        return known[key]
 
     margin = 1e-9 * (high - low)
     solved = least_squares(
-        lambda inner: sought.outer(full(inner)),
+        lambda inner: evaluated(inner)[0],
         np.clip(base, low + margin, high - margin)[free],
-        jac=lambda inner: sought.slopes(full(inner))[:, free],
+        jac=lambda inner: evaluated(inner)[1][:, free],
         bounds=(low[free], high[free]),
         x_scale="jac",
         loss=loss,
-        xtol=_TOLERANCE, ftol=_TOLERANCE, gtol=_TOLERANCE,
-        max_nfev=_MOST_EVALUATIONS,
+        ftol=_TOLERANCE / sum(sought.lengths), xtol=1e-8, gtol=1e-8,
+        max_nfev=most,
     )  # fmt: skip
-    return at(sought, full(solved.x), evaluations=int(solved.nfev))
+    base[free] = solved.x
+    found = at(sought, base, evaluated(solved.x), evaluations=int(solved.nfev))
+    return replace(found, converged=bool(solved.status > 0))
 
 
-def _beyond(sought: Problem, found: Fit, piece: int | None) -> list[int]:
+def _beyond(sought: Problem, found: Fit, piece: int | None) -> int | None:
     """The piece beyond the tick at which a solution's delay lies."""
     if piece is None or sought.period is None:
-        return []
+        return None
     delay = found.point[sought.names.index(DELAY)] / sought.period
     last = round(sought.unknowns[sought.names.index(DELAY)].high / sought.period) - 1
     if delay - piece < 1e-3 and piece > 0:
-        return [piece - 1]
+        return piece - 1
     if piece + 1 - delay < 1e-3 and piece < last:
-        return [piece + 1]
-    return []
+        return piece + 1
+    return None
 
 
-def at(sought: Problem, point: np.ndarray, *, evaluations: int = 0) -> Fit:
+def at(
+    sought: Problem,
+    point: np.ndarray,
+    evaluated: tuple[np.ndarray, np.ndarray],
+    *,
+    evaluations: int = 0,
+) -> Fit:
     """A problem's residuals and slopes at a point, as a fit."""
     low, high = _bounds(sought)
     span = high - low
@@ -320,8 +200,8 @@ def at(sought: Problem, point: np.ndarray, *, evaluations: int = 0) -> Fit:
     return Fit(
         problem=sought,
         point=point,
-        residuals=sought.outer(point),
-        slopes=sought.slopes(point),
+        residuals=evaluated[0],
+        slopes=evaluated[1],
         at_bounds=tuple(
             u.name for u, there in zip(sought.unknowns, touched.tolist(), strict=True) if there
         ),
@@ -341,28 +221,57 @@ def _bounds(sought: Problem, piece: int | None = None) -> tuple[np.ndarray, np.n
 
 
 def _begin(
-    sought: Problem, held: Mapping[str, float], start: Mapping[str, float]
+    sought: Problem, held: Mapping[str, float], start: Mapping[str, float], near: Fit | None
 ) -> list[tuple[int | None, np.ndarray]]:
     """(piece, point) of the best start of each piece, the best first."""
     chosen = {**start, **held}
-    each = [
-        (min(max(chosen[u.name], u.low), u.high),) if u.name in chosen else u.starts
+    each = {
+        u.name: (min(max(chosen[u.name], u.low), u.high),) if u.name in chosen else u.starts
         for u in sought.unknowns
-    ]
-    rows = itertools.islice(itertools.product(*each), _MOST_STARTS)
-    points = [
-        np.array([u.inner(x) for u, x in zip(sought.unknowns, row, strict=True)], float)
-        for row in rows
-    ]
+    }
+    if near is not None:
+        each = {u.name: _nearby(u, each[u.name], near, chosen) for u in sought.unknowns}
+    rows = itertools.islice(itertools.product(*each.values()), _MOST_STARTS)
+    points = [_inner(sought, row) for row in rows]
+    if near is not None and DELAY in each and DELAY not in chosen and {WN, "lag"} & set(each):
+        points = list(
+            {p.tobytes(): p for p in (_matched(sought, p, near) for p in points)}.values()
+        )
     if len(points) == 1:
         return [(_piece(sought, points[0], held), points[0])]
-    # One after another: side by side they would need a compilation of their own.
-    costs = [float(np.sum(np.square(sought.outer(point)))) for point in points]
+    costs = [float(np.sum(np.square(sought.evaluate(point)[0]))) for point in points]
     found: dict[int | None, np.ndarray] = {}
     for index in np.argsort(costs, kind="stable").tolist():
         if math.isfinite(costs[index]):
             found.setdefault(_piece(sought, points[index], held), points[index])
     return list(found.items()) or [(_piece(sought, points[0], held), points[0])]
+
+
+def _inner(sought: Problem, values: Iterable[float]) -> np.ndarray:
+    return np.array([u.inner(x) for u, x in zip(sought.unknowns, values, strict=True)], float)
+
+
+def _nearby(
+    unknown: Unknown, starts: tuple[float, ...], near: Fit, chosen: Mapping[str, float]
+) -> tuple[float, ...]:
+    """Starts of one unknown: where another model ended; of the drive's also its own."""
+    if unknown.name in chosen or unknown.name not in near.values:
+        return starts
+    ended = near.values[unknown.name]
+    if unknown.name == DELAY:
+        # The search crosses ticks by itself: every other one is near enough.
+        return (ended, *starts[::2])
+    return (ended, *starts) if unknown.name in (WN, ZETA, "lag") else (ended,)
+
+
+def _matched(sought: Problem, point: np.ndarray, near: Fit) -> np.ndarray:
+    """A start whose ``delay + 2 zeta / wn`` is that of another model, which slow excitation saw."""
+    lag = effective_lag(near.problem.model_values(near.point))
+    values = sought.model_values(point)
+    index = sought.names.index(DELAY)
+    unknown, matched = sought.unknowns[index], point.copy()
+    matched[index] = np.clip(lag - 2.0 * values[ZETA] / values[WN], unknown.low, unknown.high)
+    return matched
 
 
 def _piece(sought: Problem, point: np.ndarray, held: Mapping[str, float]) -> int | None:

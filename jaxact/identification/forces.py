@@ -11,9 +11,9 @@ import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.identification import inspection, torque_loop
-from jaxact.identification.fitting import Unknown
-from jaxact.identification.log import Log
+from jaxact.identification.log import Log, filled
 from jaxact.identification.model import DYNAMICS, NEUTRAL_DRIVE, Family, Rung, drive_unknowns
+from jaxact.identification.problem import Unknown
 from jaxact.parameters import FORCE_LIMIT, WN, ZETA
 
 _ALWAYS = ("gain", "offset")
@@ -70,8 +70,8 @@ def _unknowns(logs: Sequence[Log]) -> dict[str, Unknown]:
 
 def _inputs(log: Log) -> dict[str, jax.Array]:
     return {
-        "time": jnp.asarray(log.time),
-        "command": jnp.asarray(log["command"]),
+        "time": jnp.asarray(filled(log.time, rising=True)),
+        "command": jnp.asarray(filled(log["command"])),
         "first": jnp.asarray(log["force"][0]),
     }
 

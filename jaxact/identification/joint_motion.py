@@ -10,6 +10,7 @@ where that is all of it. Of second order in the step, exact without friction and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,9 +19,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.drive import actuator as _actuator
 from jaxact.drive import controller as _controller
+from jaxact.drive.actuator import Free
 from jaxact.drive.controller import Controller, Setpoint
+from jaxact.identification import free_response
 from jaxact.identification.schedule import schedule
 from jaxact.parameters import (
     DELAY,
@@ -119,7 +121,7 @@ def simulate(
     """
     plan = schedule(recording.time, jnp.asarray(values[DELAY], recording.time.dtype))
     wn, zeta = (jnp.asarray(values[name], plan.length.dtype) for name in (WN, ZETA))
-    free = jax.vmap(lambda length: _actuator.free_response(wn, zeta, length))(plan.length)
+    known = free_response.coefficients(wn, zeta, plan.length)
     tick = jnp.cumsum(plan.is_row) - 1
     own = {
         SETPOINT: recording.setpoint[tick],
@@ -134,7 +136,8 @@ def simulate(
     begin = _begin(values, recording, structure)
 
     def advance(carry: _Carry, at: tuple[Any, Mapping[str, jax.Array]]) -> tuple[_Carry, Any]:
-        over, now = at
+        known, now = at
+        over = free_response.along(known, wn, zeta, now["length"])
         carry, command = _control(values, recording, structure, carry, now)
         held = carry.commands[now["held"] % structure.history] if structure.closed else command
         output = (
@@ -143,15 +146,20 @@ def simulate(
         )
         return _move(values, structure, carry, over, now, held), output
 
-    _, (position, command) = jax.lax.scan(advance, begin, (free, own))
+    _, (position, command) = jax.lax.scan(advance, begin, (known, own))
     at = plan.row[recording.row]
     return position[at], command[at]
 
 
 def _begin(values: Mapping[str, Any], recording: Recording, structure: Structure) -> _Carry:
     dtype = recording.time.dtype
-    position = jnp.asarray(values.get(INITIAL_POSITION, recording.position), dtype)
-    velocity = jnp.asarray(values.get(INITIAL_VELOCITY, recording.velocity), dtype)
+    position, velocity = (
+        jnp.asarray(jnp.where(jnp.isnan(given), measured, given), dtype)
+        for given, measured in (
+            (values.get(INITIAL_POSITION, math.nan), recording.position),
+            (values.get(INITIAL_VELOCITY, math.nan), recording.velocity),
+        )
+    )
     zero = jnp.zeros((), dtype)
     period = (recording.time[-1] - recording.time[0]) / (recording.time.shape[0] - 1)
     number = structure.difference_ticks
@@ -216,7 +224,7 @@ def _move(
     values: Mapping[str, Any],
     structure: Structure,
     carry: _Carry,
-    over: _actuator.Free,
+    over: Free,
     now: Mapping[str, jax.Array],
     held: jax.Array,
 ) -> _Carry:

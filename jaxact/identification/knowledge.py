@@ -10,7 +10,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from jaxact.identification import uncertainty
-from jaxact.identification.fitting import Fit, Problem, solve
+from jaxact.identification.fitting import Fit, solve
+from jaxact.identification.problem import Problem
 from jaxact.parameters import DELAY, WN, ZETA
 
 # A number is identified where its interval is narrower than this share of it, in either direction.

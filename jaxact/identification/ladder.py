@@ -11,7 +11,7 @@ from jaxact.identification import knowledge as _knowledge
 from jaxact.identification.fitting import Fit, solve
 from jaxact.identification.knowledge import Knowledge
 from jaxact.identification.log import Log
-from jaxact.identification.model import Family, Rung, of_rung, predicted
+from jaxact.identification.model import DYNAMICS, Family, Rung, of_rung, predicted
 from jaxact.parameters import DELAY
 
 # A simpler model is preferred where its error is within this share of the best one's.
@@ -46,6 +46,11 @@ class Candidate:
     def error(self) -> float:
         """Root of the mean square error over all validation logs."""
         return float(np.sqrt(np.mean(np.square(self.errors))))
+
+    @property
+    def joint(self) -> set[str]:
+        """Names of the unknowns that are not the drive's dynamics."""
+        return set(self.rung.free) - set(DYNAMICS[self.rung.dynamics][0])
 
     @property
     def size(self) -> int:
@@ -153,14 +158,14 @@ def _candidate(
     before: Sequence[Candidate],
 ) -> Candidate:
     sought = of_rung(family, rung, fitted)
-    fit = solve(sought, loss=loss)
-    inside = [one for one in before if set(one.rung.free) <= set(rung.free)]
-    if inside:
-        # A model that contains another can be no worse: begun where that one ended.
-        simpler = min(inside, key=lambda one: one.fit.square_sum)
-        if simpler.fit.square_sum < fit.square_sum * (1.0 - 1e-6):
-            again = solve(sought, loss=loss, start=simpler.fit.values)
-            fit = again if again.square_sum < fit.square_sum else fit
+    contained = [one.fit for one in before if set(one.rung.free) <= set(rung.free)]
+    others = [one.fit for one in before if one.joint <= set(rung.free)]
+    fit = solve(
+        sought,
+        loss=loss,
+        near=min(others, key=lambda one: one.square_sum, default=None),
+        enough=min((one.square_sum for one in contained), default=0.0),
+    )
     numbers = sought.model_values(fit.point)
     errors, scores = [], []
     for log in held:

@@ -86,6 +86,23 @@ class Log:
         return replace(self, time=self.time[first:last], signals=signals)
 
 
+def filled(values: np.ndarray, *, rising: bool = False) -> np.ndarray:
+    """A signal continued to one of few lengths, as a program is compiled for each.
+
+    Args:
+        values: shape (rows,).
+        rising: times, which go on rising; others stay at the last value.
+
+    Returns:
+        At most an eighth longer, shape (rows or more,).
+    """
+    rows = len(values)
+    whole = 2 ** max(rows.bit_length() - 4, 0)
+    more = -rows % whole
+    step = (values[-1] - values[0]) / max(rows - 1, 1) if rising else 0.0
+    return np.append(values, values[-1] + step * np.arange(1, more + 1))
+
+
 def check(log: Log) -> None:
     """That a log can be used at all.
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxact.identification.fitting import Problem, Unknown
 from jaxact.identification.log import Log
+from jaxact.identification.problem import Problem, Unknown, signal
 from jaxact.parameters import DELAY, WN, ZETA
 
 
@@ -99,15 +97,6 @@ def drive_unknowns(logs: Sequence[Log], most_ticks: int) -> tuple[Unknown, ...]:
     )  # fmt: skip
 
 
-def effective_lag(values: Mapping[str, float]) -> float:
-    """``delay + 2 zeta / wn`` [s]: what slow excitation sees of a drive, as one number.
-
-    Args:
-        values: of the model.
-    """
-    return float(values[DELAY] + 2.0 * values[ZETA] / values[WN])
-
-
 def of_rung(family: Family, rung: Rung, logs: Sequence[Log]) -> Problem:
     """The least-squares problem of a rung on these logs, each residual in shares of its spread."""
     known = family.unknowns(logs)
@@ -116,7 +105,7 @@ def of_rung(family: Family, rung: Rung, logs: Sequence[Log]) -> Problem:
     own = family.nuisances(logs)
     return Problem(
         unknowns=(*(known[name] for name in rung.free), *own),
-        numbers={**family.neutral, **{u.name: u.starts[0] for u in own}, **dict(rung.fixed)},
+        numbers={**family.neutral, **dict(rung.fixed)},
         positive=family.positive,
         simulate=family.simulate,
         inputs=tuple(family.inputs(log) for log in logs),
@@ -132,12 +121,7 @@ def predicted(family: Family, log: Log, values: Mapping[str, float]) -> np.ndarr
     Args:
         family: of the model.
         log: any; where it begins is taken from its first rows.
-        values: of the model; those of single logs are left out.
+        values: of the model.
     """
-    given = {name: jnp.asarray(value) for name, value in values.items() if "[" not in name}
-    return np.asarray(_simulate(given, family.inputs(log), family.simulate))
-
-
-@partial(jax.jit, static_argnums=2)
-def _simulate(values, inputs, simulate):
-    return simulate(values, inputs)
+    found = signal(values, family.positive, family.simulate, family.inputs(log))
+    return found[: len(log)]

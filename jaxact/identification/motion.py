@@ -17,10 +17,10 @@ from scipy import signal as _signal
 
 from jaxact.errors import UserError
 from jaxact.identification import inspection, joint_motion
-from jaxact.identification.fitting import Unknown
 from jaxact.identification.joint_motion import Recording, Structure
-from jaxact.identification.log import Log
+from jaxact.identification.log import Log, filled
 from jaxact.identification.model import DYNAMICS, NEUTRAL_DRIVE, Family, Rung, drive_unknowns
+from jaxact.identification.problem import Unknown
 from jaxact.parameters import (
     FEEDFORWARD,
     FORCE_LIMIT,
@@ -62,6 +62,8 @@ _NEUTRAL: dict[str, float] = {
     "viscous_asymmetry": 0.0, "coulomb_asymmetry": 0.0, "loaded": 0.0, "carried": 0.0,
     "stribeck": 0.0, "stribeck_speed": 1.0, "gravity": 0.0, "zero": 0.0, "offset": 0.0,
     KP: 1.0, KD: 0.0, **NEUTRAL_DRIVE,
+    # Not known: where the log begins.
+    INITIAL_POSITION: math.nan, INITIAL_VELOCITY: math.nan,
 }  # fmt: skip
 _POSITIVE = frozenset(("inertia", "viscous", "coulomb", "stribeck_speed", WN, ZETA))
 
@@ -214,9 +216,9 @@ class _Context:
             Unknown("coulomb", force, low * coulomb, 1e2 * coulomb, (coulomb,), positive=True),
             Unknown("viscous_asymmetry", "1", -1.0, 1.0, (0.0,)),
             Unknown("coulomb_asymmetry", "1", -1.0, 1.0, (0.0,)),
-            Unknown("loaded", "1", 0.0, 0.95, (0.1,)),
+            Unknown("loaded", "1", 0.0, 0.95, (0.01, 0.1)),
             Unknown("carried", "1", 0.0, 2.0, (0.1,)),
-            Unknown("stribeck", "1", 0.0, 10.0, (0.3,)),
+            Unknown("stribeck", "1", 0.0, 10.0, (0.02, 0.3)),
             Unknown("stribeck_speed", speed, 1e-3 * guess["speed"], 3.0 * guess["speed"],
                     (0.1 * guess["speed"],), positive=True),
             Unknown("offset", force, -size, size, (guess["offset"],)),
@@ -243,7 +245,7 @@ class _Context:
             ):
                 found.append(
                     Unknown(f"{name}[{number}]", unit, value - reach, value + reach, (value,),
-                            nuisance=True)
+                            log=number)
                 )  # fmt: skip
         return tuple(found)
 
@@ -263,11 +265,11 @@ class _Context:
             limit = math.inf if found is None else found
         position, velocity = beginning(log)
         return joint_motion.recording(
-            log.time,
-            setpoint=log[SETPOINT] if SETPOINT in log else zero,
-            command=log["command"] if "command" in log else zero,
-            feedforward=log[FEEDFORWARD] if FEEDFORWARD in log else zero,
-            strength=strength,
+            filled(log.time, rising=True),
+            setpoint=filled(log[SETPOINT] if SETPOINT in log else zero),
+            command=filled(log["command"] if "command" in log else zero),
+            feedforward=filled(log[FEEDFORWARD] if FEEDFORWARD in log else zero),
+            strength=filled(strength),
             position=np.append(position, log["position"][1:]),
             velocity=velocity,
             gains=(float(gains[0] or 0.0), float(gains[1] or 0.0)),

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from jaxact.identification import model
 from jaxact.identification.inspection import Inspection
 from jaxact.identification.knowledge import Estimate
 from jaxact.identification.ladder import Candidate
 from jaxact.identification.log import Log
+from jaxact.identification.problem import effective_lag
 from jaxact.parameters import DELAY, WN, ZETA
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def unstable_delay(identified: Identified) -> list[str]:
 
 def alignment(chosen: Candidate, log: Log) -> list[str]:
     """That a tick of the delay may be the log's."""
-    if log.stamp != "end" or model.effective_lag(chosen.numbers) < 0.5 * log.period:
+    if log.stamp != "end" or effective_lag(chosen.numbers) < 0.5 * log.period:
         return []
     return [
         f"rows are stamped at the end of the tick: up to {1e3 * log.period:.3g} ms of the delay may"

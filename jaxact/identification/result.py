@@ -12,7 +12,7 @@ from jaxact.identification import inspection
 from jaxact.identification.fitting import Unknown
 from jaxact.identification.inspection import Inspection
 from jaxact.identification.ladder import Candidate, Ladder
-from jaxact.identification.model import effective_lag
+from jaxact.identification.problem import effective_lag
 from jaxact.identification.verdict import Verdict
 from jaxact.loops import drives
 from jaxact.loops.building import joint

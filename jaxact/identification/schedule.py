@@ -44,12 +44,14 @@ def schedule(time: jax.Array, delay: jax.Array) -> Schedule:
         time: of the rows [s], shape (rows,), rising.
         delay: [s], at least 0; may be traced.
     """
-    rows = time.shape[0]
-    instants = jnp.concatenate([time, time + delay])
-    order = jnp.argsort(instants, stable=True)
-    is_row = order < rows
-    sorted_instants = instants[order]
-    length = jnp.append(jnp.diff(sorted_instants), 0.0)
+    switches = time + delay
+    number = jnp.arange(time.shape[0])
+    # Both are sorted: where each stands among all is its own number and how many others precede it.
+    row = number + jnp.searchsorted(switches, time, side="left")
+    switch = number + jnp.searchsorted(time, switches, side="right")
+    empty = jnp.zeros(2 * time.shape[0], time.dtype)
+    instants = empty.at[row].set(time).at[switch].set(switches)
+    is_row = jnp.zeros(empty.shape, bool).at[row].set(True)
+    length = jnp.append(jnp.diff(instants), 0.0)
     held = jnp.cumsum(~is_row) - 1
-    row = jnp.argsort(order, stable=True)[:rows]
     return Schedule(length=length, held=held, row=row, is_row=is_row)

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import jax
 import jax.numpy as jnp
 
-from jaxact.drive import actuator as _actuator
+from jaxact.identification import free_response
 from jaxact.identification.schedule import schedule
 from jaxact.parameters import DELAY, FORCE_LIMIT, WN, ZETA
 
@@ -36,11 +36,12 @@ def simulate(
     wn, zeta = (jnp.asarray(values[name], time.dtype) for name in (WN, ZETA))
     # Before the first command arrives it acts already: of those before it nothing is known.
     inputs = values["gain"] * command[jnp.maximum(plan.held, 0)]
-    free = jax.vmap(lambda length: _actuator.free_response(wn, zeta, length))(plan.length)
+    known = free_response.coefficients(wn, zeta, plan.length)
 
     def advance(carry, at):
         force, rate = carry
-        over, value = at
+        known, length, value = at
+        over = free_response.along(known, wn, zeta, length)
         offset = force - value
         after = (
             value + over.c * offset + over.s * rate,
@@ -49,7 +50,7 @@ def simulate(
         return after, force
 
     start = jnp.asarray(values["initial_force"], time.dtype)
-    _, forces = jax.lax.scan(advance, (start, jnp.zeros_like(start)), (free, inputs))
+    _, forces = jax.lax.scan(advance, (start, jnp.zeros_like(start)), (known, plan.length, inputs))
     followed = jnp.where(jnp.isinf(wn), inputs[_last_of_instant(plan)], forces[plan.row])
     limit = values[FORCE_LIMIT]
     return jnp.clip(followed, -limit, limit) + values["offset"]

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import stats
+from scipy import fft, stats
 
 from jaxact.identification.fitting import Fit
 
@@ -83,15 +83,17 @@ def long_run(scores: np.ndarray) -> np.ndarray:
     scaled = scores / size
     whitened, filters = _whitened(scaled)
     bandwidth = _bandwidth(whitened)
-    spectrum = np.fft.rfft(whitened, 2 * rows, axis=0)
-    total = np.zeros((scores.shape[1],) * 2)
-    lags = np.arange(rows)
-    weights = _kernel(lags / bandwidth)
     used = int(min(rows, math.ceil(30 * bandwidth) + 1))
-    for one in range(scores.shape[1]):
-        for two in range(scores.shape[1]):
-            cross = np.fft.irfft(spectrum[:, one] * np.conj(spectrum[:, two]), 2 * rows)
-            total[one, two] = cross[0] + weights[1:used] @ (cross[1:used] + cross[-1:-used:-1])
+    # sum_k w_k Gamma_k by the transforms of the scores and of the weights, of both signs of k.
+    length = fft.next_fast_len(rows + used, real=True)
+    spectrum = fft.rfft(whitened, length, axis=0)
+    kernel = np.zeros(length)
+    kernel[:used] = _kernel(np.arange(used) / bandwidth)
+    kernel[length - used + 1 :] = kernel[1:used][::-1]
+    weights = fft.rfft(kernel).real * np.where(np.arange(len(spectrum)) == 0, 1.0, 2.0) / length
+    if length % 2 == 0:
+        weights[-1] *= 0.5
+    total = (spectrum.conj().T @ (weights[:, None] * spectrum)).real
     unfilter = np.diag(1.0 / (1.0 - filters))
     total = unfilter @ total @ unfilter
     return 0.5 * (total + total.T) * np.outer(size, size)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxact.identification import uncertainty
-from jaxact.identification.fitting import Unknown
+from jaxact.identification.problem import Unknown
 
 ROWS = 1500
 SEEDS = 200
