@@ -182,6 +182,28 @@ def test_margins_with_the_base_held_say_that_the_feet_never_slip(capsys):
     assert "feet that never slip" not in capsys.readouterr().out
 
 
+# Hangs from a trunk of 4 kg that rests on it: too soft for that weight, on a foot that sticks.
+LEG = """<mujoco><option timestep="0.002" impratio="{impratio}" cone="elliptic"/><worldbody>
+<geom type="plane" size="1 1 1"/><body pos="0 0 .5"><joint type="slide" axis="0 0 1"/>
+<geom type="box" size=".1 .1 .02" mass="4"/><body><joint name="hip" axis="0 1 0" armature=".01"/>
+<geom type="capsule" fromto="0 0 0 0 0 -.45" size=".02" mass=".2" contype="0" conaffinity="0"/>
+<geom size=".03" pos="0 0 -.47" mass=".1"/></body></body></worldbody>
+<actuator><position joint="hip" kp="10" kv="1"/></actuator></mujoco>"""
+
+
+def test_a_foot_that_only_creeps_is_not_said_to_topple(capsys):
+    rates = []
+    for impratio in (1, 10):
+        Path("leg.xml").write_text(LEG.format(impratio=impratio))
+        assert main(["margins", "--model", "leg.xml", "--base", "held", "--json"]) == 0
+        rates.append(json.loads(capsys.readouterr().out)["toppling_rate"])
+    assert 0.0 < rates[0] < 0.05 and rates[1] == pytest.approx(rates[0] / 10.0, rel=0.05)
+    Path("leg.xml").write_text(LEG.format(impratio=1))
+    assert main(["margins", "--model", "leg.xml", "--base", "held"]) == 0
+    text = capsys.readouterr().out
+    assert "NO, it creeps" in text and f"a factor of e in {1.0 / rates[0]:.3g} s" in text
+
+
 @pytest.mark.exhaustive
 def test_figures_of_a_hinge_have_the_units_of_a_hinge(capsys):
     loop = ("simulate", *WHICH, "--base", "fixed", "--duration", "0.2", "--out", "one.png")

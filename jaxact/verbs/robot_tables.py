@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxact.parameters import KD, KP
 from jaxact.plotting.wording import quantity
+from jaxact.robots import mounting
 
 if TYPE_CHECKING:
     from jaxact.analysis.robot.changes import Change
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 _MOST_NAMED = 6
 # Accelerations of a posture at rest are smaller [rad/s^2 or m/s^2].
 RESIDUAL = 1e-2
+# What falls or gives way grows faster than this [1/s].
+_CREEP = 0.05
 # Share of the delay margin from which on the integrator's lead is worth a word.
 _COUNTS = 0.02
 _WIDTH = 118
@@ -117,7 +120,7 @@ def as_text(
     specification: Specification, label: str, found: WholeRobot, stiction: Stiction | None
 ) -> str:
     """What there is to say of a robot, as lines and tables."""
-    parts = [_head(specification, label, found), _rendered(_whole_table(found))]
+    parts = [_head(specification, label, found), _rendered(_whole_table(specification, found))]
     if found.margins.stable:
         parts.append(
             "Each joint with all others closed, the one that shakes first at the top:\n"
@@ -125,7 +128,7 @@ def as_text(
             + "\nshakes, sways: shares in what shakes first, and in the least damped mode"
         )
     else:
-        parts.append(_advice(found) + _stand(specification, found))
+        parts.append(_advice(specification, found) + _stand(specification, found))
     if stiction is not None:
         parts.append(f"The robot {stiction.sentence}.")
     return "\n\n".join(parts) + "\n"
@@ -185,7 +188,7 @@ def _ahead(specification: Specification, found: WholeRobot) -> float:
     return half if half > _COUNTS * more.value else 0.0
 
 
-def _whole_table(found: WholeRobot) -> Any:
+def _whole_table(specification: Specification, found: WholeRobot) -> Any:
     from rich import box
     from rich.table import Table
 
@@ -193,7 +196,8 @@ def _whole_table(found: WholeRobot) -> Any:
     table.add_column("all joints at once")
     table.add_column("")
     margins = found.margins
-    table.add_row("stable", "yes" if margins.stable else f"NO, it {margins.verdict}")
+    verdict = "creeps" if _creeps(specification, found) else margins.verdict
+    table.add_row("stable", "yes" if margins.stable else f"NO, it {verdict}")
     table.add_row("unstable roots", str(margins.unstable_roots))
     table.add_row("growth rate", f"{margins.growth_rate:.4g} 1/s")
     if margins.whole is not None:
@@ -325,7 +329,21 @@ def _joint_table(found: WholeRobot) -> Any:
     return table
 
 
-def _advice(found: WholeRobot) -> str:
+def _creeps(specification: Specification, found: WholeRobot) -> bool:
+    """Whether it only slides, as MuJoCo's contacts under load do at a rate of their softness."""
+    margins, plant = found.margins, specification.plant
+    held = plant is not None and plant.base == mounting.HELD
+    return held and margins.verdict == "topples" and margins.toppling_rate < _CREEP
+
+
+def _advice(specification: Specification, found: WholeRobot) -> str:
+    if _creeps(specification, found):
+        return (
+            "It does not shake; it creeps from its posture, by a factor of e in "
+            f"{1.0 / found.margins.toppling_rate:.3g} s. MuJoCo's contacts slide slowly under "
+            "load, against which these gains do not hold the joints; feet that stick stay where they "
+            "are. The margins above are to where it begins to shake."
+        )
     if found.margins.verdict == "topples" and not found.floating:
         return (
             "It leaves its posture without shaking: the gains do not hold it there against weight, "
