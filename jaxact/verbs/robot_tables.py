@@ -341,8 +341,8 @@ def _advice(specification: Specification, found: WholeRobot) -> str:
         return (
             "It does not shake; it creeps from its posture, by a factor of e in "
             f"{1.0 / found.margins.toppling_rate:.3g} s. MuJoCo's contacts slide slowly under "
-            "load, against which these gains do not hold the joints; feet that stick stay where they "
-            "are. The margins above are to where it begins to shake."
+            "load, against which these gains do not hold the joints; feet that stick stay where "
+            "they are. The margins above are to where it begins to shake."
         )
     if found.margins.verdict == "topples" and not found.floating:
         return (
