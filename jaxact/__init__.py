@@ -40,6 +40,7 @@ _PUBLIC = {
     "plot": "jaxact.verbs.plot",
     "open_result": "jaxact.sweeping.opening",
     "render": "jaxact.verbs.render",
+    "replay": "jaxact.verbs.identify",
     "robot": "jaxact.loops.building",
     "sampled_boundary": "jaxact.analysis.boundary.boundary",
     "Sensor": "jaxact.drive.sensor",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
-from jaxact.cli import _arguments, _files, _loops, _warnings, _xla
+from jaxact.cli import _arguments, _files, _loops, _replay, _warnings, _xla
 from jaxact.cli._arguments import UNSET, UNSET_NUMBER, Robot, option
 from jaxact.errors import UserError
 from jaxact.parameters import PARAMETERS, POSITION_RESOLUTION
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
     from jaxact.simulation.single import Single
 
+_FIRST = "0"
 Parameters = _arguments.parameters(PARAMETERS, several=False)
 
 
@@ -59,10 +60,14 @@ def main(
     parameters: Parameters,  # type: ignore[valid-type]
     robot: Robot,
     rollout: Rollout,
+    recorded: _replay.Recorded,
     *,
     joint: Annotated[
-        str, option("NAME", "Which driven joint of a model is drawn: name, or number.")
-    ] = "0",
+        str,
+        option(
+            "NAME", "Which driven joint of a model is drawn, name or number; or which of a log."
+        ),
+    ] = _FIRST,
     out: _arguments.Picture = Path("simulation.png"),
     csv: _arguments.Csv = None,
     npz: Annotated[
@@ -78,9 +83,16 @@ def main(
     read rad and N m. Where quantisation, friction, or a robot that nothing disturbs ask for it, the
     verdict is the worst of several starts, which are listed.
 
+    With --replay: an identified drive on the time stamps of a log, for the setpoint under the gains
+    that the map states, or for the command; measured and simulated over each other, and the errors.
+    wn, zeta, delay, force_limit, mass, joint_damping, kp and kd can be others than the drive's.
+    JSON: drive, log, rows, duration, driven_by, signal, unit, rms, max, nrmse (rms over the
+    standard deviation of what was measured).
+
     examples:
       jaxact simulate --actuator starleth --delay 0.005
       jaxact simulate --actuator hyq --kp 4000 --kd 200 --force-limit 100 --csv run.csv
+      jaxact simulate --drive drive.toml --replay log.csv --map columns.toml --csv replay.csv
       jaxact simulate --spec experiments/paper_gain_map.toml --set engine=mjx --duration 2
       jaxact simulate --model robot.xml --keyframe home --actuator hyq --delay 0.001 --npz run.npz
     """
@@ -89,7 +101,13 @@ def main(
     theme.check_output(out)
     for path, ending in ((csv, ".csv"), (npz, ".npz")):
         _files.check_output(path, ending, overwrite=overwrite)
-    specification = specified(robot, _arguments.given(parameters), vars(rollout))
+    given = _arguments.given(parameters)
+    _replay.check(recorded, given, vars(robot) | vars(rollout) | {"npz": npz})
+    if recorded.replay is not None:
+        one = "" if joint == _FIRST else joint
+        _replay.run(recorded, given, one, out, csv, as_json=json)
+        return
+    specification = specified(robot, given, vars(rollout))
 
     _xla.call_at_once(specification)
     from jaxact.loops.building import loop_of

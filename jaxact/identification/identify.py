@@ -71,7 +71,7 @@ def identify(
         )
     if isinstance(columns, str | os.PathLike):
         columns = read_columns(Path(columns))
-    fitted, held = (_logs(each, columns, joint) for each in (logs, validate))
+    fitted, held = (logs_of(each, columns, joint) for each in (logs, validate))
     if not fitted:
         raise UserError("`logs` is empty; give at least one log")
     check_gains((*fitted, *held))
@@ -84,12 +84,21 @@ def identify(
         return Identified(plant, ladder, inspected(ladder), judge(ladder), control_rate)
 
 
-def _logs(
+def logs_of(
     given: Source | Sequence[Source],
     columns: ColumnMap | Mapping[str, Columns] | None,
     joint: str,
 ) -> list[Log]:
-    """Logs of one joint each."""
+    """Logs of one joint each, read where they are files.
+
+    Args:
+        given: one, or several.
+        columns: what the columns are.
+        joint: of several in a file.
+
+    Raises:
+        UserError: a log cannot be used, or has several joints and none is chosen.
+    """
     each = [given] if isinstance(given, Log | str | os.PathLike) else list(given)
     found: list[Log] = []
     for one in each:

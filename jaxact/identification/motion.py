@@ -255,8 +255,7 @@ class _Context:
         gains = (math.nan, math.nan) if self.sought_gains else log.gains
         strength = np.ones(len(log))
         if "supply" in log:
-            usual = np.median(np.concatenate([one["supply"] for one in self.logs]))
-            strength = log["supply"] / usual
+            strength = log["supply"] / usual_supply(self.logs)
         if "powered" in log:
             strength = strength * log["powered"]
         limit = log.details.get("command_limit", math.nan)
@@ -277,6 +276,12 @@ class _Context:
             ticks_per_row=ticks,
             controlled=controlled,
         )
+
+
+def usual_supply(logs: Sequence[Log]) -> float:
+    """The voltage at which a drive has its gain [V]: the logs' median, where none is stated."""
+    stated = logs[0].details.get("usual_supply")
+    return stated or float(np.median(np.concatenate([log["supply"] for log in logs])))
 
 
 def beginning(log: Log, rows: int = 7) -> tuple[float, float]:

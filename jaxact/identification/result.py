@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.identification import inspection
+from jaxact.identification import inspection, motion
 from jaxact.identification.fitting import Unknown
 from jaxact.identification.inspection import Inspection
 from jaxact.identification.ladder import Candidate, Ladder
@@ -19,6 +19,9 @@ from jaxact.loops.building import joint
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.loops.drives import IdentifiedDrive
 from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, POSITION_RESOLUTION
+
+# What a log may state of its joint: no number of its model is neutral then.
+_STATED = ("inertia", "gravity")
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,8 @@ class Identified:
         return {
             name: value
             for name, value in chosen.numbers.items()
-            if "[" not in name and (name in free or value != neutral.get(name))
+            if "[" not in name
+            and (name in free or value != neutral.get(name) or (value and name in _STATED))
         }
 
     def _spread(self) -> dict[str, Any]:
@@ -112,6 +116,7 @@ class Identified:
     def document(self) -> dict[str, Any]:
         """Everything as plain numbers and words, for TOML and JSON."""
         chosen, known = self.chosen, self.chosen.knowledge
+        logs = self.ladder.fitted
         models = {u.name: u.model_name for u in chosen.fit.problem.unknowns}
         estimates = {
             e.name: {
@@ -126,6 +131,8 @@ class Identified:
             "loop": [{"name": "identified", **self._loop_values()}],
             "model": chosen.rung.name,
             "plant": self.plant,
+            **({} if self.control_rate is None else {"control_rate": self.control_rate}),
+            **({"usual_supply": motion.usual_supply(logs)} if "supply" in logs[0] else {}),
             "unit": self.ladder.fitted[0].unit,
             "verdict": {
                 "level": self.verdict.level.value,

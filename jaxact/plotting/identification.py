@@ -85,6 +85,35 @@ def sheet(
     return paper.figure
 
 
+def replay(compared: Compared, *, title: str = "", footer: str = "") -> Figure:
+    """Measured and simulated where most happens, what is left there, and what is left of it all.
+
+    Args:
+        compared: a log and its simulation.
+        title: above.
+        footer: below.
+    """
+    with theme.applied():
+        paper = page(9.0, 4.6, title=title, footer=footer, entries=2, entry_width=2.6)
+        grid = paper.figure.subplot_mosaic(
+            [["over"], ["rest"], ["whole"]], height_ratios=(1.6, 0.7, 0.7)
+        )
+        handles = over(grid["over"], compared)
+        residual(grid["rest"], compared)
+        grid["rest"].sharex(grid["over"])
+        grid["over"].tick_params(labelbottom=False)
+        grid["rest"].set_xlabel("")
+        grid["whole"].plot(compared.time, compared.rest, color=theme.BLUE, linewidth=0.5)
+        grid["whole"].axvspan(
+            *compared.time[_busiest(compared)][[0, -1]], color="#E4E4E4", zorder=0
+        )
+        grid["whole"].set_xlim(compared.time[0], compared.time[-1])
+        grid["whole"].set_ylabel(f"all of it [{compared.unit}]")
+        grid["whole"].set_xlabel("time [s]; grey: above")
+        paper.legend(handles)
+    return paper.figure
+
+
 def over(axes: Axes, compared: Compared) -> list:
     """Measured and simulated over each other.
 

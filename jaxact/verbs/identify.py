@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from jaxact.identification.identify import identify
 from jaxact.identification.model import predicted
+from jaxact.identification.replay import Replay, replay
 from jaxact.identification.result import Identified
 from jaxact.plotting import identification as _pictures
 from jaxact.plotting.identification import Compared, Step
@@ -13,7 +14,7 @@ from jaxact.plotting.identification import Compared, Step
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["identification_sheet", "identify"]
+__all__ = ["identification_sheet", "identify", "replay", "replay_sheet"]
 
 
 def identification_sheet(identified: Identified, *, title: str = "", log: int = 0) -> Figure:
@@ -49,6 +50,29 @@ def compared(identified: Identified, log: int = 0) -> Compared:
         simulated=predicted(ladder.family, chosen, ladder.chosen.numbers),
         signal=ladder.family.signal,
         unit=ladder.family.unit,
+    )
+
+
+def replay_sheet(replayed: Replay, *, title: str = "") -> Figure:
+    """Measured and simulated over each other, and the residual.
+
+    Args:
+        replayed: from `jaxact.replay`.
+        title: above; drive and log by default.
+
+    Returns:
+        The figure.
+    """
+    log = replayed.log
+    drawn = Compared(
+        title="", time=log.time, stimulus=replayed.stimulus, measured=replayed.measured,
+        simulated=replayed.simulated, signal=replayed.signal, unit=replayed.unit,
+    )  # fmt: skip
+    return _pictures.replay(
+        drawn,
+        title=title or f"{log.title} by {replayed.drive}",
+        footer=f"rms error {replayed.rms:.3g} {replayed.unit}, {100.0 * replayed.nrmse:.3g} % of"
+        f" the standard deviation; largest {replayed.largest:.3g} {replayed.unit}",
     )
 
 

@@ -1,0 +1,237 @@
+"""An identified drive over a log: what it would have done on the log's own time stamps."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxact.errors import UserError, nearest
+from jaxact.identification import forces, motion
+from jaxact.identification.fitting import Problem, solve
+from jaxact.identification.identify import Source, logs_of
+from jaxact.identification.log import Log
+from jaxact.identification.model import Family, predicted
+from jaxact.identification.motion import Simulate
+from jaxact.identification.reading import ColumnMap, Columns, read_columns
+from jaxact.loops import control_loop, drives
+from jaxact.loops.drives import IdentifiedDrive
+from jaxact.parameters import (
+    DELAY,
+    FORCE_LIMIT,
+    JOINT_DAMPING,
+    KD,
+    KP,
+    MASS,
+    SETPOINT,
+    WN,
+    ZETA,
+)
+
+# Parameters of a loop -> numbers of a drive's model that they replace in a replay.
+_CHANGED = {
+    WN: WN, ZETA: ZETA, DELAY: DELAY, FORCE_LIMIT: FORCE_LIMIT, MASS: "inertia",
+    JOINT_DAMPING: "viscous",
+}  # fmt: skip
+# What a drive whose force was measured has not: the log's command moves it.
+_OF_MOTION = (MASS, JOINT_DAMPING, KP, KD)
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """What a drive makes of a log; printed, the errors.
+
+    Attributes:
+        drive: name of its file.
+        log: that is replayed.
+        stimulus, measured, simulated: shape (rows,); what moved it is in the unit of its signal.
+        driven_by: name of the stimulus, "setpoint" or "command".
+        signal, unit: what is measured and simulated, "position" or "force", and in which unit.
+    """
+
+    drive: str
+    log: Log
+    stimulus: np.ndarray
+    measured: np.ndarray
+    simulated: np.ndarray
+    driven_by: str
+    signal: str
+    unit: str
+
+    @property
+    def rest(self) -> np.ndarray:
+        """Measured minus simulated, shape (rows,)."""
+        return self.measured - self.simulated
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean square of the rest, in `unit`."""
+        return float(np.sqrt(np.mean(np.square(self.rest))))
+
+    @property
+    def largest(self) -> float:
+        """Largest absolute rest, in `unit`."""
+        return float(np.max(np.abs(self.rest)))
+
+    @property
+    def nrmse(self) -> float:
+        """`rms` over the standard deviation of what was measured [-]."""
+        return self.rms / max(float(np.std(self.measured)), 1e-300)
+
+    def document(self) -> dict[str, Any]:
+        """Names and errors as plain words and numbers."""
+        return {
+            "drive": self.drive, "log": self.log.title, "rows": len(self.log),
+            "duration": self.log.duration, "driven_by": self.driven_by, "signal": self.signal,
+            "unit": self.unit, "rms": self.rms, "max": self.largest, "nrmse": self.nrmse,
+        }  # fmt: skip
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Time [s] and signals by name and unit, shape (rows,) each."""
+        moved = self.log.unit if self.driven_by == SETPOINT else self._force_unit
+        return {
+            "time [s]": self.log.time,
+            f"{self.driven_by} [{moved}]": self.stimulus,
+            f"measured {self.signal} [{self.unit}]": self.measured,
+            f"simulated {self.signal} [{self.unit}]": self.simulated,
+            f"residual [{self.unit}]": self.rest,
+        }
+
+    @property
+    def _force_unit(self) -> str:
+        return "N m" if self.log.unit == "rad" else "N"
+
+    def __str__(self) -> str:
+        """The errors, a line each."""
+        unit = self.unit
+        return "\n".join([
+            f"{self.log.title} by {self.drive}: {self.signal} for the log's {self.driven_by},"
+            f" {len(self.log):,} rows, {self.log.duration:.3g} s",
+            f"rms error    {self.rms:.4g} {unit}",
+            f"largest      {self.largest:.4g} {unit}",
+            f"rms error    {100.0 * self.nrmse:.3g} % of the standard deviation",
+        ])  # fmt: skip
+
+
+def replay(
+    drive: Any,
+    log: Source,
+    *,
+    columns: ColumnMap | Mapping[str, Columns] | str | os.PathLike[str] | None = None,
+    joint: str = "",
+    **changes: Any,
+) -> Replay:
+    """Simulate an identified drive on a log's own time stamps, over what was measured.
+
+        print(jaxact.replay("drive.toml", "log.csv", columns="map.toml"))
+
+    A drive whose force was measured is given the log's command; one that moves a joint the log's
+    setpoint, under the gains of the map (or of the drive's own log), or else its command. Where a
+    joint begins, its first position and velocity, is fitted to the log, and nothing else.
+
+    Args:
+        drive: a file of `jaxact identify`, or what `jaxact.identify` gave.
+        log: file (CSV or NPZ) or `Log` of one joint.
+        columns: what the columns are, as for `jaxact.identify`.
+        joint: of several in the file.
+        changes: other numbers than the drive's: wn [rad/s], zeta, delay [s], force_limit [N or
+            N m], mass [kg or kg m^2], joint_damping, or `actuator`; kp and kd of the controller.
+
+    Returns:
+        Measured and simulated, and the errors.
+
+    Raises:
+        UserError: a log or drive that cannot be read, or that do not fit each other.
+    """
+    known = drives.taken(drive)
+    if isinstance(columns, str | os.PathLike):
+        columns = read_columns(Path(columns))
+    (own,) = logs_of(log, columns, joint)
+    if own.unit != known.unit:
+        raise UserError(f"{own.title}: is in {own.unit}, and {known.name} in {known.unit}")
+    asked = control_loop.read(changes, robot=False)
+    possible = [n for n in (*_CHANGED, KP, KD) if known.plant != "none" or n not in _OF_MOTION]
+    for name in asked:
+        if name not in possible:
+            raise UserError(f"`{name}`: changes nothing in this replay; {nearest(name, possible)}")
+    own = _with_gains(known, own, asked)
+    with jax.enable_x64(True):
+        family, numbers = _model(known, own, asked)
+        numbers |= _beginning(family, own, numbers)
+        simulated = predicted(family, own, numbers)
+        stimulus, measured = family.stimulus(own), family.measured(own)
+    closed = family.signal == "position" and stimulus is own.signals.get(SETPOINT)
+    return Replay(
+        known.name, own, stimulus, measured, simulated, SETPOINT if closed else "command",
+        family.signal, family.unit,
+    )  # fmt: skip
+
+
+def _beginning(family: Family, log: Log, numbers: Mapping[str, float]) -> dict[str, float]:
+    """Position and velocity with which a joint begins, by least squares on all of its log."""
+    unknowns = family.nuisances([log])
+    if not unknowns:
+        return {}
+    measured = family.measured(log)
+    sought = Problem(
+        unknowns=unknowns, numbers={**numbers, **{u.name: u.starts[0] for u in unknowns}},
+        positive=family.positive, simulate=family.simulate, inputs=(family.inputs(log),),
+        measured=(measured,), scale=1.0 / max(float(np.std(measured)), 1e-300), period=None,
+    )  # fmt: skip
+    return {name.partition("[")[0]: value for name, value in solve(sought).values.items()}
+
+
+def _with_gains(drive: IdentifiedDrive, log: Log, asked: Mapping[str, Any]) -> Log:
+    """The log with the controller's gains, and with the supply that the drive was used to."""
+    if drive.plant == "none":
+        return log
+    usual = drive.document.get("usual_supply")
+    details = {**log.details, **({} if usual is None else {"usual_supply": float(usual)})}
+    log = replace(log, details=details)
+    if KP in drive.numbers:  # all is known per unit of inertia: so are the gains, the force is not
+        signals = {name: rows for name, rows in log.signals.items() if name != "command"}
+        return replace(log, gains=(None, None), signals=signals)
+    kp, kd = log.gains
+    if kp is None and KP in drive.joint and SETPOINT in log:
+        gain = abs(drive.numbers.get("gain", 1.0))
+        kp, kd = drive.joint[KP] / gain, drive.joint.get(KD, 0.0) / gain
+    kp, kd = asked.get(KP, kp), asked.get(KD, kd)
+    if kp is None and "command" not in log:
+        raise UserError(
+            f"{log.title}: the gains are not known and there is no command; give `kp` and `kd`, or"
+            " state them in the map"
+        )
+    return replace(log, gains=(kp, kd))
+
+
+def _model(
+    drive: IdentifiedDrive, log: Log, asked: Mapping[str, Any]
+) -> tuple[Family, dict[str, float]]:
+    """The model of the drive for this log, and its numbers."""
+    if drive.plant == "none":
+        family = forces.family([log])
+    else:
+        family = motion.family([log], drive.plant, drive.document.get("control_rate"))
+    changed = {_CHANGED[name]: value for name, value in asked.items() if name in _CHANGED}
+    # What the log states of its joint, another load say, is of this recording.
+    stated = {
+        name: family.neutral[name]
+        for name, keys in (("inertia", {"inertia"}), ("gravity", {MASS, "length"}))
+        if name in family.neutral and keys <= set(log.details)
+    }
+    own = {name: value for name, value in drive.numbers.items() if name in family.neutral}
+    numbers = {**family.neutral, **own, **stated, **changed}
+    if isinstance(family.simulate, Simulate):
+        structure = family.simulate.structure
+        ticks, _ = motion.cut(log, drive.document.get("control_rate"))
+        shortest = float(np.min(np.diff(log.time))) / ticks
+        longest = max(structure.history, math.ceil(numbers[DELAY] / shortest) + 2)
+        longer = replace(family.simulate, structure=replace(structure, history=longest))
+        family = replace(family, simulate=longer)
+    return family, numbers
