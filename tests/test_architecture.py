@@ -15,16 +15,17 @@ from quickly import ENVIRONMENT
 
 import jaxact
 from jaxact.cli.main import VERBS
-from jaxact.plants.engines import ENGINES
+from jaxact.engines import ENGINES
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "jaxact"
 
 # Folders are layers, from low to high; a module imports only from its own layer and lower ones.
 LAYERS = (
-    "errors", "status", "files", "units", "parameters", "matrix_exponential", "compilation",
-    "drive", "robots", "gains", "plants", "analysis", "loops", "simulation", "robot_margins",
-    "sweeping", "tuning", "identification", "environments", "plotting", "verbs", "cli", "__main__",
+    "errors", "status", "files", "units", "parameters", "engines", "matrix_exponential",
+    "compilation", "drive", "robots", "gains", "plants", "analysis", "loops", "simulation",
+    "robot_margins", "sweeping", "tuning", "identification", "environments", "plotting", "verbs",
+    "cli", "__main__",
 )  # fmt: skip
 MOST_AT_ROOT = 10
 # Theory and simulation are written independently, so that each can catch the other's mistakes.
@@ -82,7 +83,7 @@ def test_the_root_of_the_package_has_few_modules():
 
 
 def test_nobody_tells_engines_apart_by_name():
-    """What is so of one engine and not of others is an attribute in `jaxact.plants.engines`."""
+    """What is so of one engine and not of others is an attribute in `jaxact.engines`."""
     names, found = {engine.name for engine in ENGINES}, []
     for module, path in MODULES.items():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

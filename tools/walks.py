@@ -4,9 +4,11 @@
 
 A walk is the order in which a command first enters the modules of the package, beside those that
 every layer stands on (`GROUND`) and what only runs while modules are loaded. It climbs where the
-next module is of a higher layer than the one before. Calls that go up, from code of a lower layer
-to a function of a higher one that it was given, are counted apart. The exit code is 1 where a walk
-climbs more often than `MOST`.
+next module is of a higher layer than the one before: a layer was left out, and what a lower one
+made is carried up to it. Where the next module is of the layer of the function that calls it,
+control has only come back there, as it does from any call: returns are counted apart. So are calls
+that go up, from code of a lower layer to a function of a higher one that it was given. The exit
+code is 1 where a walk climbs more often than `MOST`.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "jaxact"
 GROUND = ("errors", "status", "files", "parameters", "compilation")
 MOST = 3
+CLIMB, RETURN, DOWN = "^", "<", " "
 SPECIFICATION = """
 engine = "mass"
 duration = 0.2
@@ -53,6 +56,7 @@ class Walk:
 
     def __init__(self) -> None:
         self.modules: dict[str, str] = {}
+        self.callers: dict[str, str | None] = {}
         self.upward: set[tuple[str, str]] = set()
         self._layers = [name for name in layers() if name not in GROUND]
         self._known: dict[str, str | None] = {}
@@ -65,10 +69,19 @@ class Walk:
         below = self._callers(frame)
         if any(one.f_code.co_name == "<module>" for one in below):
             return
-        self.modules.setdefault(module, frame.f_code.co_name)
         caller = self._module(below[0]) if below else None
+        self.modules.setdefault(module, frame.f_code.co_name)
+        self.callers.setdefault(module, caller)
         if caller is not None and self.rank(module) > self.rank(caller):
             self.upward.add((caller, module))
+
+    def step(self, before: str | None, module: str) -> str:
+        """What a walk does between two modules that it enters one after the other."""
+        if before is None or self.rank(module) <= self.rank(before):
+            return DOWN
+        caller = self.callers[module]
+        own = caller is not None and self.rank(caller) == self.rank(module)
+        return RETURN if own else CLIMB
 
     def rank(self, module: str) -> int:
         """Of the module's layer."""
@@ -122,14 +135,18 @@ def main() -> int:
             ["sweep", str(specification), "--out", str(Path(folder) / "out"), "--quiet"],
             ["margins", "--model", str(robot), "--actuator", "starleth"],
         ):
-            walk, climbs, before = walked(command), 0, None
-            lines = []
+            walk, before = walked(command), None
+            lines, steps = [], []
             for module, function in walk.modules.items():
-                up = before is not None and walk.rank(module) > walk.rank(before)
-                climbs, before = climbs + up, module
-                lines.append(f"  {'^' if up else ' '} {module}: {function}")
+                steps.append(walk.step(before, module))
+                lines.append(f"  {steps[-1]} {module}: {function}")
+                before = module
+            climbs = steps.count(CLIMB)
             most = max(most, climbs)
-            print(f"{command[0]}: climbs {climbs} times; calls that go up: {len(walk.upward)}")
+            print(
+                f"{command[0]}: climbs {climbs} times; returns {steps.count(RETURN)} times; "
+                f"calls that go up: {len(walk.upward)}"
+            )
             if "--all" in sys.argv:
                 print("\n".join([*lines, *(f"  {a} -> {b}" for a, b in sorted(walk.upward))]))
     return int(most > MOST)

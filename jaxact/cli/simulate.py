@@ -12,9 +12,9 @@ from tyro.conf import arg
 
 from jaxact.cli import _arguments, _files, _loops, _replay, _warnings, _xla
 from jaxact.cli._arguments import UNSET, UNSET_NUMBER, Robot, option
+from jaxact.engines import best_precision
 from jaxact.errors import UserError
 from jaxact.parameters import PARAMETERS, POSITION_RESOLUTION
-from jaxact.plants.engines import best_precision
 
 if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
@@ -111,7 +111,7 @@ def main(
 
     _xla.call_at_once(specification)
     from jaxact.loops.building import loop_of
-    from jaxact.robot_margins import stiction
+    from jaxact.robot_margins import whole_robot
     from jaxact.simulation import engines, single
     from jaxact.verbs import run_tables
     from jaxact.verbs.simulate import runs
@@ -124,7 +124,9 @@ def main(
     )[0]  # fmt: skip
     _warnings.posture(specification.plant)
     _write(run, specification, place, out, csv, npz)
-    held = stiction.nominal(specification) if run.results["growth_rate"] > 0.0 else None
+    held = None
+    if specification.plant is not None and run.results["growth_rate"] > 0.0:
+        held = whole_robot.nominal(specification).stiction
     if json:
         print(run_tables.as_json(run, held))
         return

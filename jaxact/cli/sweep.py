@@ -16,7 +16,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from jaxact.cli import _cache, _loops, _progress, _signals, _warnings, _xla
 from jaxact.cli._arguments import DriveFile, Gains, NoCache, option
 from jaxact.cli._signals import Terminated
-from jaxact.plants.engines import AUTO
+from jaxact.engines import AUTO
 
 if TYPE_CHECKING:
     from jaxact.loops.specification import Specification

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import ValidationError
 
+from jaxact import engines
 from jaxact.analysis.joint.frequency import JointLoop
 from jaxact.analysis.sampled.period_map import SampledLoop
 from jaxact.drive.actuator import Actuator
@@ -54,7 +55,6 @@ from jaxact.parameters import (
     ZETA,
     of,
 )
-from jaxact.plants import engines
 
 # Fields of a sensor that are called as in the table.
 _OF_SENSOR = (

@@ -120,7 +120,7 @@ def read(plant: Plant) -> Robot:
 
 def linearised(scene: Scene, plant: Plant | None) -> Scene:
     """The robot as margins and growth rates see it: without dry friction, unless it is "stuck"."""
-    if plant is None or plant.friction == "stuck" or not _friction.rubs(scene.robot.model):
+    if plant is None or plant.friction == "stuck":
         return scene
     robot, posture = _friction.moving(scene.robot, scene.posture)
     return replace(scene, robot=robot, posture=posture)

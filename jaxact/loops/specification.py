@@ -28,10 +28,10 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from jaxact.engines import Engine, known
 from jaxact.loops import toml
 from jaxact.loops.axes import MOST_SAMPLES, Axis
 from jaxact.parameters import OF_MODEL, OF_ROBOTS, PARAMETERS, PRESETS, WN, ZETA
-from jaxact.plants.engines import Engine, known
 
 _STRICT = ConfigDict(extra="forbid", strict=True)
 TABLES = ("plant", "motion", "push")

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact.engines import Engine
 from jaxact.loops.specification import Setting
 from jaxact.parameters import JOINT_FRICTION
-from jaxact.plants.engines import Engine
 
 if TYPE_CHECKING:
     from jaxact.loops.robots import Scene

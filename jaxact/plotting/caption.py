@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
+from jaxact import engines
 from jaxact.parameters import (
     CONTROL_RATE,
     FORCE_LIMIT,
@@ -26,7 +27,6 @@ from jaxact.parameters import (
     mass_word,
     of,
 )
-from jaxact.plants import engines
 from jaxact.plotting import wording
 from jaxact.status import Verdict
 

@@ -10,13 +10,15 @@ MuJoCo, with friction as the model has it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import jax
 import mujoco
 import numpy as np
 
+from jaxact.analysis.robot.margins import RobotMargins
+from jaxact.analysis.robot.modes import Robot
 from jaxact.loops import robots
 from jaxact.loops.robots import Scene
 from jaxact.loops.samples import Samples
@@ -29,8 +31,6 @@ from jaxact.parameters import (
     SETPOINT,
 )
 from jaxact.plants.mujoco import JointPush
-from jaxact.robot_margins import whole_robot
-from jaxact.robot_margins.whole_robot import WholeRobot
 from jaxact.robots import friction as _friction
 from jaxact.simulation import mujoco_batch, plans
 from jaxact.simulation.rollout import Trajectory
@@ -105,41 +105,22 @@ class Stiction:
         return f"{begins}{at}, {self.amplitude:.2g} {length} ({self.shaking})"
 
 
-def each(
-    specification: Specification, samples: Samples, found: Sequence[WholeRobot]
-) -> list[Stiction | None]:
-    """What friction holds of each sample, see `held`."""
-    rows = samples.values
-    return [
-        held(specification, {name: float(row[place]) for name, row in rows.items()}, one)
-        for place, one in enumerate(found)
-    ]
-
-
-def nominal(specification: Specification) -> Stiction | None:
-    """What friction holds of a specification's nominal loop, see `held`; None for no robot."""
-    if specification.plant is None:
-        return None
-    along = {name: np.array([value]) for name, value in specification.nominal.items()}
-    samples = Samples(along, ("loop",), (1,), {})
-    return each(specification, samples, whole_robot.evaluate(specification, samples))[0]
-
-
 def held(
-    specification: Specification, values: Mapping[str, float], found: WholeRobot
+    specification: Specification, values: Mapping[str, float], robot: Robot, margins: RobotMargins
 ) -> Stiction | None:
     """Whether friction holds a robot that shakes once it moves, and up to which push.
 
     Args:
         specification: of the robot.
         values: parameters of the loop by key.
-        found: its margins, of the moving joints.
+        robot: linearised, with joints that move.
+        margins: its margins.
 
     Returns:
         None where nothing is to be said: no dry friction, or no growing oscillation.
     """
-    plant, mode = specification.plant, found.margins.critical
-    if plant is None or "shakes" not in found.margins.verdict:
+    plant, mode = specification.plant, margins.critical
+    if plant is None or "shakes" not in margins.verdict:
         return None
     scene = robots.scene(plant)
     if not _rubs(scene, values):
@@ -149,7 +130,7 @@ def held(
     runs = _Runs(specification, dict(values), place, START + PUSH + duration)
     own = _at_joint(scene, values, place) or _largest(scene, values)
     fastest = _FASTEST[0] if _hinge(scene, place) else _FASTEST[1]
-    strongest = max(_MULTIPLE * own, fastest * float(found.robot.inertias[place]) / PUSH)
+    strongest = max(_MULTIPLE * own, fastest * float(robot.inertias[place]) / PUSH)
     pushes = np.geomspace(_WEAKEST * own, strongest, _NUMBER)
     tried = runs.after(pushes)
     lasting = np.flatnonzero([_goes_on(positions) for positions in tried])

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -14,16 +14,17 @@ from jaxact.analysis.robot.delay import DelayBorne, delay_borne
 from jaxact.analysis.robot.margins import RobotMargins, robot_margins
 from jaxact.analysis.robot.modes import Robot
 from jaxact.analysis.robot.multiloop import Curves, Matrices, curves, multiloop
-from jaxact.compilation.programs import building
-from jaxact.drive.step import DriveOptions
+from jaxact.engines import MUJOCO
+from jaxact.loops import robots
 from jaxact.loops.robots import Scene
 from jaxact.loops.samples import Samples, expand
 from jaxact.loops.specification import Setting, Specification
 from jaxact.loops.template import Template
 from jaxact.parameters import CONTROL_RATE, JOINT_FRICTION
-from jaxact.plants.engines import MUJOCO
+from jaxact.robot_margins import stiction
+from jaxact.robot_margins.stiction import Stiction
 from jaxact.robots import friction, mounting
-from jaxact.simulation import engines, kernel, mujoco_batch, plans, robot_loop
+from jaxact.simulation import kernel, mujoco_batch, plans, robot_loop
 from jaxact.simulation.kernel import Case
 
 
@@ -37,9 +38,10 @@ class WholeRobot:
         residual: largest acceleration left at the posture [rad/s^2 or m/s^2]; 0 at an equilibrium.
         left_out: largest dry friction that the linearised robot does without [N or N m], 0 if none.
         neutral: number of rigid-body modes, in which a displaced robot stays where it is; left out.
-        floating: whether its base moves.
         physics_step: [s].
         engine: that the plant was linearised in, "mujoco" or "mjx".
+        specification: of the robot.
+        values: parameters of the sample by key.
     """
 
     robot: Robot
@@ -48,9 +50,10 @@ class WholeRobot:
     residual: float
     left_out: float
     neutral: int
-    floating: bool
     physics_step: float
     engine: str
+    specification: Specification
+    values: Mapping[str, float]
 
     @functools.cached_property
     def margins(self) -> RobotMargins:
@@ -61,6 +64,17 @@ class WholeRobot:
     def delay_borne(self) -> DelayBorne:
         """The delay margin by itself, which takes a part of the time."""
         return delay_borne(self.robot)
+
+    @property
+    def floating(self) -> bool:
+        """Whether its base moves."""
+        assert self.specification.plant is not None
+        return mounting.floats(robots.scene(self.specification.plant).robot)
+
+    @functools.cached_property
+    def stiction(self) -> Stiction | None:
+        """What dry friction holds that would shake once it moves, by simulation."""
+        return stiction.held(self.specification, self.values, self.robot, self.margins)
 
     @property
     def curves(self) -> Curves:
@@ -78,50 +92,26 @@ def evaluate(specification: Specification, samples: Samples | None = None) -> li
     Raises:
         UserError: as `jaxact.simulation.plans.groups`.
     """
-    specification = engines.resolved(specification)
     samples = expand(specification) if samples is None else samples
     found: dict[int, WholeRobot] = {}
     for plan in plans.groups(specification, samples):
         numbers = np.concatenate([batch[:n] for batch, n in plans.batches(plan, samples)])
-        case, setting = kernel.linear_part(plan.case, specification.setting)
-        with jax.enable_x64(True):
-            template = _template(case, setting)
-        moved = mujoco_batch.moved(plan.case, specification.setting, samples.take(numbers))
+        setting, rows, moved = specification.setting, samples.take(numbers), None
+        if plan.case.varied:
+            moved = mujoco_batch.moved(plan.case, setting, rows)
+        case, setting = kernel.linear_part(plan.case, setting)
+        template = robot_loop.template(case, setting)
         for place, number in enumerate(numbers):
-            values = {
-                name: float(row[0]) for name, row in samples.take(numbers[place, None]).items()
-            }
+            values = {name: float(row[place]) for name, row in rows.items()}
             own = None if moved is None else tuple(part[place] for part in moved)
-            found[int(number)] = _one(case, setting, template, values, own)
+            found[int(number)] = _one(case, specification, template, values, own)
     return [found[number] for number in range(len(samples))]
 
 
-def _options(case: Case) -> DriveOptions:
-    """Lines with room for up to a period of delay more."""
-    return replace(case.drive, command_slots=case.drive.command_slots + 2)
-
-
-@functools.lru_cache(maxsize=8)
-def _template(case: Case, setting: Setting) -> Template:
-    """What the samples share, in float64."""
-    return kernel.template_of(case, setting, "growth_rate")
-
-
-@building
-def _matrices(*, case: Case, setting: Setting) -> Callable:
-    """From parameters and an extra delay to the loop's matrices, inertias, gains and delays."""
-    template = _template(case, setting)
-    options = _options(case)
-
-    def matrices(values, moved, extra):
-        loop = kernel.linear_loop(case, template, values, moved)
-        found = robot_loop.period_map(robot_loop.with_later_commands(loop, extra), options)
-        like = jnp.zeros(loop.plant.shape)
-        gains, delay = loop.drive.controller, loop.drive.actuator.delay
-        inertias = robot_loop.effective_inertias(loop.plant)
-        return found, inertias, gains.kp + like, gains.kd + like, delay + like
-
-    return matrices
+def nominal(specification: Specification) -> WholeRobot:
+    """The margins of the nominal loop of a specification with a [plant], as `evaluate`."""
+    along = {name: np.array([value]) for name, value in specification.nominal.items()}
+    return evaluate(specification, Samples(along, ("loop",), (1,), {}))[0]
 
 
 def _left_out(setting: Setting, scene: Scene, values: dict[str, float]) -> float:
@@ -133,14 +123,17 @@ def _left_out(setting: Setting, scene: Scene, values: dict[str, float]) -> float
 
 
 def _one(
-    case: Case, setting: Setting, template: Template, values: dict[str, float], moved
+    case: Case, specification: Specification, template: Template, values: dict[str, float], moved
 ) -> WholeRobot:
+    _, setting = kernel.linear_part(case, specification.setting)
+
     def computed(extra: float):
         with jax.enable_x64(True):
             inputs = {name: jnp.asarray(value, float) for name, value in values.items()}
             own = None if moved is None else tuple(jnp.asarray(part, float) for part in moved)
             loop = inputs, own, jnp.asarray(extra, float)
-            return jax.tree.map(np.asarray, _matrices(*loop, case=case, setting=setting))
+            found = robot_loop.matrices(*loop, case=case, setting=setting)
+            return jax.tree.map(np.asarray, found)
 
     def matrices(extra: float) -> Matrices:
         found = computed(extra)[0]
@@ -166,7 +159,8 @@ def _one(
         residual=template.residual,
         left_out=_left_out(setting, scene, values),
         neutral=basis.shape[0] - basis.shape[1],
-        floating=mounting.floats(scene.robot),
         physics_step=case.step,
         engine=(case.engine if case.engine.differentiable else MUJOCO).name,
+        specification=specification,
+        values=values,
     )

@@ -7,9 +7,7 @@ from typing import Any
 
 import jax
 
-from jaxact.errors import UserError
-from jaxact.loops.specification import Setting, Specification
-from jaxact.plants.engines import (
+from jaxact.engines import (
     AUTO,
     MUJOCO,
     ROBOT_IN_MJX,
@@ -18,6 +16,8 @@ from jaxact.plants.engines import (
     Name,
     names,
 )
+from jaxact.errors import UserError
+from jaxact.loops.specification import Setting, Specification
 from jaxact.simulation import starts as _starts
 from jaxact.simulation.kernel import Case
 

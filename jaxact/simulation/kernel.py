@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxact.drive.controller import Setpoint
 from jaxact.drive.step import Drive, DriveOptions
+from jaxact.engines import Engine
 from jaxact.loops import loop as _loop
 from jaxact.loops import template as _template
 from jaxact.loops.conversion import drive_of
@@ -35,7 +36,6 @@ from jaxact.parameters import (
     OF_JOINT,
     SETPOINT,
 )
-from jaxact.plants.engines import Engine
 from jaxact.plants.mass import Mass
 from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import rollout as _rollout

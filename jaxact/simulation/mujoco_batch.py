@@ -21,6 +21,7 @@ from jaxact.compilation.programs import building
 from jaxact.drive import step as _drive
 from jaxact.drive.controller import Setpoint
 from jaxact.drive.step import Coefficients
+from jaxact.engines import MUJOCO
 from jaxact.loops import robots
 from jaxact.loops.conversion import drive_of
 from jaxact.loops.robots import Scene
@@ -36,7 +37,6 @@ from jaxact.parameters import (
     SETPOINT,
 )
 from jaxact.plants import linearize, variation
-from jaxact.plants.engines import MUJOCO
 from jaxact.plants.mujoco import Impulse, JointPush, Simulations
 from jaxact.plants.variation import Variation
 from jaxact.robots import posture as _posture
@@ -58,7 +58,7 @@ def template(case: Case, setting: Setting) -> Template:
     return kernel.template_of(replace(case, engine=MUJOCO), setting, "metrics")
 
 
-def moved(case: Case, setting: Setting, values: Mapping[str, np.ndarray]) -> tuple[Any, Any] | None:
+def moved(case: Case, setting: Setting, values: Mapping[str, np.ndarray]) -> tuple[Any, Any]:
     """A and B of the linear plant of every sample, where the model varies.
 
     Each is linearised where its own model rests: under a payload that nothing carries, contacts
@@ -69,11 +69,8 @@ def moved(case: Case, setting: Setting, values: Mapping[str, np.ndarray]) -> tup
         values: of the samples, shape (n,) each.
 
     Returns:
-        Shapes (n, kept, kept) and (n, kept, joints), in the nominal plant's coordinates; None where
-        all samples have the nominal model.
+        Shapes (n, kept, kept) and (n, kept, joints), in the nominal plant's coordinates.
     """
-    if not case.varied:
-        return None
     rows = np.stack([_at_joints(case, setting, values, name) for name in case.varied], axis=1)
     distinct, places = np.unique(rows.reshape(len(rows), -1), axis=0, return_inverse=True)
     found = [_linear(case, setting, tuple(row.tolist())) for row in distinct]

@@ -17,19 +17,26 @@ The matrices are the derivative of the one step that simulates (`jax.jacfwd` of
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
+from jaxact.compilation.programs import building
 from jaxact.drive import history as _history
 from jaxact.drive.controller import Setpoint
 from jaxact.drive.step import DriveOptions
 from jaxact.loops import loop as _loop
 from jaxact.loops.loop import Loop, LoopState
+from jaxact.loops.specification import Setting
+from jaxact.loops.template import Template
 from jaxact.plants.linear import LinearPlant
+from jaxact.simulation import kernel
 from jaxact.simulation.growth import rate as _growth
+from jaxact.simulation.kernel import Case
 
 
 @dataclass(frozen=True)
@@ -138,44 +145,35 @@ def open_map(loop: Loop, options: DriveOptions) -> OpenMap:
     )
 
 
-def open_frequency_response(loop: Loop, options: DriveOptions, frequency: jax.Array) -> jax.Array:
-    """G(e^(jwT)) from commands to what the controllers measure, at the ticks; free of the gains.
-
-    Args:
-        loop, options: as for `period_map`; differentiable in actuators and delays.
-        frequency: w [rad/s], in (0, pi/T], shape (frequencies,).
-
-    Returns:
-        [i, a, q, b]: at frequency i, position (q = 0) or velocity (q = 1) of joint a by the command
-        of joint b, complex, shape (frequencies, joints, 2, joints).
-    """
-    opened = open_map(loop, options)
-    z = jnp.exp(1j * frequency * loop.drive.control_period)
-    eye = jnp.eye(opened.A.shape[0])
-    seen = jnp.stack([opened.positions, opened.velocities], axis=1)
-
-    def at(z: jax.Array) -> jax.Array:
-        states = jnp.linalg.solve(z * eye - opened.A, opened.B.astype(z.dtype))
-        return jnp.einsum("aqn,nb->aqb", seen, states)
-
-    return jax.lax.map(at, z)
-
-
-def sensitivity(G: jax.Array, kp: jax.Array, kd: jax.Array) -> jax.Array:
-    """S = (I + [kp kd] G)^-1 at the plant's input, for any gains; differentiable in all.
-
-    Args:
-        G: from `open_frequency_response`, shape (frequencies, joints, 2, joints).
-        kp, kd: gains of the joints, shape (joints,) each.
-
-    Returns:
-        shape (frequencies, joints, joints).
-    """
-    gains = jnp.stack([kp, kd], axis=1)
-    loop = jnp.einsum("aq,iaqb->iab", gains, G)
-    return jnp.linalg.inv(jnp.eye(kp.shape[0])[None] + loop)
-
-
 def effective_inertias(plant: LinearPlant) -> jax.Array:
     """Inertias of the joints against forces within a physics step [kg or kg m^2], (joints,)."""
     return plant.step / jnp.diagonal(plant.velocities @ plant.B)
+
+
+@functools.lru_cache(maxsize=8)
+def template(case: Case, setting: Setting) -> Template:
+    """What the loops of a linearised robot share, in float64; `case` from `kernel.linear_part`."""
+    with jax.enable_x64(True):
+        return kernel.template_of(case, setting, "growth_rate")
+
+
+@building
+def matrices(*, case: Case, setting: Setting) -> Callable:
+    """From parameters of a robot, A and B of a model of its own, and an extra delay to its loop.
+
+    Returns:
+        A function to the period map, effective inertias, kp, kd and command delays, (joints,) each.
+    """
+    shared = template(case, setting)
+    # Lines with room for up to a period of delay more.
+    options = replace(case.drive, command_slots=case.drive.command_slots + 2)
+
+    def one(values, moved, extra):
+        loop = kernel.linear_loop(case, shared, values, moved)
+        found = period_map(with_later_commands(loop, extra), options)
+        like = jnp.zeros(loop.plant.shape)
+        gains, delay = loop.drive.controller, loop.drive.actuator.delay
+        inertias = effective_inertias(loop.plant)
+        return found, inertias, gains.kp + like, gains.kd + like, delay + like
+
+    return one

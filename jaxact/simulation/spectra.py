@@ -22,10 +22,10 @@ import numpy as np
 
 from jaxact.analysis.robot.modes import swinging
 from jaxact.drive.step import DriveOptions
+from jaxact.engines import MASS, MUJOCO
 from jaxact.loops.samples import SAMPLE, Samples
 from jaxact.loops.specification import Setting, Specification
 from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, VELOCITY_FILTER, WN
-from jaxact.plants.engines import MASS, MUJOCO
 from jaxact.simulation import kernel, tiles
 from jaxact.simulation.growth.delayed_roots import polynomial_doubt
 from jaxact.simulation.growth.rate import TOLERANCE, GrowthOptions, SlowModes, TooManyStatesError
@@ -126,7 +126,6 @@ def _of_robots(
         from jaxact.simulation import mujoco_batch  # imports MuJoCo
 
         moved = mujoco_batch.moved(plan.case, specification.setting, samples.take(numbers))
-        assert moved is not None
         rows = plan.devices * plan.tiles, plan.tile
         inputs.append([part.reshape(*rows, *part.shape[1:]) for part in moved])
     modes = jax.tree.map(np.asarray, tiles.run(*inputs, **static))

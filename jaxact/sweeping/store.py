@@ -20,11 +20,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact import __version__
+from jaxact import __version__, engines
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.parameters import of
-from jaxact.plants import engines
 from jaxact.status import Verdict
 from jaxact.sweeping import checksums
 from jaxact.sweeping.checksums import ChecksumState

@@ -17,9 +17,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxact.engines import AUTO, ROBOT_IN_MJX
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
-from jaxact.plants.engines import AUTO, ROBOT_IN_MJX
 from jaxact.simulation import engines, execute, plans
 from jaxact.simulation.plans import Plan
 from jaxact.simulation.spectra import Rates

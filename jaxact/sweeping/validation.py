@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxact import engines
 from jaxact.errors import UserError
 from jaxact.loops import reading
 from jaxact.loops.samples import Samples, expand, explicit
 from jaxact.loops.specification import Specification
-from jaxact.plants import engines
 from jaxact.simulation import execute, plans
 from jaxact.sweeping import integrity, opening, progress
 from jaxact.sweeping import store as _store

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-    from jaxact.loops.specification import Specification
     from jaxact.robot_margins.stiction import Stiction
 
 ENGINES = ("mujoco", "mjx")
@@ -83,10 +82,7 @@ class RobotLoopMargins:
     @functools.cached_property
     def stiction(self) -> tuple[Stiction | None, ...]:
         """What dry friction holds that would shake once it moves, by simulation; loop by loop."""
-        from jaxact.robot_margins import stiction
-
-        own = conversion.linear_specification(self.loop, engine="mujoco")
-        return tuple(stiction.each(own, conversion.samples(self.loop), list(self.details)))
+        return tuple(found.stiction for found in self.details)
 
     def to_xarray(self) -> xr.Dataset:
         """All metrics as variables with units; those of joints have the dimension `joint`."""
@@ -126,12 +122,10 @@ class RobotLoopMargins:
 
     def _described(
         self, held: tuple[Stiction | None, ...]
-    ) -> Iterator[tuple[Specification, str, WholeRobot, Stiction | None]]:
+    ) -> Iterator[tuple[str, WholeRobot, Stiction | None]]:
         """What tables take of each loop."""
-        own = conversion.linear_specification(self.loop, engine="mujoco")
         labels = naming.labels(conversion.samples(self.loop)) or ("",) * len(self.details)
-        rows = zip(labels, self.details, held, strict=True)
-        return ((own, *row) for row in rows)
+        return zip(labels, self.details, held, strict=True)
 
 
 class _Same:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.engines import best_precision
 from jaxact.errors import UserError
 from jaxact.loops.samples import Samples, explicit
 from jaxact.loops.specification import Specification
@@ -26,7 +27,6 @@ from jaxact.parameters import (
     ZETA,
     base,
 )
-from jaxact.plants.engines import best_precision
 
 if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop

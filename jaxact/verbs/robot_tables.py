@@ -43,11 +43,9 @@ def title(specification: Specification) -> str:
     return ", ".join([plant.model.name, *parts])
 
 
-def as_json(
-    specification: Specification, label: str, found: WholeRobot, stiction: Stiction | None
-) -> str:
+def as_json(label: str, found: WholeRobot, stiction: Stiction | None) -> str:
     """All metrics as one object; null where one means nothing, "inf" for infinity."""
-    plant, margins = specification.plant, found.margins
+    plant, margins = found.specification.plant, found.margins
     assert plant is not None
     row: dict[str, Any] = {
         "model": str(plant.model), "keyframe": plant.keyframe, "posture": plant.posture,
@@ -116,11 +114,9 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def as_text(
-    specification: Specification, label: str, found: WholeRobot, stiction: Stiction | None
-) -> str:
+def as_text(label: str, found: WholeRobot, stiction: Stiction | None) -> str:
     """What there is to say of a robot, as lines and tables."""
-    parts = [_head(specification, label, found), _rendered(_whole_table(specification, found))]
+    parts = [_head(label, found), _rendered(_whole_table(found))]
     if found.margins.stable:
         parts.append(
             "Each joint with all others closed, the one that shakes first at the top:\n"
@@ -128,19 +124,19 @@ def as_text(
             + "\nshakes, sways: shares in what shakes first, and in the least damped mode"
         )
     else:
-        parts.append(_advice(specification, found) + _stand(specification, found))
+        parts.append(_advice(found) + _stand(found))
     if stiction is not None:
         parts.append(f"The robot {stiction.sentence}.")
     return "\n\n".join(parts) + "\n"
 
 
-def _head(specification: Specification, label: str, found: WholeRobot) -> str:
-    plant = specification.plant
+def _head(label: str, found: WholeRobot) -> str:
+    plant = found.specification.plant
     assert plant is not None
     period, step = found.robot.period, found.physics_step
     count = len(found.robot.names)
     lines = [
-        f"{title(specification)}{f': {label}' if label else ''}",
+        f"{title(found.specification)}{f': {label}' if label else ''}",
         f"{count} driven joint{'' if count == 1 else 's'}, control {1 / period:g} Hz, physics step "
         f"{step * 1e3:g} ms, {found.engine}, posture {plant.posture}, "
         f"residual acceleration {found.residual:.2g}",
@@ -158,7 +154,7 @@ def _head(specification: Specification, label: str, found: WholeRobot) -> str:
             "base held: contacts that stick act as strong damping in the linearisation, so these "
             "are the margins of feet that never slip"
         )
-    if ahead := _ahead(specification, found):
+    if ahead := _ahead(found):
         lines.append(
             f"MuJoCo's integrator has positions {1e3 * ahead:.3g} ms ahead of velocities, as no "
             "robot has them, which changes the delay margin by up to as much; "
@@ -173,14 +169,14 @@ def _head(specification: Specification, label: str, found: WholeRobot) -> str:
     return "\n".join(lines)
 
 
-def _ahead(specification: Specification, found: WholeRobot) -> float:
+def _ahead(found: WholeRobot) -> float:
     """Half a physics step [s] where it is a part of the delay margin that counts, else 0."""
     from jaxact.loops import robots
 
-    more, plant = found.margins.changes.more_delay, specification.plant
+    more, plant = found.margins.changes.more_delay, found.specification.plant
     assert plant is not None
     model = robots.scene(plant).robot.model
-    if specification.integrator_correction or more is None:
+    if found.specification.integrator_correction or more is None:
         return 0.0
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         return 0.0
@@ -188,7 +184,7 @@ def _ahead(specification: Specification, found: WholeRobot) -> float:
     return half if half > _COUNTS * more.value else 0.0
 
 
-def _whole_table(specification: Specification, found: WholeRobot) -> Any:
+def _whole_table(found: WholeRobot) -> Any:
     from rich import box
     from rich.table import Table
 
@@ -196,7 +192,7 @@ def _whole_table(specification: Specification, found: WholeRobot) -> Any:
     table.add_column("all joints at once")
     table.add_column("")
     margins = found.margins
-    verdict = "creeps" if _creeps(specification, found) else margins.verdict
+    verdict = "creeps" if _creeps(found) else margins.verdict
     table.add_row("stable", "yes" if margins.stable else f"NO, it {verdict}")
     table.add_row("unstable roots", str(margins.unstable_roots))
     table.add_row("growth rate", f"{margins.growth_rate:.4g} 1/s")
@@ -329,15 +325,15 @@ def _joint_table(found: WholeRobot) -> Any:
     return table
 
 
-def _creeps(specification: Specification, found: WholeRobot) -> bool:
+def _creeps(found: WholeRobot) -> bool:
     """Whether it only slides, as MuJoCo's contacts under load do at a rate of their softness."""
-    margins, plant = found.margins, specification.plant
+    margins, plant = found.margins, found.specification.plant
     held = plant is not None and plant.base == mounting.HELD
     return held and margins.verdict == "topples" and margins.toppling_rate < _CREEP
 
 
-def _advice(specification: Specification, found: WholeRobot) -> str:
-    if _creeps(specification, found):
+def _advice(found: WholeRobot) -> str:
+    if _creeps(found):
         return (
             "It does not shake; it creeps from its posture, by a factor of e in "
             f"{1.0 / found.margins.toppling_rate:.3g} s. MuJoCo's contacts slide slowly under "
@@ -364,9 +360,9 @@ def _advice(specification: Specification, found: WholeRobot) -> str:
     return f"Margins of an unstable loop mean nothing; {change}."
 
 
-def _stand(specification: Specification, found: WholeRobot) -> str:
+def _stand(found: WholeRobot) -> str:
     """Of a robot that topples: how the margins of its joints and drives are had."""
-    plant = specification.plant
+    plant = found.specification.plant
     topples = "topples" in found.margins.verdict
     if plant is None or plant.base != "free" or not topples or not found.floating:
         return ""

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.engines import best_precision
 from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.loops.samples import Samples
-from jaxact.plants.engines import best_precision
 from jaxact.simulation import engines, single
 from jaxact.status import Verdict
 from jaxact.sweeping.store import VARIABLES, joint_units

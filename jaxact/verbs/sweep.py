@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import ValidationError
 
+from jaxact import engines
 from jaxact.errors import UserError
 from jaxact.loops import reading
 from jaxact.loops.axes import Axis, read_axis
@@ -21,7 +22,6 @@ from jaxact.loops.control_loop import ControlLoop, is_traced
 from jaxact.loops.conversion import described, preset_axis
 from jaxact.loops.specification import Sampling, Specification
 from jaxact.parameters import PARAMETERS, WN, ZETA, canonical, known
-from jaxact.plants import engines
 from jaxact.sweeping import execution, location, opening
 from jaxact.verbs.sweep_options import Say, computed_by, options, settled
 

@@ -7,10 +7,10 @@ import dataclasses
 import functools
 from collections.abc import Callable, Iterator
 
+from jaxact.engines import AUTO, names
 from jaxact.errors import UserError
 from jaxact.loops.samples import Samples, expand
 from jaxact.loops.specification import Specification
-from jaxact.plants.engines import AUTO, names
 from jaxact.sweeping import adaptive as _adaptive
 from jaxact.sweeping import fill, memory, planning, store, throughput
 from jaxact.sweeping.execution import SweepOptions

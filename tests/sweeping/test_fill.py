@@ -15,10 +15,10 @@ from quickly import compiled_fully as compiled_fully
 from quickly import compiled_quickly as compiled_quickly
 from quickly import optimised_fully
 
+from jaxact import engines
 from jaxact.errors import UserError
 from jaxact.loops import reading
 from jaxact.loops.samples import expand
-from jaxact.plants import engines
 from jaxact.simulation import execute, plans
 from jaxact.sweeping import (
     cache,

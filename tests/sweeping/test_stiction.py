@@ -8,7 +8,7 @@ import pytest
 import scipy.linalg
 
 from jaxact.loops import reading, toml
-from jaxact.robot_margins import stiction, whole_robot
+from jaxact.robot_margins import whole_robot
 from jaxact.simulation import single
 from jaxact.status import Verdict
 
@@ -20,6 +20,10 @@ HINGE = """<mujoco><option gravity="0 0 0"/><worldbody><body>
 <joint name="j" axis="0 1 0" armature="0.02" frictionloss="{loss}"/>
 <geom size="0.01" mass="1e-6"/></body></worldbody>
 <actuator><position joint="j" kp="80" kv="2" {limit}/></actuator></mujoco>"""
+
+
+def held_of(asked):
+    return whole_robot.nominal(asked).stiction
 
 
 def specification(path, text, **parameters):
@@ -86,7 +90,7 @@ def test_growth_is_that_of_the_sampled_loop_without_friction(tmp_path):
 @pytest.mark.parametrize("limit", [20.0, 60.0])
 def test_push_amplitude_and_frequency_are_those_of_plain_mujoco(tmp_path, limit):
     text = HINGE.format(loss=0.3, limit=f'forcerange="-{limit} {limit}"')
-    held = stiction.nominal(specification(tmp_path / "hinge.xml", text))
+    held = held_of(specification(tmp_path / "hinge.xml", text))
     assert held.joint == held.shaking == "j"
     assert np.ptp(plain(0.3, limit, 0.95 * held.push)[-1500:]) < 1e-6
     amplitude, frequency = amplitude_and_frequency(plain(0.3, limit, 1.05 * held.push))
@@ -98,14 +102,14 @@ def test_push_amplitude_and_frequency_are_those_of_plain_mujoco(tmp_path, limit)
 
 @pytest.mark.exhaustive
 def test_without_a_limit_of_force_the_shaking_grows(tmp_path):
-    held = stiction.nominal(specification(tmp_path / "h.xml", HINGE.format(loss=0.3, limit="")))
+    held = held_of(specification(tmp_path / "h.xml", HINGE.format(loss=0.3, limit="")))
     assert held.amplitude == np.inf
     assert "without bound" in held.sentence
 
 
 def test_friction_that_holds_any_push_is_said_so(tmp_path):
     text = HINGE.format(loss=0.3, limit='forcerange="-0.35 0.35"')
-    held = stiction.nominal(specification(tmp_path / "hinge.xml", text))
+    held = held_of(specification(tmp_path / "hinge.xml", text))
     assert held.push == np.inf and held.amplitude == 0.0
     assert "stands still because dry friction holds it: no push" in held.sentence
     assert np.ptp(plain(0.3, 0.35, held.strongest, 12.0)[-1500:]) < 1e-6
@@ -113,17 +117,15 @@ def test_friction_that_holds_any_push_is_said_so(tmp_path):
 
 def test_nothing_is_said_of_robots_that_do_not_shake(tmp_path):
     text = HINGE.format(loss=0.3, limit="")
-    assert stiction.nominal(specification(tmp_path / "a.xml", text, kp=10.0, kd=0.5)) is None
-    assert (
-        stiction.nominal(specification(tmp_path / "b.xml", HINGE.format(loss=0, limit=""))) is None
-    )
+    assert held_of(specification(tmp_path / "a.xml", text, kp=10.0, kd=0.5)) is None
+    assert held_of(specification(tmp_path / "b.xml", HINGE.format(loss=0, limit=""))) is None
 
 
 @pytest.mark.exhaustive
 def test_friction_of_the_parameters_counts(tmp_path):
     text = HINGE.format(loss=0.0, limit='forcerange="-20 20"')
-    held = stiction.nominal(specification(tmp_path / "a.xml", text, joint_friction=0.3))
-    own = stiction.nominal(
+    held = held_of(specification(tmp_path / "a.xml", text, joint_friction=0.3))
+    own = held_of(
         specification(tmp_path / "b.xml", HINGE.format(loss=0.3, limit='forcerange="-20 20"'))
     )
     assert held.push == pytest.approx(own.push, rel=0.05)
@@ -152,7 +154,7 @@ def two_joints(loss, limit):
 
 @pytest.mark.exhaustive
 def test_a_joint_that_friction_does_not_act_on_is_not_said_to_be_held(tmp_path):
-    held = stiction.nominal(specification(tmp_path / "two.xml", two_joints(0.0, 20.0)))
+    held = held_of(specification(tmp_path / "two.xml", two_joints(0.0, 20.0)))
     assert held.push == 0.0 and held.joint == held.shaking == "j"
     assert "is not held by its dry friction" in held.sentence
     amplitude, frequency = amplitude_and_frequency(plain(0.0, 20.0, 1e-3))

@@ -274,10 +274,12 @@ def _linearised(
     # Neighbours in the box often differ in their drives only.
     @functools.lru_cache(maxsize=64)
     def of(body: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray] | None:
+        if not case.varied:
+            return None
         own = dict(zip((keys[place] for place in bodies), body, strict=True))
         values = {key: np.full(1, value) for key, value in {**nominal, **own}.items()}
-        found = mujoco_batch.moved(case, setting, values)
-        return None if found is None else (found[0][0], found[1][0])
+        A, B = mujoco_batch.moved(case, setting, values)
+        return A[0], B[0]
 
     return lambda row: of(tuple(row[bodies].tolist()))
 
