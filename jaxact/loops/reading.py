@@ -8,9 +8,9 @@ from __future__ import annotations
 import dataclasses
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -42,6 +42,7 @@ from jaxact.parameters import (
 
 _LARGEST_FILE = 500_000
 _WORD = re.compile(r"[^\W\d][\w.-]*")
+Section = TypeVar("Section")
 
 
 def load(path: Path, overrides: Sequence[str] = (), drive: Path | None = None) -> Specification:
@@ -55,17 +56,13 @@ def load(path: Path, overrides: Sequence[str] = (), drive: Path | None = None) -
     Raises:
         UserError: it names the file or the override, the key, what was given, what is allowed.
     """
-    overridden: list[str] = []
     try:
         document = _canonical(_read(path))
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
+    overridden = _overridden(document, overrides)
+    document |= {} if drive is None else {DRIVE: str(drive.resolve())}
     try:
-        overridden += [_apply(document, override) for override in overrides]
-    except UserError as error:
-        raise UserError(f"--set {error}") from None
-    try:
-        document |= {} if drive is None else {DRIVE: str(drive.resolve())}
         return _checked(document, path.parent)
     except UserError as error:
         where = "--set" if _blames(str(error), overridden) else path
@@ -84,12 +81,16 @@ def parse(text: str, folder: Path = Path(), overrides: Sequence[str] = ()) -> Sp
         UserError: as `load`.
     """
     document = _canonical(_loads(text))
+    _overridden(document, overrides)
+    return _checked(document, folder)
+
+
+def _overridden(document: dict[str, Any], overrides: Sequence[str]) -> list[str]:
+    """Apply overrides to a document; the full keys that they went to."""
     try:
-        for override in overrides:
-            _apply(document, override)
+        return [_apply(document, override) for override in overrides]
     except UserError as error:
         raise UserError(f"--set {error}") from None
-    return _checked(document, folder)
 
 
 def _checked(document: Mapping[str, Any], folder: Path) -> Specification:
@@ -241,7 +242,8 @@ def _build(document: Mapping[str, Any], folder: Path) -> Specification:
             options[table] = _TABLE_READERS[table](document[table], folder)
     if "plant" in options:
         options.setdefault("engine", "auto")
-    sampling = _sampling(document["sampling"]) if "sampling" in document else None
+    drawn = document.get("sampling")
+    sampling = None if drawn is None else _filled(Sampling, "sampling", drawn)
     parameters = _parameters(document["parameters"])
     axes = tuple(
         read_axis(name, given, sampled=sampling is not None)
@@ -278,18 +280,13 @@ def _parameters(table: Mapping[str, Any]) -> dict[str, float | str]:
     }
 
 
-def _sampling(table: Any) -> Sampling:
-    sampling: Sampling = _filled(Sampling, "sampling", table)
-    return sampling
-
-
-def _filled(kind: type, section: str, table: Any, **changed: Any) -> Any:
+def _filled(kind: type[Section], section: str, table: Any, **changed: Any) -> Section:
     """A section as the dataclass that describes it."""
     if not isinstance(table, dict):
         raise UserError(
             f"{section} = {shown(table)} is not a table; write [{section}] above its keys"
         )
-    names = tuple(field.name for field in dataclasses.fields(kind))
+    names = tuple(field.name for field in dataclasses.fields(kind))  # type: ignore[arg-type]
     for key in table:
         if key not in names:
             raise UserError(_unknown(key, names, f"{section}."))
@@ -300,15 +297,13 @@ def _filled(kind: type, section: str, table: Any, **changed: Any) -> Any:
 
 
 def _plant(table: Any, folder: Path) -> Plant:
-    changed: dict[str, Any] = {}
-    if isinstance(table, dict) and "model" in table:
-        changed["model"] = _file(table["model"], folder, "plant.model", "an MJCF or URDF file")
-    if isinstance(table, dict) and "gains" in table:
-        changed["gains"] = _gains(table["gains"], folder)
-    if isinstance(table, dict) and "joints" in table:
-        changed["joints"] = _patterns(table["joints"])
-    plant: Plant = _filled(Plant, "plant", table, **changed)
-    return plant
+    readers: dict[str, Callable[[Any], Any]] = {
+        "model": lambda given: _file(given, folder, "plant.model", "an MJCF or URDF file"),
+        "gains": lambda given: _gains(given, folder),
+        "joints": _patterns,
+    }
+    changed = {key: read(table[key]) for key, read in readers.items() if key in _keys(table)}
+    return _filled(Plant, "plant", table, **changed)
 
 
 def _gains(given: Any, folder: Path) -> str:
@@ -336,25 +331,21 @@ def _patterns(given: Any) -> tuple[str, ...]:
 
 
 def _motion(table: Any, folder: Path) -> Motion:
-    changed: dict[str, Any] = {}
-    if isinstance(table, dict) and "file" in table:
-        changed["file"] = _file(table["file"], folder, "motion.file", "a CSV or NPZ file")
-    motion: Motion = _filled(Motion, "motion", table, **changed)
-    return motion
+    if "file" not in _keys(table):
+        return _filled(Motion, "motion", table)
+    file = _file(table["file"], folder, "motion.file", "a CSV or NPZ file")
+    return _filled(Motion, "motion", table, file=file)
 
 
 def _push(table: Any, folder: Path) -> Push:
     changed: dict[str, Any] = {}
-    if isinstance(table, dict) and "impulse" in table:
-        numbers = table["impulse"]
-        numbers = [as_number(item) for item in numbers] if isinstance(numbers, list) else []
+    if "impulse" in _keys(table):
+        given = table["impulse"]
+        numbers = [as_number(item) for item in given] if isinstance(given, list) else []
         if len(numbers) != 3 or not all(item is not None and abs(item) <= 1e9 for item in numbers):
-            raise UserError(
-                f"push.impulse = {shown(table['impulse'])}; allowed: three numbers [N s]"
-            )
+            raise UserError(f"push.impulse = {shown(given)}; allowed: three numbers [N s]")
         changed["impulse"] = tuple(numbers)
-    push: Push = _filled(Push, "push", table, **changed)
-    return push
+    return _filled(Push, "push", table, **changed)
 
 
 _TABLE_READERS = {"plant": _plant, "motion": _motion, "push": _push}

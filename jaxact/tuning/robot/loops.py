@@ -250,7 +250,6 @@ def _open_loop(
 
     What is nominal is a constant there, so that little is left to be compiled.
     """
-
     template = kernel.template_of(case, setting, "growth_rate")
 
     def matrices(row: jax.Array, moved: tuple[jax.Array, jax.Array] | None):
@@ -273,15 +272,13 @@ def _linearised(
 
     # Neighbours in the box often differ in their drives only.
     @functools.lru_cache(maxsize=64)
-    def of(body: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray] | None:
-        if not case.varied:
-            return None
+    def of(body: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
         own = dict(zip((keys[place] for place in bodies), body, strict=True))
         values = {key: np.full(1, value) for key, value in {**nominal, **own}.items()}
         A, B = mujoco_batch.moved(case, setting, values)
         return A[0], B[0]
 
-    return lambda row: of(tuple(row[bodies].tolist()))
+    return lambda row: of(tuple(row[bodies].tolist())) if case.varied else None
 
 
 @dataclass(frozen=True)
