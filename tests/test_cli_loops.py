@@ -169,7 +169,10 @@ def test_margins_of_a_sweeps_specification(capsys):
         (["simulate", "--npz", "nowhere/run.npz"], "does not exist"),
         (["simulate", "--set", "kp=3"], "give one with --spec"),
         (["simulate", "--spec", "nothing.toml"], "no such file"),
-        (["simulate", "--engine", "mjx", "--model", "nothing.xml"], "no such file"),
+        (
+            ["simulate", "--engine", "mjx", "--model", "nothing.xml"],
+            "jaxact: --model = 'nothing.xml': no such file\n",
+        ),
         (["simulate", "--joint", "3"], "the driven joints are joint"),
         (["simulate", "--seed", "-1"], "seed = -1"),
         (["simulate", "--velocity", "guessed"], "allowed: sampled, differenced"),

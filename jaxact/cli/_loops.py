@@ -199,7 +199,11 @@ def specified(
     try:
         return reading.parse(toml.dumps(document), overrides=robot.set)
     except UserError as error:
-        said = re.sub(r"\b(?:parameters|axes)\.(\w+)", lambda found: typed(found[1]), str(error))
+        own = "|".join(robot.plant) or "plant"
+        keys = rf"\b(?:(?:parameters|axes)\.(\w+)|plant\.({own})\b)"
+        said = re.sub(keys, lambda found: typed(found[1] or found[2]), str(error))
+        if said.startswith("--"):  # relative to where one is
+            said = said.replace(" (relative to the specification)", "")
         raise UserError(said) from None
 
 
