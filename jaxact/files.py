@@ -1,15 +1,19 @@
-"""Files that are there as a whole or not at all, who can write to them, and what is read once."""
+"""Files that are there as a whole or not at all, who can write to them, and what is read once.
+
+And values as files of JSON have them.
+"""
 
 from __future__ import annotations
 
+import math
 import os
 import stat
 import tempfile
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from jaxact.errors import UserError
 
@@ -92,3 +96,14 @@ def once_read(key: Hashable, read: Callable[[], T]) -> T:
     if key not in known:
         known[key] = read()
     return known[key]  # type: ignore[return-value]
+
+
+def plain(value: Any) -> Any:
+    """A value, or a table or list of some, as JSON has it: null for NaN, text for infinity."""
+    if isinstance(value, Mapping):
+        return {key: plain(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [plain(part) for part in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else "inf" if value > 0.0 else "-inf"
+    return value

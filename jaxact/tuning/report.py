@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxact import __version__
+from jaxact.files import plain
 from jaxact.loops import robots, toml
 from jaxact.parameters import KD, KP, PAYLOAD, VELOCITY_FILTER, base
 from jaxact.robots import elements
@@ -108,17 +109,6 @@ def verdicts(rollouts: Mapping[str, Validation]) -> dict[str, dict[str, Any]]:
         }
         for name, one in rollouts.items()
     }
-
-
-def plain(value: Any) -> Any:
-    """The same as JSON has it: None for NaN, text for infinity."""
-    if isinstance(value, Mapping):
-        return {key: plain(part) for key, part in value.items()}
-    if isinstance(value, list):
-        return [plain(part) for part in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else "inf" if value > 0 else "-inf"
-    return value
 
 
 def _sides(tuned: Tuned) -> dict[str, dict[str, dict[str, Any]] | None]:

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from jaxact.errors import UserError
+from jaxact.files import plain
 from jaxact.parameters import CONTROL_RATE
 
 # Share of a joint in a motion from which on the motion is its own, and from which on it is named
@@ -54,13 +55,7 @@ def _loop(loop: Loop) -> dict[str, Any]:
     borne = {key: value for key, value in asdict(loop.borne).items() if key != "participation"}
     shares = loop.shares
     begins = {"joint": next(iter(shares)), "participation": shares}
-    return begins | {key: _plain(value) for key, value in borne.items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else "inf" if value > 0.0 else "-inf"
-    return value
+    return begins | plain(borne)
 
 
 def as_text(known: OnStand | str) -> list[str]:

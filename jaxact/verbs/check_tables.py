@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxact.parameters import DELAY, JOINT_DAMPING, KD, KP, SETPOINT, SETPOINT_DELAY
 from jaxact.verbs import check_gains
+from jaxact.verbs.rendering import rendered
 
 if TYPE_CHECKING:
     from jaxact.robots.findings import Finding
@@ -115,7 +116,7 @@ def _joint_table(rows: list[dict[str, Any]]) -> str:
         note += " damping: the joint's own."
     if not any(row[KP] or row[KD] for row in rows):
         note += " No gains in the model: give kp and kd."
-    return _rendered(table) + "\n" + note
+    return rendered(table, width=_width()).lstrip("\n") + "\n" + note
 
 
 def _short(value: float | None) -> str:
@@ -187,12 +188,3 @@ def _width() -> int:
     from rich.console import Console
 
     return max(Console().width, 60) if sys.stdout.isatty() else _WIDTH
-
-
-def _rendered(table: Any) -> str:
-    from rich.console import Console
-
-    console = Console(width=_width(), highlight=False)
-    with console.capture() as captured:
-        console.print(table)
-    return "\n".join(line.rstrip() for line in captured.get().splitlines()).strip("\n")

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact import files
 from jaxact.parameters import CONTROL_RATE, LINEAR, MASS, mass_word, of
 from jaxact.plotting.wording import quantity
 from jaxact.verbs import naming
+from jaxact.verbs.rendering import rendered, table
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -150,8 +152,7 @@ def store(
 def _own(loops: naming.Loops, index: int) -> dict[str, float | str]:
     """The parameters that identify a linear loop in files; of a rotary one the inertia."""
     called = {name: mass_word(loops.unit) if name == MASS else name for name in _OF_LOOP}
-    values = {words: float(loops.values[name][index]) for name, words in called.items()}
-    return {name: value if math.isfinite(value) else "inf" for name, value in values.items()}
+    return files.plain({words: float(loops.values[name][index]) for name, words in called.items()})
 
 
 def plain(name: str, metrics: Mapping[str, np.ndarray], index: int) -> Any:
@@ -162,11 +163,7 @@ def plain(name: str, metrics: Mapping[str, np.ndarray], index: int) -> Any:
     if name == "unstable_roots":
         return int(value)
     meaningless = name in MARGINS and not metrics["stable"][index]
-    if meaningless or math.isnan(value):
-        return None
-    if math.isinf(value):
-        return "inf" if value > 0 else "-inf"
-    return value
+    return None if meaningless else files.plain(value)
 
 
 def masked(name: str, metrics: Metrics) -> np.ndarray:
@@ -177,33 +174,24 @@ def masked(name: str, metrics: Metrics) -> np.ndarray:
 
 def tables(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Metrics]) -> str:
     """A column for each of a few loops, a line for each of many."""
-    from rich.console import Console
-
     columns = len(labels) * len(found)
-    table = _tall(labels, rates, found) if columns <= _MOST_COLUMNS else _wide(labels, found)
-    console = Console(width=30 + 26 * max(columns, 4), highlight=False)
-    with console.capture() as captured:
-        console.print(table)
-    return "\n".join(line.rstrip() for line in captured.get().rstrip().splitlines())
+    made = _tall(labels, rates, found) if columns <= _MOST_COLUMNS else _wide(labels, found)
+    return rendered(made, width=30 + 26 * max(columns, 4))
 
 
 def _tall(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Metrics]) -> Any:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("")
-    cells = []
+    heads, cells = [""], []
     for index, label in enumerate(labels):
         for prefix, metrics in found.items():
             kind = f"\n{'sampled' if prefix else 'continuous'}" if len(found) > 1 else ""
-            table.add_column(f"{label}{kind}", justify="right")
+            heads.append(f"{label}{kind}")
             cells.append(_column(metrics, index, float(rates[index]),
                                  periods=len(found) > 1))  # fmt: skip
+    made = table(*heads)
     for name in cells[0]:
         if any(cell[name] for cell in cells):
-            table.add_row(name, *(cell[name] or "-" for cell in cells))
-    return table
+            made.add_row(name, *(cell[name] or "-" for cell in cells))
+    return made
 
 
 def _column(metrics: Metrics, index: int, rate: float, *, periods: bool) -> dict[str, str]:
@@ -262,14 +250,8 @@ def _phase_range(disk: float) -> float:
 
 
 def _wide(labels: Sequence[str], found: Mapping[str, Metrics]) -> Any:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    heads = ("loop", "gain margin", "phase margin [°]", "delay margin [ms]", "Ms", "Mt",
-             "disk margin", "unstable roots", "log gain to boundary")  # fmt: skip
-    for head in heads:
-        table.add_column(head, justify="left" if head == "loop" else "right")
+    made = table("loop", "gain margin", "phase margin [°]", "delay margin [ms]", "Ms", "Mt",
+                 "disk margin", "unstable roots", "log gain to boundary")  # fmt: skip
     for index, label in enumerate(labels):
         for prefix, metrics in found.items():
             name = f"{label}, sampled" if prefix else label
@@ -277,8 +259,8 @@ def _wide(labels: Sequence[str], found: Mapping[str, Metrics]) -> Any:
             names = ("gain_margin", "phase_margin", "delay_margin", "sensitivity_peak",
                      "complementary_peak", "disk_margin", "unstable_roots",
                      "log_gain_to_boundary")  # fmt: skip
-            table.add_row(name, *(_short(plain(item, scaled, index)) for item in names))
-    return table
+            made.add_row(name, *(_short(plain(item, scaled, index)) for item in names))
+    return made
 
 
 def _short(value: Any) -> str:

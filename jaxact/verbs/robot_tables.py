@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
+from jaxact.files import plain
 from jaxact.parameters import KD, KP
 from jaxact.plotting.wording import quantity
 from jaxact.robots import mounting
+from jaxact.verbs import rendering
 
 if TYPE_CHECKING:
     from jaxact.analysis.robot.changes import Change
@@ -77,7 +79,7 @@ def as_json(label: str, found: WholeRobot, stiction: Stiction | None) -> str:
         ("response_at_peak", margins.at_peak),
     ):
         row[key] = None if mode is None else vars(mode) | {"participation": _named(found, mode)}
-    return _json.dumps(_plain(row), allow_nan=False)
+    return _json.dumps(plain(row), allow_nan=False)
 
 
 def _named(found: WholeRobot, motion: Mode | Change) -> dict[str, float]:
@@ -88,8 +90,7 @@ def _named(found: WholeRobot, motion: Mode | Change) -> dict[str, float]:
 def as_object(stiction: Stiction) -> dict[str, Any]:
     """What dry friction holds, by name; null for a frequency that there is none of."""
     row = {name: value for name, value in vars(stiction).items() if name != "rotary"}
-    row["frequency"] = None if math.isnan(stiction.frequency) else stiction.frequency
-    return _plain(row | {"sentence": stiction.sentence})
+    return plain(row | {"sentence": stiction.sentence})
 
 
 def _of_joint(found: WholeRobot, place: int) -> dict[str, Any]:
@@ -101,17 +102,6 @@ def _of_joint(found: WholeRobot, place: int) -> dict[str, Any]:
         return dict.fromkeys(names)
     own = {name: getattr(found.margins.joints[place], name) for name in names}
     return own | {"phase_margin": math.degrees(own["phase_margin"])}
-
-
-def _plain(value: Any) -> Any:
-    """A value as JSON has it."""
-    if isinstance(value, dict):
-        return {key: _plain(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_plain(inner) for inner in value]
-    if isinstance(value, float) and math.isinf(value):
-        return "inf" if value > 0 else "-inf"
-    return value
 
 
 def as_text(label: str, found: WholeRobot, stiction: Stiction | None) -> str:
@@ -185,12 +175,8 @@ def _ahead(found: WholeRobot) -> float:
 
 
 def _whole_table(found: WholeRobot) -> Any:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("all joints at once")
-    table.add_column("")
+    table = rendering.table("all joints at once", "")
+    table.columns[1].justify = "left"
     margins = found.margins
     verdict = "creeps" if _creeps(found) else margins.verdict
     table.add_row("stable", "yes" if margins.stable else f"NO, it {verdict}")
@@ -302,14 +288,10 @@ def _shares(participation: np.ndarray, names: tuple[str, ...]) -> str:
 
 
 def _joint_table(found: WholeRobot) -> Any:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
-    heads = ("joint", KP, KD, "disk", "Ms", "Mt", "gain", "down to",
-             "phase [°]", "delay [ms]", "shakes", "sways")  # fmt: skip
-    for head in heads:
-        table.add_column(head, justify="left" if head == "joint" else "right", no_wrap=True)
+    table = rendering.table(
+        "joint", KP, KD, "disk", "Ms", "Mt", "gain", "down to", "phase [°]", "delay [ms]", "shakes",
+        "sways", no_wrap=True, collapse_padding=True,
+    )  # fmt: skip
     first, sway = found.margins.first_to_shake, found.margins.critical.participation
     for place in found.margins.ranking:
         own = found.margins.joints[place]
@@ -370,9 +352,4 @@ def _stand(found: WholeRobot) -> str:
 
 
 def _rendered(table: Any) -> str:
-    from rich.console import Console
-
-    console = Console(width=_WIDTH, highlight=False)
-    with console.capture() as captured:
-        console.print(table)
-    return "\n".join(line.rstrip() for line in captured.get().splitlines()).strip("\n")
+    return rendering.rendered(table, width=_WIDTH).lstrip("\n")

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxact.files import plain
 from jaxact.parameters import SETPOINT
 from jaxact.plotting.wording import quantity
 from jaxact.status import Verdict
 from jaxact.sweeping.store import VARIABLES, joint_units
-from jaxact.verbs import starts
+from jaxact.verbs import rendering, starts
 
 if TYPE_CHECKING:
     from jaxact.robot_margins.stiction import Stiction
@@ -33,7 +34,6 @@ _OF_A_STEP = ("overshoot", "rise_time", "settling_time")
 
 def text(run: Single) -> str:
     """Verdict, advice, metrics, and what came of each start."""
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(box=None, show_header=False, pad_edge=False)
@@ -48,11 +48,8 @@ def text(run: Single) -> str:
         units = joint_units(about.units, run.rotary)
         shown = f"{100 * value:.3g} %" if name == "overshoot" else quantity(value, units)
         table.add_row(about.long_name, shown)
-    console = Console(width=100, highlight=False)
-    with console.capture() as captured:
-        console.print(table)
-        console.print(starts.advice(run))
-    return "\n".join([captured.get().rstrip(), *starts.lines(run)])
+    said = rendering.rendered(table, starts.advice(run), width=100)
+    return "\n".join([said, *starts.lines(run)])
 
 
 def as_json(run: Single, stiction: Stiction | None = None) -> str:
@@ -64,7 +61,7 @@ def as_json(run: Single, stiction: Stiction | None = None) -> str:
     """
     from jaxact.verbs import robot_tables
 
-    found: dict[str, Any] = dict(_plain(run.results))
+    found: dict[str, Any] = plain(run.results)
     found["verdict"] = Verdict(int(run.results["verdict"])).label
     found["units"] = {
         name: joint_units(about.units, run.rotary)
@@ -73,7 +70,7 @@ def as_json(run: Single, stiction: Stiction | None = None) -> str:
     }
     if run.trajectory.configuration is not None:  # of a robot
         found["stiction"] = None if stiction is None else robot_tables.as_object(stiction)
-    found |= {"starts": starts.document(run), "parameters": _plain(run.values)}
+    found |= {"starts": starts.document(run), "parameters": plain(run.values)}
     return json.dumps(found)
 
 
@@ -94,15 +91,4 @@ def arrays(run: Single) -> dict[str, np.ndarray]:
     if "configuration" in found:
         found["qpos"] = found.pop("configuration")
         found["joints"] = np.array([one.name for one in run.joints])
-    return found | {"parameters": np.array(json.dumps(_plain(run.values)))}
-
-
-def _plain(values: dict[str, float]) -> dict[str, float | str | None]:
-    """Numbers as JSON has them: infinity as "inf", what is not a number as null."""
-
-    def plain(value: float) -> float | str | None:
-        if np.isnan(value):
-            return None
-        return str(value) if np.isinf(value) else value
-
-    return {name: plain(value) for name, value in values.items()}
+    return found | {"parameters": np.array(json.dumps(plain(run.values)))}

@@ -14,7 +14,7 @@ from jaxact.parameters import CONTROL_RATE, KD, KP, PAYLOAD
 from jaxact.plotting import theme, tuning
 from jaxact.plotting.wording import quantity
 from jaxact.tuning.report import mjcf_text, report, toml_text
-from jaxact.verbs import tuning_front, tuning_pictures
+from jaxact.verbs import rendering, tuning_front, tuning_pictures
 from jaxact.verbs.margin_tables import ALWAYS, MARGINS, UNITS, plain
 from jaxact.verbs.margins import margins
 
@@ -270,17 +270,7 @@ def _margins(document: Mapping[str, Any]) -> str:
 
 
 def _table(heads: list[str], rows: list[list[str]]) -> str:
-    """A table whose first column is of names, the others of numbers."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for place, head in enumerate(heads):
-        table.add_column(head, justify="right" if place else "left")
+    made = rendering.table(*heads)
     for row in rows:
-        table.add_row(*row)
-    console = Console(width=_WIDTH, highlight=False)
-    with console.capture() as captured:
-        console.print(table)
-    return "\n".join(line.rstrip() for line in captured.get().rstrip().splitlines())
+        made.add_row(*row)
+    return rendering.rendered(made, width=_WIDTH)
