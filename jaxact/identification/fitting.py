@@ -28,7 +28,9 @@ _MOST_CROSSED = 4
 _TOLERANCE = 1e-3
 # Evaluations after which the best piece is known; and of all.
 _FIRST_EVALUATIONS = 4
-_MOST_EVALUATIONS = 40
+_MOST_EVALUATIONS = 100
+# Share of its range within which an unknown lies at a bound.
+_AT_THE_BOUND = 1e-6
 # A model that after some evaluations is not better than a simpler one by this share is left there.
 _WORTH = 5e-3
 _HOPELESS_AFTER = 12
@@ -195,8 +197,8 @@ def at(
 ) -> Fit:
     """A problem's residuals and slopes at a point, as a fit."""
     low, high = _bounds(sought)
-    span = high - low
-    touched = (point - low < 1e-4 * span) | (high - point < 1e-4 * span)
+    near = _AT_THE_BOUND * (high - low)
+    touched = (point - low < near) | (high - point < near)
     return Fit(
         problem=sought,
         point=point,

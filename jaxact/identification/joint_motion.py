@@ -38,6 +38,8 @@ from jaxact.parameters import (
 )
 
 _NO_LIMIT = 1e15
+# Intervals are a little longer than nothing [s]: so a joint that stands knows where it would move.
+_NO_TIME = 1e-15
 
 
 @dataclass(frozen=True)
@@ -120,8 +122,9 @@ def simulate(
         Position [m or rad] and command [N or N m], each of shape (rows,).
     """
     plan = schedule(recording.time, jnp.asarray(values[DELAY], recording.time.dtype))
-    wn, zeta = (jnp.asarray(values[name], plan.length.dtype) for name in (WN, ZETA))
-    known = free_response.coefficients(wn, zeta, plan.length)
+    wn, zeta = (jnp.asarray(values[name], recording.time.dtype) for name in (WN, ZETA))
+    length = plan.length + jnp.where(plan.length == 0.0, _NO_TIME, 0.0)
+    known = free_response.coefficients(wn, zeta, length)
     tick = jnp.cumsum(plan.is_row) - 1
     own = {
         SETPOINT: recording.setpoint[tick],
@@ -131,7 +134,7 @@ def simulate(
         "held": plan.held,
         "command": recording.command[jnp.maximum(plan.held, 0)],
         "strength": recording.strength[jnp.maximum(plan.held, 0)],
-        "length": plan.length,
+        "length": length,
     }
     begin = _begin(values, recording, structure)
 
@@ -236,8 +239,8 @@ def _move(
     moment = 0.5 * value * length * length + over.Jc * e + over.Js * g
     # Finite, as it is multiplied by times that may be zero.
     limit = jnp.minimum(values[FORCE_LIMIT], _NO_LIMIT)
-    impulse = jnp.clip(impulse, -limit * length, limit * length)
-    moment = jnp.clip(moment, -0.5 * limit * length**2, 0.5 * limit * length**2)
+    impulse = _within(impulse, limit * length)
+    moment = _within(moment, 0.5 * limit * length**2)
     force = value + over.c * e + over.s * g
     rate = over.rate_e * e + over.rate_g * g
     inertia = values["inertia"]
@@ -248,7 +251,7 @@ def _move(
         middle = position + 0.5 * length * velocity
         pull = values["gravity"] * jnp.sin(middle - values["zero"])
         load = load - pull
-    viscous, dry = _friction(values, velocity, impulse, length, pull)
+    viscous, dry = _friction(values, velocity, impulse / length, pull)
     decay = viscous * length / inertia
     one, two = _phi(decay)
     pushed = jnp.exp(-decay) * velocity + one * (impulse + length * load) / inertia
@@ -263,6 +266,11 @@ def _move(
     return _Carry(moved, after, force, rate, carry.commands, carry.ticks, carry.seen)
 
 
+def _within(value: jax.Array, limit: jax.Array) -> jax.Array:
+    """The value within its limit; with its own derivative where both are zero, unlike `clip`."""
+    return jnp.where(jnp.abs(value) > limit, jnp.sign(value) * limit, value)
+
+
 def _phi(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     """``(1 - exp(-x)) / x`` and ``(x - 1 + exp(-x)) / x^2``, also where x is small."""
     small = jnp.abs(x) < 1e-3
@@ -275,8 +283,7 @@ def _phi(x: jax.Array) -> tuple[jax.Array, jax.Array]:
 def _friction(
     values: Mapping[str, Any],
     velocity: jax.Array,
-    impulse: jax.Array,
-    length: jax.Array,
+    force: jax.Array,
     pull: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """Viscous coefficient [N s/m or N m s/rad] and dry friction [N or N m] in this interval.
@@ -288,8 +295,7 @@ def _friction(
     viscous = jnp.where(forwards, values["viscous"], values.get("viscous_back", values["viscous"]))
     dry = jnp.where(forwards, values["coulomb"], values.get("coulomb_back", values["coulomb"]))
     if "loaded" in values:
-        mean = impulse / jnp.maximum(length, 1e-9)
-        dry = dry + values["loaded"] * jnp.abs(mean) + values["carried"] * jnp.abs(pull)
+        dry = dry + values["loaded"] * jnp.abs(force) + values["carried"] * jnp.abs(pull)
     if "stribeck" in values:
         slow = jnp.exp(-jnp.square(velocity / values["stribeck_speed"]))
         dry = dry * (1.0 + values["stribeck"] * slow)

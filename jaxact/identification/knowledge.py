@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,9 @@ from jaxact.parameters import DELAY, WN, ZETA
 
 # A number is identified where its interval is narrower than this share of it, in either direction.
 _LARGEST_SHARE = 0.4
-# Slopes of two unknowns that are this much alike cannot be told apart.
-_COLLINEAR = 0.05
+# Slopes of unknowns that are this much alike cannot be told apart; those of the second number only
+# where their intervals are wide as well.
+_COLLINEAR, _NEARLY_COLLINEAR = 0.01, 0.05
 _IN_A_COMBINATION = 0.2
 _CHI_SQUARE = 3.841458820694124
 _STEPS_OF_PROFILE = 14
@@ -93,19 +94,24 @@ def of_fit(fit: Fit, *, bootstrap: bool = False, profile: bool = True) -> Knowle
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     plain = np.sqrt(np.maximum(np.diag(naive), 0.0))
     wider = deviation / np.where(plain > 0.0, plain, 1.0)
-    sets, condition = combinations(fit)
-    estimates = []
+    ends: dict[int, tuple[float, float]] = {}
     for index, unknown in enumerate(fit.problem.unknowns):
         if unknown.nuisance:
             continue
         half = uncertainty.critical(fit) * float(deviation[index])
         point = float(fit.point[index])
-        ends = sorted((unknown.value(point - half), unknown.value(point + half)))
-        low, high = max(ends[0], unknown.low), min(ends[1], unknown.high)
+        both = sorted((unknown.value(point - half), unknown.value(point + half)))
+        low, high = max(both[0], unknown.low), min(both[1], unknown.high)
         if unknown.name == DELAY and profile:
             ratio = float(wider[index]) if wider[index] > 0.0 else float(np.median(wider))
             low, high = _profile(fit, index, max(ratio, 1.0))
-        estimates.append(_estimate(fit, index, low, high, float(wider[index]), sets))
+        ends[index] = low, high
+    wide = {fit.problem.names[index] for index, both in ends.items() if _wide(fit, index, *both)}
+    sets, condition = combinations(fit, wide)
+    estimates = [
+        _estimate(fit, index, *both, float(wider[index]), sets, wide)
+        for index, both in ends.items()
+    ]
     size = np.where(deviation > 0.0, deviation, 1.0)
     return Knowledge(
         estimates=tuple(estimates),
@@ -118,39 +124,48 @@ def of_fit(fit: Fit, *, bootstrap: bool = False, profile: bool = True) -> Knowle
     )
 
 
+def _wide(fit: Fit, index: int, low: float, high: float) -> bool:
+    """Whether an interval is too wide for its unknown to be identified."""
+    unknown = fit.problem.unknowns[index]
+    value = unknown.value(float(fit.point[index]))
+    width = high - low
+    if unknown.name == DELAY:
+        return width > max(fit.problem.period or 0.0, _LARGEST_SHARE * value)
+    if unknown.positive:
+        return high > (1.0 + 2.0 * _LARGEST_SHARE) * value or low < 0.4 * value
+    if unknown.name.endswith("_asymmetry"):
+        return width > _LARGEST_SHARE  # it is a share itself, of which zero says much
+    size = max(abs(value), 0.02 * max(abs(unknown.low), abs(unknown.high)))
+    return width > 2.0 * _LARGEST_SHARE * size and unknown.name not in ("offset", "zero")
+
+
 def _estimate(
-    fit: Fit, index: int, low: float, high: float, wider: float, sets: tuple[tuple[str, ...], ...]
-) -> Estimate:
+    fit: Fit, index: int, low: float, high: float, wider: float,
+    sets: tuple[tuple[str, ...], ...], wide: Set[str],
+) -> Estimate:  # fmt: skip
     unknown = fit.problem.unknowns[index]
     value = unknown.value(float(fit.point[index]))
     together = [names for names in sets if unknown.name in names]
     at_bound = unknown.name in fit.at_bounds
-    width = high - low
-    if unknown.name == DELAY:
-        period = fit.problem.period or 0.0
-        enough = width <= max(period, _LARGEST_SHARE * value)
-    elif unknown.positive:
-        enough = high <= (1.0 + 2.0 * _LARGEST_SHARE) * value and low >= 0.4 * value
-    elif unknown.name.endswith("_asymmetry"):
-        enough = width <= _LARGEST_SHARE  # it is a share itself, of which zero says much
-    else:
-        size = max(abs(value), 0.02 * max(abs(unknown.low), abs(unknown.high)))
-        enough = width <= 2.0 * _LARGEST_SHARE * size or unknown.name in ("offset", "zero")
     reason = ""
     if together:
         others = " and ".join(name for name in together[0] if name != unknown.name)
         reason = f"cannot be told from {others}"
     elif at_bound and unknown.name != DELAY:
         reason = "lies at a bound of its range"
-    elif not enough:
+    elif unknown.name in wide:
         reason = "its interval is wide"
     return Estimate(
         unknown.name, unknown.unit, value, low, high, wider, reason == "", reason, at_bound
     )
 
 
-def combinations(fit: Fit) -> tuple[tuple[tuple[str, ...], ...], float]:
+def combinations(fit: Fit, wide: Set[str]) -> tuple[tuple[tuple[str, ...], ...], float]:
     """Sets of unknowns whose slopes are nearly dependent, and the condition number.
+
+    Args:
+        fit: solved.
+        wide: names of the unknowns whose intervals are wide.
 
     By the singular vectors of the slopes, each scaled to length 1: a small singular value is a
     direction in which the residuals hardly change.
@@ -169,12 +184,11 @@ def combinations(fit: Fit) -> tuple[tuple[tuple[str, ...], ...], float]:
     condition = float(singular[0] / max(float(singular[-1]), 1e-300))
     sets = []
     for value, direction in zip(singular, right, strict=True):
-        if value < _COLLINEAR:
-            inside = np.abs(direction) > _IN_A_COMBINATION
-            inside &= ~nuisance[moving]
-            chosen = tuple(names[moving][inside].tolist())
-            if len(chosen) > 1:
-                sets.append(chosen)
+        inside = (np.abs(direction) > _IN_A_COMBINATION) & ~nuisance[moving]
+        chosen = tuple(names[moving][inside].tolist())
+        bound = _NEARLY_COLLINEAR if wide & set(chosen) else _COLLINEAR
+        if value < bound and len(chosen) > 1:
+            sets.append(chosen)
     return (*still, *sets), condition
 
 

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jaxact.identification import knowledge as _knowledge
 from jaxact.identification.fitting import Fit, solve
+from jaxact.identification.inspection import quantum
 from jaxact.identification.knowledge import Knowledge
 from jaxact.identification.log import Log
 from jaxact.identification.model import DYNAMICS, Family, Rung, of_rung, predicted
-from jaxact.parameters import DELAY
+from jaxact.parameters import DELAY, WN, ZETA
 
 # A simpler model is preferred where its error is within this share of the best one's.
 _AS_GOOD = 0.01
 # A model that is not wholly identified is taken where those that are have so many times its error.
 _FAR_WORSE = 1.5
+# Share of the encoder's own error that is left out when errors are compared.
+_OF_THE_FLOOR = 0.95
+# Dynamics with so small a share of a mere delay's error may have been taken for friction.
+_FAR_FROM_A_DELAY = 0.9
 # Of a log that is alone, the last part is kept for validation.
 _HELD_OUT = 0.3
 
@@ -112,16 +117,16 @@ def climb(
         The ladder.
     """
     fitted, held, apart = split(logs, validation)
+    floor = encoder_error(family, held)
     found: list[Candidate] = []
-    for rung in stages(family, found):
+    for rung in stages(family, found, floor):
         if report is not None:
             report(rung.name)
         found.append(_candidate(family, rung, fitted, held, loss, found))
-    chosen = choose(found)
-    final = _knowledge.of_fit(chosen.fit, bootstrap=bootstrap)
-    refined = Candidate(
-        chosen.rung, chosen.fit, final, chosen.errors, chosen.scores, chosen.numbers
-    )
+    found = [without_delay(one, found) for one in found]
+    chosen = choose(found, floor)
+    final = replace(chosen, knowledge=_knowledge.of_fit(chosen.fit, bootstrap=bootstrap))
+    refined = without_delay(final, found)
     ordered = sorted(found, key=lambda one: (one.size, one.rung.name))
     return Ladder(
         family,
@@ -133,20 +138,62 @@ def climb(
     )
 
 
-def stages(family: Family, found: list[Candidate]):
+def stages(family: Family, found: list[Candidate], floor: float) -> Iterator[Rung]:
     """The rungs one after another: frictions with a delay first, then dynamics with the best one.
+
+    Where the dynamics are far from a mere delay, which was taken for friction, frictions again.
 
     Args:
         family: of the rungs.
         found: candidates so far, which grows while this is iterated over.
+        floor: see `choose`.
     """
     frictions = {rung.friction for rung in family.rungs}
     if len(frictions) == 1:
         yield from family.rungs
         return
     yield from (rung for rung in family.rungs if rung.dynamics == DELAY)
-    best = choose(found).rung.friction
-    yield from (rung for rung in family.rungs if rung.friction == best and rung.dynamics != DELAY)
+    first = choose(found, floor)
+    friction = first.rung.friction
+    yield from (r for r in family.rungs if r.friction == friction and r.dynamics != DELAY)
+    best = choose(found, floor)
+    if best.error < _FAR_FROM_A_DELAY * first.error:
+        dynamics = best.rung.dynamics
+        yield from (r for r in family.rungs if r.dynamics == dynamics and r.friction != friction)
+
+
+def encoder_error(family: Family, logs: Sequence[Log]) -> float:
+    """Mean square of what rounding to the encoder's counts does to the measured signal."""
+    steps = [quantum(family.measured(log)) or 0.0 for log in logs]
+    return float(np.mean(np.square(steps))) / 12.0
+
+
+def without_delay(one: Candidate, every: Sequence[Candidate]) -> Candidate:
+    """A model without delay, whose drive is known only where a delay beside it could be told.
+
+    A loop that is second order by itself fits a slow excitation as closely as one with a delay and
+    less lag of its own; its narrow intervals hold only if there is no delay.
+    """
+    beside = next(
+        (
+            other
+            for other in every
+            if other.rung.friction == one.rung.friction
+            and other.rung.dynamics == f"{one.rung.dynamics} with delay"
+        ),
+        None,
+    )
+    if beside is None or not any(DELAY in names for names in beside.knowledge.combinations):
+        return one
+    if beside.fit.square_sum > (1.0 + _AS_GOOD) * one.fit.square_sum:
+        return one
+    estimates = tuple(
+        replace(e, identified=False, reason=e.reason or "cannot be told from a delay")
+        if e.name in (WN, ZETA, "lag")
+        else e
+        for e in one.knowledge.estimates
+    )
+    return replace(one, knowledge=replace(one.knowledge, estimates=estimates))
 
 
 def _candidate(
@@ -179,16 +226,26 @@ def _candidate(
     )
 
 
-def choose(candidates: Sequence[Candidate]) -> Candidate:
+def choose(candidates: Sequence[Candidate], floor: float = 0.0) -> Candidate:
     """The simplest that is as good as the best and all of whose numbers are identified.
 
     Where none of those is, the simplest that is as good as the best whose numbers are; but where
     that is far worse than the best, or there is none, the simplest as good as the best.
+
+    Args:
+        candidates: fitted and tried.
+        floor: mean square error that the encoder alone makes, most of which is left out of the
+            comparison, as no model can mend it.
     """
+
+    def error(one: Candidate) -> float:
+        own = one.error**2
+        return float(np.sqrt(own - min(_OF_THE_FLOOR * floor, 0.999 * own)))
+
     usable = [one for one in candidates if np.isfinite(one.error)] or list(candidates)
-    best = min(one.error for one in usable)
+    best = min(error(one) for one in usable)
     identified = [one for one in usable if one.knowledge.identified]
-    least = min((one.error for one in identified), default=np.inf)
+    least = min((error(one) for one in identified), default=np.inf)
     chosen, bound = (identified, least) if least <= _FAR_WORSE * best else (usable, best)
-    as_good = [one for one in chosen if one.error <= (1.0 + _AS_GOOD) * bound]
+    as_good = [one for one in chosen if error(one) <= (1.0 + _AS_GOOD) * bound]
     return min(as_good, key=lambda one: (one.size, one.error))

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import numpy as np
 
 from jaxact.identification.log import Log
-from jaxact.identification.problem import Problem, Unknown, signal
+from jaxact.identification.problem import Problem, Unknown
 from jaxact.parameters import DELAY, WN, ZETA
 
 
@@ -76,6 +76,8 @@ DYNAMICS: dict[str, tuple[tuple[str, ...], tuple[tuple[str, float], ...]]] = {
     "second order": ((WN, ZETA), ()),
     "second order with delay": ((WN, ZETA, DELAY), ()),
 }
+# The beginning of a log enters almost linearly.
+_STEPS_OF_A_BEGINNING = 2
 NEUTRAL_DRIVE = {WN: math.inf, ZETA: 1.0, DELAY: 0.0}
 
 
@@ -118,10 +120,29 @@ def of_rung(family: Family, rung: Rung, logs: Sequence[Log]) -> Problem:
 def predicted(family: Family, log: Log, values: Mapping[str, float]) -> np.ndarray:
     """The signal that a model with these numbers predicts for a log, shape (rows,).
 
+    Where the log begins is not the model's to know: it is fitted to the log.
+
     Args:
         family: of the model.
-        log: any; where it begins is taken from its first rows.
+        log: any.
         values: of the model.
     """
-    found = signal(values, family.positive, family.simulate, family.inputs(log))
-    return found[: len(log)]
+    own = tuple(replace(unknown, log=0) for unknown in family.nuisances([log]))
+    measured = family.measured(log)
+    with jax.enable_x64(True):
+        inputs = family.inputs(log)
+    sought = Problem(
+        own, values, family.positive, family.simulate, (inputs,), (measured,), 1.0, None
+    )
+    point = np.array([unknown.inner(unknown.starts[0]) for unknown in own])
+    rest, slopes = sought.evaluate(point)
+    for _ in range(_STEPS_OF_A_BEGINNING if own else 0):
+        if not np.isfinite(slopes).all() or not np.isfinite(rest).all():
+            break
+        step = np.linalg.lstsq(slopes, -rest, rcond=None)[0]
+        moved = np.clip(point + step, [u.low for u in own], [u.high for u in own])
+        found = sought.evaluate(moved)
+        if not found[0] @ found[0] < rest @ rest:
+            break
+        point, (rest, slopes) = moved, found
+    return measured + rest

@@ -65,7 +65,7 @@ _NEUTRAL: dict[str, float] = {
     # Not known: where the log begins.
     INITIAL_POSITION: math.nan, INITIAL_VELOCITY: math.nan,
 }  # fmt: skip
-_POSITIVE = frozenset(("inertia", "viscous", "coulomb", "stribeck_speed", WN, ZETA))
+_POSITIVE = frozenset(("inertia", "viscous", "coulomb", "stribeck_speed", KP, WN, ZETA))
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ class _Context:
             Unknown("offset", force, -size, size, (guess["offset"],)),
             Unknown("gravity", force, -10.0 * size, 10.0 * size, (guess["gravity"],)),
             Unknown("zero", "rad", -0.5, 0.5, (0.0,)),
-            Unknown(KP, "1/s^2", 1.0, 1e7, guess[KP], positive=False),
+            Unknown(KP, "1/s^2", 1.0, 1e7, guess[KP], positive=True),
             Unknown(KD, "1/s", 0.0, 1e5, (guess[KD],)),
             *drive_unknowns(logs, _MOST_TICKS_OF_DELAY),
         )  # fmt: skip

@@ -132,8 +132,9 @@ class Problem:
         Returns:
             Of the logs one after another, shapes (rows,) and (rows, unknowns).
         """
-        # All are under way before the first is waited for.
-        started = [self._started(point, number) for number in range(len(self.inputs))]
+        with jax.enable_x64(True):
+            # All are under way before the first is waited for.
+            started = [self._started(point, number) for number in range(len(self.inputs))]
         rests, slopes = [], []
         for (signal, along, places), measured in zip(started, self.measured, strict=True):
             rows = len(measured)
@@ -147,7 +148,9 @@ class Problem:
         """Signal of one log, its derivatives, and by which unknowns they are."""
         order = {name: at for at, name in enumerate(self.numbers)}
         places = [at for at, u in enumerate(self.unknowns) if u.log in (None, number)]
-        whole = searched(self.numbers, self.positive)
+        whole = np.array(
+            [math.log(v) if name in self.positive else v for name, v in self.numbers.items()]
+        )
         directions = np.zeros((max(_LANES * -(-len(places) // _LANES), _LANES), len(whole)))
         for lane, at in enumerate(places):
             column = order[self.unknowns[at].model_name]
@@ -155,7 +158,7 @@ class Problem:
             directions[lane, column] = 1.0
         signal, along = _signal(
             whole, directions, self.inputs[number], simulate=self.simulate,
-            described=described(self.numbers, self.positive),
+            described=tuple((name, name in self.positive) for name in self.numbers),
         )  # fmt: skip
         return signal, along, places
 
@@ -167,36 +170,6 @@ def effective_lag(values: Mapping[str, float]) -> float:
         values: of the model.
     """
     return float(values[DELAY] + 2.0 * values[ZETA] / values[WN])
-
-
-def searched(numbers: Mapping[str, float], positive: frozenset[str]) -> np.ndarray:
-    """Numbers as they are searched, positive ones as logarithms, shape (numbers,)."""
-    return np.array([math.log(v) if name in positive else v for name, v in numbers.items()])
-
-
-def described(numbers: Mapping[str, float], positive: frozenset[str]) -> tuple:
-    """Name of each number, and whether it is searched as a logarithm."""
-    return tuple((name, name in positive) for name in numbers)
-
-
-def signal(
-    numbers: Mapping[str, float], positive: frozenset[str], simulate: Callable, inputs: Any
-) -> np.ndarray:
-    """What a model with these numbers makes of one log, shape (rows or more,).
-
-    Args:
-        numbers: of the model by name.
-        positive: names of those that are searched as logarithms.
-        simulate: see `Problem`.
-        inputs: of the log.
-    """
-    whole = searched(numbers, positive)
-    # With derivatives that nobody asks for: compiling a program without them takes longer.
-    found, _ = _signal(
-        whole, np.zeros((_LANES, len(whole))), inputs, simulate=simulate,
-        described=described(numbers, positive),
-    )  # fmt: skip
-    return np.asarray(found)
 
 
 @Program

@@ -32,6 +32,7 @@ def text(identified: Identified) -> str:
     lines.append(f"chosen: {chosen.rung.name}")
     lines += [f"  {estimate(one)}" for one in chosen.knowledge.estimates]
     lines += [f"  {said}" for said in combined(chosen, ladder.fitted[0])]
+    lines += [f"  {said}" for said in left_out(identified)]
     lines += [f"  {said}" for said in unstable_delay(identified)]
     lines += [f"  {said}" for said in alignment(chosen, ladder.fitted[0])]
     lines += ["", f"verdict: {identified.verdict.sentence}"]
@@ -109,11 +110,19 @@ def estimate(one: Estimate) -> str:
     if 0.0 < width < abs(value):
         # As many as make the ends of a narrow interval differ.
         digits = min(max(4, math.ceil(math.log10(abs(value) / width)) + 2), 9)
+    if 0.0 <= value < 1e-3 * width:
+        value = 0.0  # a search ends just inside its range
+        low = 0.0 if low < 1e-3 * width else low
     said = f"{one.name} {value:.{digits}g}{space} (95 %: {low:.{digits}g} to {high:.{digits}g}"
     if one.wider > 0.0 and math.isfinite(one.wider):
         said += f"; {one.wider:.2g} times the naive interval"
     said += ")"
     return said if one.identified else f"{said}: not identified, {one.reason}"
+
+
+def milliseconds(time: float) -> str:
+    """`2.1`, and `0` for what is none [s]."""
+    return "0" if abs(time) < 5e-7 else f"{1e3 * time:.3g}"
 
 
 def combined(chosen: Candidate, log: Log) -> list[str]:
@@ -130,6 +139,23 @@ def combined(chosen: Candidate, log: Log) -> list[str]:
                 f" PRBS of {5e3 * max(log.period, 1e-3):.3g} ms would separate them"
             )
     return said
+
+
+def left_out(identified: Identified) -> list[str]:
+    """The delay, where the chosen model has none: what it is known to be in the one that has."""
+    chosen = identified.ladder.chosen
+    if DELAY in chosen.rung.free:
+        return []
+    joint, drive = chosen.joint, chosen.rung.dynamics
+    names = ("delay",) if drive == "gain" else (f"{drive} with delay",)
+    beside = [
+        one for one in identified.ladder.candidates
+        if one.joint == joint and one.rung.dynamics in names
+    ]  # fmt: skip
+    return [
+        f"with a delay as well ({one.rung.name}): {estimate(one.knowledge[DELAY])}"
+        for one in beside
+    ]
 
 
 def collinear(identified: Identified) -> list[str]:
@@ -158,7 +184,7 @@ def unstable_delay(identified: Identified) -> list[str]:
     period = ladder.fitted[0].period
     if len(delays) < 2 or max(delays.values()) - min(delays.values()) < 0.5 * period:
         return []
-    each = ", ".join(f"{name} {1e3 * max(delay, 0.0):.3g}" for name, delay in delays.items())
+    each = ", ".join(f"{name} {milliseconds(delay)}" for name, delay in delays.items())
     return [
         "a delay by itself is not stable, it makes up for what friction lacks; by the friction"
         f" assumed [ms]: {each}"

@@ -112,3 +112,58 @@ def test_a_pendulum_keeps_its_energy_and_period():
     position = np.asarray(joint_motion.simulate(values, recording, structure)[0])
     natural = np.sqrt(6.9 / 0.7)
     np.testing.assert_allclose(position, 0.01 / natural * np.sin(natural * time), atol=2e-6)
+
+
+LOADED = {"loaded": 0.2, "carried": 0.1, "stribeck": 0.4, "stribeck_speed": 0.5}
+NAMES = ("inertia", "gain", "wn", "zeta", "delay", "viscous", "coulomb", "gravity", "loaded")
+
+
+@pytest.fixture(scope="module")
+def swinging():
+    """Positions by the numbers in `NAMES`, and their derivatives, of a loop with friction."""
+    structure = Structure(closed=True, history=8, difference_ticks=2, gravity=True)
+    time = np.arange(ROWS) * 2.0**-10  # so that ticks and delays add up without rounding
+    setpoint = 0.5 * np.repeat(np.random.default_rng(4).choice([-1.0, 1.0], ROWS // 10), 10)
+    recording = _recording(time, setpoint=setpoint)
+
+    def position(point):
+        values = _values(viscous=0.5, gravity=2.0, **LOADED)
+        given = values | dict(zip(NAMES, point, strict=True))
+        return joint_motion.simulate(given, recording, structure)[0]
+
+    return jax.jit(position), jax.jit(jax.jacfwd(position))
+
+
+@pytest.mark.parametrize("drive", [(110.0, 0.9), (800.0, 0.45), (4e4, 100.0)])
+def test_derivatives_are_central_differences_inside_a_tick(swinging, drive):
+    position, slopes = swinging
+    point = np.array([0.7, 1.1, *drive, 2.3e-3, 0.5, 0.3, 2.0, 0.2])
+    exact = np.asarray(slopes(point))
+    for index, name in enumerate(NAMES):
+        step = 1e-6 * point[index] * np.eye(len(point))[index]
+        measured = (position(point + step) - position(point - step)) / (2.0 * step[index])
+        scale = np.max(np.abs(exact[:, index]))
+        np.testing.assert_allclose(
+            exact[:, index] / scale, measured / scale, atol=1e-6, err_msg=name
+        )
+
+
+def test_at_a_tick_the_delay_has_its_derivative_from_either_side(swinging):
+    position, slopes = swinging
+    tick, near, step, index = 2.0**-9, 2.0**-40, 2.0**-27, NAMES.index("delay")
+
+    def at(delay):
+        return np.array([0.7, 1.1, 800.0, 0.45, delay, 0.5, 0.3, 2.0, 0.2])
+
+    there = position(at(tick))
+    after = (-3.0 * there + 4.0 * position(at(tick + step)) - position(at(tick + 2.0 * step))) / (
+        2.0 * step
+    )
+    before = (3.0 * there - 4.0 * position(at(tick - step)) + position(at(tick - 2.0 * step))) / (
+        2.0 * step
+    )
+    scale = np.max(np.abs(after))
+    for delay, measured in ((tick, after), (tick + near, after), (tick - near, before)):
+        exact = np.asarray(slopes(at(delay)))[:, index]
+        np.testing.assert_allclose(exact / scale, measured / scale, atol=1e-5)
+    assert np.max(np.abs(after - before)) > 1e-4 * scale
