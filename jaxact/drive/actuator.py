@@ -8,7 +8,7 @@ form (the exponential of the 2 x 2 companion matrix) and is used as such: no int
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import factorial, inf
 
 import jax
@@ -32,6 +32,7 @@ _SERIES_BELOW = 2.0
 _TERMS = 26
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Actuator:
     """Parameters of the force loop; every field a float or an array of shape (joints,).
@@ -55,6 +56,7 @@ class Actuator:
     no_load_speed: jax.Array | float = inf
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Free:
     """Free response of the force over a time t, from an offset e = f - u and a rate g = f'.
@@ -76,6 +78,7 @@ class Free:
     Js: jax.Array
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Response:
     """Response over one step in which the input goes from an older to a newer held value.
@@ -94,12 +97,6 @@ class Response:
     mean: tuple[jax.Array, jax.Array, jax.Array]
     moment: tuple[jax.Array, jax.Array, jax.Array]
     joint: Rows | None = None
-
-
-for _class in (Actuator, Free, Response):
-    jax.tree_util.register_dataclass(
-        _class, data_fields=[field.name for field in fields(_class)], meta_fields=[]
-    )
 
 
 def _series(x: jax.Array, zeta: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:

@@ -5,7 +5,7 @@ u = kp (r - q) + kd (r' - v) + feedforward,     quantised to the resolution of t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxact.drive.sensor import quantise
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Controller:
     """Parameters of the controller; every field a float or an array of shape (joints,).
@@ -32,6 +33,7 @@ class Controller:
     setpoint_delay: jax.Array | float = 0.0
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Setpoint:
     """What the joint should do, each of shape (joints,).
@@ -45,12 +47,6 @@ class Setpoint:
     position: jax.Array
     velocity: jax.Array | float = 0.0
     force: jax.Array | float = 0.0
-
-
-for _class in (Controller, Setpoint):
-    jax.tree_util.register_dataclass(
-        _class, data_fields=[field.name for field in fields(_class)], meta_fields=[]
-    )
 
 
 def step(

@@ -26,6 +26,7 @@ _LONGEST_TUPLE = 16
 _SNAP = 64
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Ring:
     """A long delay line: `values` has shape (length, ...), `newest` is the index of the last."""
@@ -33,8 +34,6 @@ class Ring:
     values: jax.Array
     newest: jax.Array
 
-
-jax.tree_util.register_dataclass(Ring, data_fields=["values", "newest"], meta_fields=[])
 
 Line = tuple[Any, ...] | Ring
 

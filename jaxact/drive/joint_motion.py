@@ -9,7 +9,7 @@ moment of the force, and nothing of this.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxact.matrix_exponential import exponential_less_one
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Joint:
     """A joint that is not a bare mass; every field a float or an array of shape (joints,).
@@ -35,6 +36,7 @@ class Joint:
 Row = tuple[jax.Array, ...]
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Rows:
     """Position and velocity after a step as the sum of six terms, coefficients of shape (joints,).
@@ -48,6 +50,7 @@ class Rows:
     velocity: Row
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Motion:
     """What a step does to a joint: (factor of position, factor of velocity, share of the force).
@@ -58,12 +61,6 @@ class Motion:
 
     position: tuple[jax.Array, jax.Array, jax.Array]
     velocity: tuple[jax.Array, jax.Array, jax.Array]
-
-
-for _class in (Joint, Rows, Motion):
-    jax.tree_util.register_dataclass(
-        _class, data_fields=[item.name for item in fields(_class)], meta_fields=[]
-    )
 
 
 def _transition(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,7 @@ from jaxact.drive.joint_motion import Joint
 from jaxact.drive.options import Drive, DriveOptions
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Capture:
     """Where in a control period the delayed measurement is taken.
@@ -26,11 +27,6 @@ class Capture:
     here: jax.Array
     offset: jax.Array
     response: Response
-
-
-jax.tree_util.register_dataclass(
-    Capture, data_fields=[item.name for item in fields(Capture)], meta_fields=[]
-)
 
 
 def older_for(step: jax.Array, switched: tuple[jax.Array, jax.Array], index) -> jax.Array:

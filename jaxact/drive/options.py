@@ -17,6 +17,7 @@ from jaxact.drive.controller import Controller
 from jaxact.drive.sensor import Sensor, SensorOptions
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Drive:
     """Parameters of a drive; every leaf a float or an array of shape (joints,).
@@ -104,20 +105,6 @@ class DriveOptions:
             rate_limited=False,
             held_setpoint=False,
         )
-
-
-jax.tree_util.register_dataclass(
-    Drive,
-    data_fields=[
-        "controller",
-        "actuator",
-        "sensor",
-        "output_delay",
-        "control_period",
-        "policy_period",
-    ],
-    meta_fields=[],
-)
 
 
 def options(drive: Drive, *, substeps: int = 1, differenced: bool = False) -> DriveOptions:

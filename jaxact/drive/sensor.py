@@ -9,7 +9,7 @@ The measurement delay is not here: the drive samples the plant as it was that lo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import inf
 
 import jax
@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jaxact.drive import threefry
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Sensor:
     """Parameters of the sensing; every field a float or an array of shape (joints,).
@@ -64,6 +65,7 @@ class SensorOptions:
     quantise: bool = False
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SensorState:
     """What the sensor remembers, each of shape (joints,), or None where it does not exist.
@@ -79,6 +81,7 @@ class SensorState:
     walked: tuple[jax.Array, jax.Array] | None
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SensorCoefficients:
     """What follows from the parameters and the period and does not change during a rollout.
@@ -94,12 +97,6 @@ class SensorCoefficients:
     rate: jax.Array
     root_period: jax.Array
     filter_gain: jax.Array
-
-
-for _class in (Sensor, SensorState, SensorCoefficients):
-    jax.tree_util.register_dataclass(
-        _class, data_fields=[field.name for field in fields(_class)], meta_fields=[]
-    )
 
 
 def quantise(value: jax.Array, resolution: jax.Array) -> jax.Array:
@@ -146,6 +143,7 @@ def init(
     )
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Draws:
     """Standard normal numbers of one tick: pairs for position and velocity, shape (joints,) each.
@@ -157,9 +155,6 @@ class Draws:
 
     noise: tuple[jax.Array, jax.Array] | None = None
     walk: tuple[jax.Array, jax.Array] | None = None
-
-
-jax.tree_util.register_dataclass(Draws, data_fields=["noise", "walk"], meta_fields=[])
 
 
 def _standard_normal(words: jax.Array, dtype: jax.typing.DTypeLike) -> jax.Array:

@@ -10,7 +10,7 @@ of it lies inside the loop, so that stability and margins do not depend on it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -22,6 +22,7 @@ from jaxact.drive.controller import Setpoint
 Lines = tuple[_delay.Line, _delay.Line, _delay.Line]
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Held:
     """A setpoint between two ticks of the policy.
@@ -33,11 +34,6 @@ class Held:
 
     setpoint: Setpoint
     age: jax.Array
-
-
-jax.tree_util.register_dataclass(
-    Held, data_fields=[item.name for item in fields(Held)], meta_fields=[]
-)
 
 
 def ticks_of_policy(policy_period: jax.Array, control_period: jax.Array) -> jax.Array:

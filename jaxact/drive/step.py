@@ -14,7 +14,7 @@ takes the velocity when the force acts, not when it was commanded.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -52,6 +52,7 @@ NO_DRAWS = Draws()
 """The random numbers of a drive without noise and walking biases: none."""
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class DriveState:
     """What a drive remembers; arrays of shape (joints,), None where the part does not exist.
@@ -79,6 +80,7 @@ class DriveState:
     held: _setpoint.Held | None = None
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Coefficients:
     """All that follows from the parameters and stays the same during a rollout; see `prepare`.
@@ -108,6 +110,7 @@ class Coefficients:
     sensor: SensorCoefficients
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Force:
     """The force over one physics step, [N or N m], shape (joints,).
@@ -126,12 +129,6 @@ class Force:
     partial: tuple[jax.Array, jax.Array] | None
     motion: _joint.Motion | None = None
     partial_motion: _joint.Motion | None = None
-
-
-for _class in (DriveState, Coefficients, Force):
-    jax.tree_util.register_dataclass(
-        _class, data_fields=[item.name for item in fields(_class)], meta_fields=[]
-    )
 
 
 def _broadcast(drive: Drive, shape: tuple[int, ...]) -> Drive:

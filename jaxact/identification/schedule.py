@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Schedule:
     """Rows and switches in order of time; the interval i lies between the instants i and i + 1.
@@ -30,11 +31,6 @@ class Schedule:
     held: jax.Array
     row: jax.Array
     is_row: jax.Array
-
-
-jax.tree_util.register_dataclass(
-    Schedule, data_fields=["length", "held", "row", "is_row"], meta_fields=[]
-)
 
 
 def schedule(time: jax.Array, delay: jax.Array) -> Schedule:

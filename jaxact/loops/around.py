@@ -12,7 +12,7 @@ steps under the force of the drive, and where a measurement is delayed it is cap
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -81,6 +81,7 @@ class Simulator:
         return hermite(self.measured(before), self.measured(after), offset, self.time_step)
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class DrivenState:
     """A simulator and its drives between two control periods.
@@ -145,9 +146,6 @@ class Driven:
 
 jax.tree_util.register_dataclass(
     Simulator, data_fields=["time_step"], meta_fields=["advance_by", "measured", "joints"]
-)
-jax.tree_util.register_dataclass(
-    DrivenState, data_fields=[f.name for f in fields(DrivenState)], meta_fields=[]
 )
 jax.tree_util.register_dataclass(Driven, data_fields=["prepared"], meta_fields=["options"])
 

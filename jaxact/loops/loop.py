@@ -7,7 +7,7 @@ The controller ticks once, then physics takes `options.substeps` steps under the
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import jax
@@ -20,6 +20,7 @@ from jaxact.drive.sensor import Draws
 from jaxact.drive.step import NO_DRAWS, Coefficients, Drive, DriveOptions, DriveState
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Loop:
     """Parameters of a closed loop.
@@ -33,6 +34,7 @@ class Loop:
     drive: Drive
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Prepared:
     """A loop with all coefficients of one control period computed; see `prepare`."""
@@ -46,6 +48,7 @@ class Prepared:
         return getattr(self.plant, "joint", None)
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LoopState:
     """State of a closed loop between two control periods."""
@@ -54,6 +57,7 @@ class LoopState:
     drive: DriveState
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Output:
     """What happened in one control period, each of shape (joints,).
@@ -75,6 +79,7 @@ class Output:
     square_force: jax.Array
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Record:
     """The physics steps of a period, each of shape (substeps, joints).
@@ -87,12 +92,6 @@ class Record:
     position: jax.Array
     velocity: jax.Array
     force: jax.Array
-
-
-for _class in (Loop, Prepared, LoopState, Output, Record):
-    jax.tree_util.register_dataclass(
-        _class, data_fields=[item.name for item in fields(_class)], meta_fields=[]
-    )
 
 
 def prepare(loop: Loop, options: DriveOptions) -> Prepared:

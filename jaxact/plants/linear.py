@@ -15,6 +15,7 @@ import jax
 from jaxact.drive.step import Force
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LinearPlant:
     """A linear plant at one physics step; its state is the deviation x, shape (n,).
@@ -78,8 +79,3 @@ def hermite(
     rise = s * s * (3.0 - 2.0 * s)
     position = q0 + rise * (q1 - q0) + step * s * (1.0 - s) * ((1.0 - s) * v0 - s * v1)
     return position, v0 + s * (v1 - v0)
-
-
-jax.tree_util.register_dataclass(
-    LinearPlant, data_fields=["A", "B", "positions", "velocities", "step"], meta_fields=[]
-)

@@ -16,6 +16,19 @@ from jaxact.drive.joint_motion import Joint, moved
 from jaxact.drive.step import Force
 
 
+class _Measured:
+    """A plant whose state is what is measured of it: (position, velocity)."""
+
+    def init(self, position: jax.Array, velocity: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """State with this position [m or rad] and velocity [m/s or rad/s]."""
+        return position, velocity
+
+    def measure(self, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        """Position [m or rad] and velocity [m/s or rad/s]."""
+        return state
+
+
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Mass:
     """The plant's parameters.
@@ -56,8 +69,9 @@ class Mass:
         )
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class SteppedMass:
+class SteppedMass(_Measured):
     """A mass with the coefficients of one physics step; state: (position, velocity).
 
     Attributes:
@@ -80,14 +94,6 @@ class SteppedMass:
     def prepare(self, step: jax.Array) -> SteppedMass | SprungMass:
         """The same mass for another physics step [s]."""
         return Mass(1.0 / self.compliance).prepare(step)
-
-    def init(self, position: jax.Array, velocity: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """State with this position [m or rad] and velocity [m/s or rad/s]."""
-        return position, velocity
-
-    def measure(self, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        """Position [m or rad] and velocity [m/s or rad/s]."""
-        return state
 
     def advance(
         self, state: tuple[jax.Array, jax.Array], force: Force
@@ -116,8 +122,9 @@ class SteppedMass:
         )
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class SprungMass:
+class SprungMass(_Measured):
     """A joint with damping and stiffness of its own; state: (position, velocity).
 
     Attributes:
@@ -135,14 +142,6 @@ class SprungMass:
         """The joint itself: its steps are the drive's."""
         return self
 
-    def init(self, position: jax.Array, velocity: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """State with this position [m or rad] and velocity [m/s or rad/s]."""
-        return position, velocity
-
-    def measure(self, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        """Position [m or rad] and velocity [m/s or rad/s]."""
-        return state
-
     def advance(
         self, state: tuple[jax.Array, jax.Array], force: Force
     ) -> tuple[jax.Array, jax.Array]:
@@ -158,7 +157,3 @@ class SprungMass:
     ) -> tuple[jax.Array, jax.Array]:
         """State at the measuring instant, `offset` [s] into the step; exact."""
         return moved(force.partial_motion, before)
-
-
-for _class in (Mass, SprungMass, SteppedMass):
-    jax.tree_util.register_dataclass(_class)

@@ -7,7 +7,7 @@ is, in both engines alike.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -36,6 +36,7 @@ NEUTRAL = {
 """The value of each change that changes nothing."""
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Variation:
     """Changes of a model; None for what is as in the model.
@@ -59,11 +60,6 @@ class Variation:
     joint_armature: jax.Array | float | None = None
     joint_friction: jax.Array | float | None = None
     contact_friction: jax.Array | float | None = None
-
-
-jax.tree_util.register_dataclass(
-    Variation, data_fields=[item.name for item in fields(Variation)], meta_fields=[]
-)
 
 
 def changed(

@@ -9,7 +9,7 @@ period; physics runs in between.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -36,6 +36,7 @@ from jaxact.simulation.verdicts import Judgement
 Pair = tuple[Any, Any]
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class BatchState:
     """What a loop carries from one control period to the next.
@@ -65,11 +66,7 @@ class BatchState:
     square_force: jax.Array
 
 
-jax.tree_util.register_dataclass(
-    BatchState, data_fields=[item.name for item in fields(BatchState)], meta_fields=[]
-)
-
-
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class _Fixed:
     """What stays the same during the rollout of a loop.
@@ -87,11 +84,6 @@ class _Fixed:
     reference: Reference
     active_ticks: jax.Array
     key: jax.Array
-
-
-jax.tree_util.register_dataclass(
-    _Fixed, data_fields=[item.name for item in fields(_Fixed)], meta_fields=[]
-)
 
 
 def _actuated(

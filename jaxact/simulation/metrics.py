@@ -11,7 +11,7 @@ Rise is interpolated between ticks; settling counts whole ticks.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,7 @@ SEGMENTS = 4
 _LOW, _HIGH = 0.1, 0.9
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Running:
     """Accumulators of a whole rollout, each of shape (joints,); times in ticks."""
@@ -46,6 +47,7 @@ class Running:
     squared_force: jax.Array
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Envelope:
     """Accumulators of one segment, each of shape (joints,): extremes and turns of the motion."""
@@ -57,6 +59,7 @@ class Envelope:
     last_turn: jax.Array
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Reference:
     """What a response is measured against, each of shape (joints,).
@@ -71,6 +74,7 @@ class Reference:
     per_span: jax.Array
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Metrics:
     """Results of a rollout; shape (joints,) except for the verdict and growth rate, shape ().
@@ -106,12 +110,6 @@ class Metrics:
     rms_force: jax.Array
     limit_cycle_amplitude: jax.Array
     limit_cycle_frequency: jax.Array
-
-
-for _class in (Running, Envelope, Reference, Metrics):
-    jax.tree_util.register_dataclass(
-        _class, data_fields=[item.name for item in fields(_class)], meta_fields=[]
-    )
 
 
 def reference(start: jax.Array, target: jax.Array) -> Reference:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -39,6 +39,7 @@ from jaxact.simulation.growth import rate as _growth
 from jaxact.simulation.kernel import Case
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PeriodMap:
     """A closed loop over one control period; n states, m joints.
@@ -57,6 +58,7 @@ class PeriodMap:
     velocities: jax.Array
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class OpenMap:
     """The same with the controllers taken out: x' = A x + B u, and what they would measure.
@@ -72,12 +74,6 @@ class OpenMap:
     B: jax.Array
     positions: jax.Array
     velocities: jax.Array
-
-
-for _class in (PeriodMap, OpenMap):
-    jax.tree_util.register_dataclass(
-        _class, data_fields=[item.name for item in fields(_class)], meta_fields=[]
-    )
 
 
 def period_map(loop: Loop, options: DriveOptions) -> PeriodMap:

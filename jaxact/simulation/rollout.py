@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -49,6 +49,7 @@ class RolloutOptions:
     stops: bool = False
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Trajectory:
     """One simulated loop at the times of its physics steps.
@@ -71,11 +72,6 @@ class Trajectory:
     delayed_command: jax.Array
     force: jax.Array
     configuration: jax.Array | None = None
-
-
-jax.tree_util.register_dataclass(
-    Trajectory, data_fields=[item.name for item in fields(Trajectory)], meta_fields=[]
-)
 
 
 def whole_ticks(duration: float, control_period: float) -> int:

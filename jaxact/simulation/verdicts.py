@@ -11,7 +11,7 @@ the setpoint's step: see `rest`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -36,6 +36,7 @@ _FALLING = 0.98
 _FEW = 3.0
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Motion:
     """What a rollout did, each of shape (joints,) unless said otherwise.
@@ -55,6 +56,7 @@ class Motion:
     valid: jax.Array
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Scale:
     """What a motion is measured with, each of shape (joints,).
@@ -83,6 +85,7 @@ class Scale:
     plant_linear: jax.Array
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Judgement:
     """What came of one start, each of shape (joints,).
@@ -100,12 +103,6 @@ class Judgement:
     resting: jax.Array
     amplitude: jax.Array
     frequency: jax.Array
-
-
-for _class in (Motion, Scale, Judgement):
-    jax.tree_util.register_dataclass(
-        _class, data_fields=[item.name for item in fields(_class)], meta_fields=[]
-    )
 
 
 def _felt(value: jax.Array, kp: jax.Array) -> jax.Array:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
@@ -21,11 +20,7 @@ import jax.numpy as jnp
 PENALTY = 40.0
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["value", "violation", "stable"],
-    meta_fields=[],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Smooth:
     """What the descent sees of one point.

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
@@ -43,11 +42,7 @@ class Descent:
     gradient: str | None = None
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["gains", "value", "violation", "path", "path_value", "path_violation"],
-    meta_fields=[],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Descended:
     """Where every start ended, and how it got there; cases and starts in front.

@@ -36,6 +36,7 @@ _FEW, _MANY = 16, 64
 _STEPS = 16
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, repr=False)
 class LoopMargins:
     """Margins of a joint's loops; each metric is an attribute, an array of the batch's shape.
@@ -108,9 +109,7 @@ class LoopMargins:
         return margin_tables.text(self.loop, self.found)
 
 
-jax.tree_util.register_dataclass(LoopMargins, data_fields=["loop", "metrics"], meta_fields=[])
-
-
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, repr=False)
 class BothMargins:
     """Margins in continuous time and of the sampled loop, side by side; a pytree of arrays.
@@ -139,9 +138,6 @@ class BothMargins:
     def __repr__(self) -> str:
         """The table of the command line."""
         return margin_tables.text(self.loop, self.found)
-
-
-jax.tree_util.register_dataclass(BothMargins, data_fields=["continuous", "sampled"], meta_fields=[])
 
 
 def margins(

@@ -8,7 +8,6 @@ its distance to the boundary are given all the same.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -40,27 +39,7 @@ from jaxact.compilation.filling import filled
 _TILE = 256
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=[
-        "stable",
-        "unstable_roots",
-        "log_gain_to_boundary",
-        "gain_margin",
-        "gain_reduction_margin",
-        "phase_crossover",
-        "phase_margin",
-        "gain_crossover",
-        "delay_margin",
-        "sensitivity_peak",
-        "sensitivity_peak_frequency",
-        "complementary_peak",
-        "complementary_peak_frequency",
-        "modulus_margin",
-        "disk_margin",
-    ],
-    meta_fields=[],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Margins:
     """Margins of a batch of loops, each of the batch's shape; NaN where the loop is unstable.

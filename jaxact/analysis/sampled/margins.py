@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxact.analysis.joint.distance import counted_distance, static_factor
+from jaxact.analysis.joint.margins import Margins
 from jaxact.analysis.sampled.period_map import SampledLoop
 from jaxact.analysis.sampled.pulse import PulseTransfer, plant_response, pulse_transfer
 from jaxact.analysis.sampled.roots import dominant_modulus, sampled_roots
@@ -35,68 +36,22 @@ _TURN = 2.0 * math.pi
 _TILE = 64
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=[
-        "stable",
-        "unstable_roots",
-        "spectral_radius",
-        "log_gain_to_boundary",
-        "gain_margin",
-        "gain_reduction_margin",
-        "phase_crossover",
-        "phase_margin",
-        "gain_crossover",
-        "delay_margin",
-        "sensitivity_peak",
-        "sensitivity_peak_frequency",
-        "complementary_peak",
-        "complementary_peak_frequency",
-        "modulus_margin",
-        "disk_margin",
-        "more_crossovers",
-    ],
-    meta_fields=[],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class SampledMargins:
+class SampledMargins(Margins):
     """Margins of a batch of sampled loops, each of the batch's shape; NaN where unstable.
 
+    Those of `Margins`, and more. Unstable roots are eigenvalues of the one-period matrix that are
+    not inside the unit circle. Where |L| > 1 up to the Nyquist frequency there is no gain
+    crossover: its frequency and the phase margin are inf. `log_gain_to_boundary` of an unstable
+    loop is -inf where no factor on the gains helps.
+
     Attributes:
-        stable: bool, spectral radius below 1.
-        unstable_roots: eigenvalues of the one-period matrix not inside the unit circle, int32.
         spectral_radius: largest |eigenvalue| over one control period [-].
-        log_gain_to_boundary: ln of the common factor on the gains to the nearest edge of the stable
-            set [-], > 0 if stable (inf if there is none), < 0 if unstable (-inf if no factor
-            helps).
-        gain_margin: smallest factor above 1 on all gains that destabilises [-], inf if none.
-        gain_reduction_margin: largest factor below 1 that destabilises [-], 0 if none.
-        phase_crossover: frequency of `gain_margin` [rad/s], inf if there is none.
-        phase_margin: the one smallest in magnitude over all gain crossovers [rad], inf if none.
-        gain_crossover: its frequency [rad/s], inf if |L| > 1 up to the Nyquist frequency.
-        delay_margin: smallest added delay that destabilises [s], min (phase mod 2 pi) / w.
-        sensitivity_peak, complementary_peak: max |S|, max |T| [-], and their frequencies [rad/s].
-        modulus_margin: 1 / Ms [-].
-        disk_margin: balanced, 1 / max |S - 1/2| [-].
         more_crossovers: bool, there were more crossovers than slots, margins may be too large.
     """
 
-    stable: jax.Array
-    unstable_roots: jax.Array
     spectral_radius: jax.Array
-    log_gain_to_boundary: jax.Array
-    gain_margin: jax.Array
-    gain_reduction_margin: jax.Array
-    phase_crossover: jax.Array
-    phase_margin: jax.Array
-    gain_crossover: jax.Array
-    delay_margin: jax.Array
-    sensitivity_peak: jax.Array
-    sensitivity_peak_frequency: jax.Array
-    complementary_peak: jax.Array
-    complementary_peak_frequency: jax.Array
-    modulus_margin: jax.Array
-    disk_margin: jax.Array
     more_crossovers: jax.Array
 
 

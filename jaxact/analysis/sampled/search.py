@@ -30,11 +30,7 @@ _TINY = 1e-30
 Response = Callable[[jax.Array], jax.Array]
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["gain", "gain_present", "phase", "phase_present", "peaks", "overflow", "lead"],
-    meta_fields=[],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Found:
     """What the search found in one loop, all theta [rad] and constant.

@@ -45,6 +45,7 @@ def put_model(model: mujoco.MjModel) -> tuple[mjx.Model, list[str]]:
     return on_device, [" ".join(str(warning.message).split()) for warning in caught]
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class MjxState:
     """What MJX integrates; everything else in its data follows from it.
@@ -239,9 +240,6 @@ class MjxPlant:
 
 jax.tree_util.register_dataclass(
     Push, data_fields=["force", "start", "duration"], meta_fields=["body"]
-)
-jax.tree_util.register_dataclass(
-    MjxState, data_fields=["qpos", "qvel", "act", "warmstart", "time"], meta_fields=[]
 )
 STATIC = (
     "qpos", "dofs", "actuators", "limits", "bodies", "payload_body", "kinds", "impl", "corrected",

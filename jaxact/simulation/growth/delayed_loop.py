@@ -10,13 +10,14 @@ slow actuator at a high control rate) lose no digits.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class DelayedLoop:
     """L(z) of one loop.
@@ -30,11 +31,6 @@ class DelayedLoop:
     factors: jax.Array
     numerator: jax.Array
     delay: jax.Array
-
-
-jax.tree_util.register_dataclass(
-    DelayedLoop, data_fields=[item.name for item in fields(DelayedLoop)], meta_fields=[]
-)
 
 
 Pair = tuple[Any, Any]
@@ -59,6 +55,7 @@ def _over(x: Pair, y: Pair) -> Pair:
     return (x[0] * y[0] + x[1] * y[1]) / size, (x[1] * y[0] - x[0] * y[1]) / size
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Logarithm:
     """log L somewhere.
@@ -74,11 +71,6 @@ class Logarithm:
     short: jax.Array
     late: jax.Array
     slope: Pair
-
-
-jax.tree_util.register_dataclass(
-    Logarithm, data_fields=[item.name for item in fields(Logarithm)], meta_fields=[]
-)
 
 
 def poles(loop: DelayedLoop) -> jax.Array:

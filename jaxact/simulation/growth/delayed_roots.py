@@ -22,7 +22,7 @@ Systems", SIAM 2007, section 2, for the chain of roots that a delay makes.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -60,6 +60,7 @@ _SQUARINGS = 20
 _ROUNDINGS = 100.0
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class _Sampled:
     """L on a circle, each of shape (points,).
@@ -211,6 +212,7 @@ def _best_root(loop: DelayedLoop, at: _Sampled, sigma: jax.Array) -> jax.Array:
     return jnp.max(jnp.where(sound & (score > -jnp.inf), size, -jnp.inf))
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class _Search:
     """Bounds of the largest log |z|.
@@ -228,12 +230,6 @@ class _Search:
     below: jax.Array
     sigma: jax.Array
     circles: jax.Array
-
-
-for _class in (_Sampled, _Search):
-    jax.tree_util.register_dataclass(
-        _class, data_fields=[item.name for item in fields(_class)], meta_fields=[]
-    )
 
 
 def _resolution(like: jax.Array) -> float:

@@ -313,6 +313,7 @@ def growth_rate(
     return log_radius / (space.block * control_period)
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SlowModes:
     """What a loop of many slow modes does over one control period.
@@ -328,11 +329,6 @@ class SlowModes:
     matrix: jax.Array
     products: jax.Array
     usual: jax.Array
-
-
-jax.tree_util.register_dataclass(
-    SlowModes, data_fields=["growth", "matrix", "products", "usual"], meta_fields=[]
-)
 
 
 def slow_modes(

@@ -87,6 +87,7 @@ def log_bounds(goal: Goal) -> np.ndarray:
     return np.array([[low, -np.inf], [high, np.inf]])
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Table:
     """What the descent needs of each case; leading axes (cases, members) or (cases,).
@@ -105,11 +106,6 @@ class Table:
     high: jax.Array
     plant: jax.Array
     tail: jax.Array
-
-
-jax.tree_util.register_dataclass(
-    Table, data_fields=["spectrum", "log_bounds", "low", "high", "plant", "tail"], meta_fields=[]
-)
 
 
 def table(cases: Sequence[Case]) -> Table:

@@ -29,6 +29,7 @@ _POWERS = 10
 _TINY = 1e-20
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Data:
     """What the descent needs of one case; f frequencies of l loops lie behind each other.
@@ -47,13 +48,6 @@ class Data:
     log_bounds: jax.Array
     low: jax.Array
     high: jax.Array
-
-
-jax.tree_util.register_dataclass(
-    Data,
-    data_fields=["response", "spread", "share", "log_bounds", "low", "high"],
-    meta_fields=[],
-)
 
 
 def data(
