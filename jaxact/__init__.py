@@ -24,6 +24,7 @@ _PUBLIC = {
     "ControlLoop": "jaxact.loops.control_loop",
     "Drive": "jaxact.drive.step",
     "drive_around": "jaxact.loops.around",
+    "environments": "jaxact.environments",
     "export": "jaxact.verbs.export",
     "Goal": "jaxact.tuning.goal",
     "identify": "jaxact.verbs.identify",

@@ -1,0 +1,169 @@
+"""The actuators of an environment's model, taken over by a drive.
+
+The environment keeps its model: what it reads there (limits of the action, gains) stays. Only the
+physics steps are taken with a copy in which the driven actuators are motors, whose force at the
+joint, gear G and control u, is G clip(u, forcerange).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from jaxact.drive.controller import Setpoint
+from jaxact.errors import UserError
+from jaxact.robots import selection
+from jaxact.robots.actuators import FORCE, POSITION, VELOCITY, Law, UndrivableError, law
+
+_FAR = 1e30  # a range of the control that nothing reaches
+
+
+@dataclass(frozen=True)
+class Actuators:
+    """The driven actuators, in the order of their controls; arrays of shape (joints,).
+
+    Attributes:
+        names: of their joints.
+        controls: places among the controls.
+        indices: places among the actuators.
+        positions, velocities: addresses of their joints in qpos and qvel.
+        commands: of each "position", "velocity" or "force": what its control asks for.
+        low, high: range that MuJoCo clamps the control to, +-inf where none.
+        force_limit: of the force at the joint, symmetric ones only; inf where there is none.
+    """
+
+    names: tuple[str, ...]
+    controls: np.ndarray
+    indices: np.ndarray
+    positions: np.ndarray
+    velocities: np.ndarray
+    commands: tuple[str, ...]
+    low: np.ndarray
+    high: np.ndarray
+    force_limit: np.ndarray
+
+    def _are(self, kind: str) -> np.ndarray:
+        return np.array([one == kind for one in self.commands])
+
+    def moments(self, model: Any) -> Any:
+        """Joint force for a unit force of each actuator, of a model of MuJoCo or MJX."""
+        return model.actuator_gear[self.indices, 0]
+
+    def gains(self, model: Any) -> tuple[Any, Any]:
+        """Kp and kd at the joints that the model has now, 0 of motors [N m/rad, N m s/rad]."""
+        square = self.moments(model) ** 2
+        bias = model.actuator_biasprm[self.indices]
+        servo = 1.0 - self._are(FORCE)
+        return -bias[:, 1] * square * servo, -bias[:, 2] * square * servo
+
+    def setpoint(self, model: Any, control: Any, numeric: Any) -> Setpoint:
+        """What a control asks of the joints: positions, velocities or forces.
+
+        Args:
+            model: of MuJoCo or MJX, which may be traced.
+            control: all controls, shape (nu,).
+            numeric: module of arrays, `numpy` or `jax.numpy`.
+        """
+        control = numeric.clip(control[self.controls], self.low, self.high)
+        moment = self.moments(model)
+        gain = model.actuator_gainprm[self.indices, 0]
+        bias = model.actuator_biasprm[self.indices]
+        asked = gain * control + bias[:, 0]
+        stiff, damp = self._are(POSITION), self._are(VELOCITY)
+        return Setpoint(
+            position=numeric.where(stiff, asked / numeric.where(stiff, -bias[:, 1] * moment, 1), 0),
+            velocity=numeric.where(damp, asked / numeric.where(damp, -bias[:, 2] * moment, 1), 0),
+            force=numeric.where(self._are(FORCE), asked * moment, 0),
+        )
+
+    def as_motors(self, model: Any, *, damping: bool) -> dict[str, Any]:
+        """The fields of a model of MJX in which the driven actuators are motors.
+
+        Args:
+            model: of MJX, which may be traced.
+            damping: the joints' own damping is taken out.
+        """
+        at = self.indices
+        viscous = model.actuator_biasprm[at, 2] * self._are(FORCE)
+        found = {
+            "actuator_gainprm": model.actuator_gainprm.at[at].set(0.0).at[at, 0].set(1.0),
+            "actuator_biasprm": model.actuator_biasprm.at[at].set(0.0).at[at, 2].set(viscous),
+            "actuator_ctrlrange": model.actuator_ctrlrange.at[self.controls].set([-_FAR, _FAR]),
+        }
+        if damping:
+            found["dof_damping"] = model.dof_damping.at[self.velocities].set(0.0)
+        return found
+
+
+def find(model: mujoco.MjModel, patterns: Sequence[str], where: str) -> Actuators:
+    """The actuators of the joints that patterns choose.
+
+    Args:
+        model: of the environment.
+        patterns: as for `jaxact.robot`.
+        where: the environment, in messages.
+
+    Raises:
+        UserError: no joint matches, or an actuator is not one that a drive can take over; its joint
+            is named.
+    """
+    found = []
+    for index in selection.chosen(Path(where), model, patterns):
+        name = selection.names_of(model, index)[-1]
+        try:
+            own = law(model, index, "actuator")
+        except UndrivableError as refusal:
+            raise UserError(f"{where}: {name}: {refusal.finding.advice}") from None
+        _demand_plain(model, own, f"{where}: {name}")
+        found.append(own)
+    taken = [one.joint for one in found]
+    for one in found:
+        if taken.count(one.joint) > 1:
+            name = model.joint(one.joint).name
+            raise UserError(f"{where}: {name}: several actuators act on it; drive other `joints`")
+    controls = np.array([model.actuator_ctrladr[one.index] for one in found])
+    limits = [min(-one.force_low, one.force_high) for one in found]
+    symmetric = [one.force_high == -one.force_low for one in found]
+    bounds = np.where(
+        model.actuator_ctrllimited[controls].astype(bool) & _clamps(model),
+        model.actuator_ctrlrange[controls].T, [[-np.inf], [np.inf]],
+    )  # fmt: skip
+    return Actuators(
+        names=tuple(model.joint(one.joint).name for one in found),
+        controls=controls,
+        indices=np.array([one.index for one in found]),
+        positions=np.array([model.jnt_qposadr[one.joint] for one in found]),
+        velocities=np.array([model.jnt_dofadr[one.joint] for one in found]),
+        commands=tuple(one.commands for one in found),
+        low=bounds[0],
+        high=bounds[1],
+        force_limit=np.where(symmetric, limits, np.inf),
+    )
+
+
+def _demand_plain(model: mujoco.MjModel, own: Law, where: str) -> None:
+    """Raise UserError for an actuator with dynamics of its own, or not on a joint itself."""
+    kind = mujoco.mjtTrn(model.actuator_trntype[own.index])
+    if kind not in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT):
+        raise UserError(f"{where}: its actuator pulls on a tendon; drive other `joints`")
+    dynamics = {
+        "an integrator": own.integrated,
+        "a filter": own.lag > 0.0,
+        "a delay": own.delay > 0.0,
+        "a velocity input": own.velocity_scale != 0.0,
+    }
+    for what, there in dynamics.items():
+        if there:
+            raise UserError(
+                f"{where}: its actuator has {what} of its own; take it out of the model, or drive"
+                " other `joints`"
+            )
+
+
+def _clamps(model: mujoco.MjModel) -> bool:
+    return not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL

@@ -1,0 +1,264 @@
+"""The drive of an environment: its parameters, their ranges, and what a reset draws of them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from jaxact.drive import options as _options
+from jaxact.drive.options import Drive, DriveOptions
+from jaxact.environments import actuators as _actuators
+from jaxact.environments.actuators import Actuators
+from jaxact.errors import UserError, nearest, shown
+from jaxact.loops import control_loop
+from jaxact.loops.conversion import drive_of
+from jaxact.parameters import (
+    COMMAND_RESOLUTION,
+    CONTROL_RATE,
+    DELAYS,
+    ERRORS,
+    FEEDFORWARD,
+    FORCE_LIMIT,
+    GAIN_SCALE,
+    KD,
+    KP,
+    LIMITS,
+    PARAMETERS,
+    POLICY_RATE,
+    VELOCITY_FILTER,
+    WN,
+    ZETA,
+    canonical,
+)
+
+_OWN = (KP, KD)  # of the model where they are not given
+_TAKEN = (
+    *_OWN, GAIN_SCALE, WN, ZETA, *DELAYS, *LIMITS, *ERRORS, VELOCITY_FILTER, COMMAND_RESOLUTION,
+    CONTROL_RATE,
+)  # fmt: skip
+_ROUNDING = 1e-6
+_VELOCITIES = ("sampled", "differenced")
+_DAMPING = ("joint", "drive")
+
+
+@dataclass(frozen=True)
+class EnvironmentDrive:
+    """A drive around the actuators of an environment's model.
+
+    Attributes:
+        actuators: that it drives.
+        low, high: ends of each parameter's range by short name, shape () or (joints,); alike where
+            it does not vary; kp and kd NaN where the model's own count.
+        options: static side, for the longest delays.
+        physics_step: of the environment [s].
+        damping: the joints' own damping is part of kd.
+        each_joint: the joints' parameters are drawn apart; else one number for all of them.
+    """
+
+    actuators: Actuators
+    low: Mapping[str, np.ndarray]
+    high: Mapping[str, np.ndarray]
+    options: DriveOptions
+    physics_step: float
+    damping: bool
+    each_joint: bool
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """The parameters that have a range."""
+        return tuple(
+            name for name in self.low if np.any(_known(self.low[name]) != _known(self.high[name]))
+        )
+
+    @property
+    def draws(self) -> int:
+        """How many numbers are drawn at a reset."""
+        return len(self.varied) * (len(self.actuators.names) if self.each_joint else 1)
+
+    def draw(self, key: jax.Array) -> jax.Array:
+        """Numbers between 0 and 1 that choose the parameters, shape (draws,)."""
+        return jax.random.uniform(key, (self.draws,))
+
+    def values(self, draws: jax.Array, model: Any) -> dict[str, Any]:
+        """The parameters that were drawn, by short name, shape () or (joints,).
+
+        Args:
+            draws: from `draw`.
+            model: of MuJoCo or MJX, which brings the gains; may be traced.
+        """
+        joints = len(self.actuators.names) if self.each_joint else 1
+        shares = draws.reshape(len(self.varied), joints)
+        found: dict[str, Any] = {}
+        for name, low in self.low.items():
+            if name in self.varied:
+                share = shares[self.varied.index(name)]
+                share = share if self.each_joint else share[0]
+                found[name] = low + share * (self.high[name] - low)
+            else:
+                found[name] = low
+        kp, kd = self.actuators.gains(model)
+        if self.damping:
+            kd = kd + model.dof_damping[self.actuators.velocities]
+        scale = found.pop(GAIN_SCALE)
+        for name, own in ((KP, kp), (KD, kd)):
+            found[name] = scale * jnp.where(jnp.isnan(found[name]), own, found[name])
+        limit = jnp.minimum(found[FORCE_LIMIT], self.actuators.force_limit)
+        defaults = {FEEDFORWARD: 0.0, POLICY_RATE: np.inf}
+        return {**defaults, **found, FORCE_LIMIT: limit}
+
+    def drive(self, draws: jax.Array, model: Any) -> Drive:
+        """The drive that was drawn; arguments as for `values`."""
+        return drive_of(self.values(draws, model))
+
+    def ticks(self, substeps: int) -> int:
+        """Control periods in so many physics steps.
+
+        Raises:
+            UserError: they are not a whole number.
+        """
+        ticks, rest = divmod(substeps, self.options.substeps)
+        if rest or not ticks:
+            period = self.options.substeps * self.physics_step
+            raise UserError(
+                f"control_rate: the environment's step of {substeps * self.physics_step:g} s is not"
+                f" a multiple of the control period {period:g} s; give a faster control_rate"
+            )
+        return ticks
+
+
+def _known(values: np.ndarray) -> np.ndarray:
+    return np.nan_to_num(values, nan=-1.0)
+
+
+def build(
+    model: mujoco.MjModel,
+    where: str,
+    parameters: Mapping[str, Any],
+    *,
+    joints: str | Sequence[str],
+    gains: str | Path | None,
+    damping: str,
+    velocity: str,
+    each_joint: bool,
+) -> EnvironmentDrive:
+    """The drive of an environment.
+
+    Args:
+        model: of the environment.
+        where: its name, in messages.
+        parameters: by either name, or `actuator`: a number, a range (low, high), an array of shape
+            (joints,), or a table of patterns of joints -> number or range.
+        joints: patterns of the driven ones.
+        gains: file of gains, None for the model's.
+        damping: "joint" or "drive".
+        velocity: that the controller sees, "sampled" or "differenced".
+        each_joint: as for `EnvironmentDrive`.
+
+    Raises:
+        UserError: a parameter or an actuator that cannot be driven, or a control period that does
+            not fit the physics step.
+    """
+    for name, value, known in (("damping", damping, _DAMPING), ("velocity", velocity, _VELOCITIES)):
+        if value not in known:
+            raise UserError(f"`{name}` = {shown(value)}; {nearest(value, known)}")
+    patterns = (joints,) if isinstance(joints, str) else tuple(joints)
+    found = _actuators.find(model, patterns, where)
+    step = float(model.opt.timestep)
+    given = dict(parameters)
+    if gains is not None:
+        given = _of_file(gains, model, found) | given
+    low, high = _ranges(given, found, step)
+    substeps = _substeps(float(low[CONTROL_RATE]), float(high[CONTROL_RATE]), step)
+    own = np.zeros(len(found.names))
+    longest = {name: np.fmax(low[name], high[name]) for name in low}
+    # a part that may occur at either end exists, the longest delays first
+    ends = {
+        name: np.stack([np.broadcast_to(side, own.shape) for side in (longest[name], low[name])])
+        for name in low
+    }
+    ends[FORCE_LIMIT] = np.minimum(ends[FORCE_LIMIT], found.force_limit)
+    static = {**ends, FEEDFORWARD: 0.0, POLICY_RATE: np.inf, CONTROL_RATE: float(low[CONTROL_RATE])}
+    options = _options.options(
+        drive_of(static), substeps=substeps, differenced=velocity == "differenced"
+    )
+    return EnvironmentDrive(found, low, high, options, step, damping == "drive", each_joint)
+
+
+def _of_file(gains: str | Path, model: mujoco.MjModel, found: Actuators) -> dict[str, Any]:
+    """Tables of the parameters that a file of gains has."""
+    from jaxact.gains import reading
+    from jaxact.gains.table import matched
+
+    names = [(name, model.actuator(int(index)).name)
+             for name, index in zip(found.names, found.indices, strict=True)]  # fmt: skip
+    own = matched(reading.read(gains), names).parameters
+    return {name: {re.escape(joint): value for joint, value in rows.items()}
+            for name, rows in own.items()}  # fmt: skip
+
+
+def _substeps(low: float, high: float, step: float) -> int:
+    if low != high:
+        raise UserError("`control_rate`: cannot have a range; the ticks are the same for all")
+    ratio = 1.0 / (low * step)
+    substeps = round(ratio)
+    if substeps < 1 or abs(ratio - substeps) > _ROUNDING * ratio:
+        raise UserError(
+            f"`control_rate`: its period {1 / low:g} s is not a multiple of the physics step"
+            f" {step:g} s; allowed e.g. control_rate = {1 / step:g}"
+        )
+    return substeps
+
+
+def _ranges(
+    given: Mapping[str, Any], found: Actuators, step: float
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Both ends of every parameter."""
+    sides: list[dict[str, np.ndarray]] = []
+    tables: dict[str, Any] = {}
+    for name, value in given.items():
+        short = canonical(name)
+        if short not in (*_TAKEN, "actuator") and short in PARAMETERS:
+            raise UserError(f"`{name}`: is not a parameter of a drive around an environment")
+        tables[name] = value
+    for side in (0, 1):
+        own = {name: np.asarray(PARAMETERS[name].default, float) for name in _TAKEN}
+        own |= dict.fromkeys(_OWN, np.asarray(np.nan)) | {CONTROL_RATE: np.asarray(1.0 / step)}
+        chosen = {name: _end(value, side) for name, value in tables.items()}
+        for key, value in control_loop.read(chosen, robot=True).items():
+            name, _, pattern = key.partition("@")
+            array = np.asarray(value, float)
+            if pattern:
+                meant = [re.fullmatch(pattern, joint) is not None for joint in found.names]
+                if not any(meant):
+                    raise UserError(f"`{key}`: matches no joint; {', '.join(found.names)}")
+                array = np.where(meant, array, np.broadcast_to(own[name], len(meant)))
+            elif array.shape not in ((), (len(found.names),)):
+                raise UserError(
+                    f"`{name}`: has shape {array.shape}; give a number, a range (low, high), or an"
+                    f" array of one number for each of the {len(found.names)} joints"
+                )
+            own[name] = array
+        sides.append(own)
+    for name in sides[0]:
+        if np.any(sides[0][name] > sides[1][name]):
+            raise UserError(f"`{name}`: its range ends below where it begins; give (low, high)")
+    return sides[0], sides[1]
+
+
+def _end(value: Any, side: int) -> Any:
+    """One end of a range, of a number the number itself."""
+    if isinstance(value, Mapping):
+        return {key: _end(part, side) for key, part in value.items()}
+    if isinstance(value, tuple):
+        if len(value) != 2:
+            raise UserError(f"{shown(value)}: is not a range; give (low, high)")
+        return value[side]
+    return value

@@ -1,0 +1,110 @@
+"""The drive in environments of MuJoCo Playground: between the policy's action and the joints."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from mujoco import mjx
+from mujoco_playground._src import mjx_env
+from mujoco_playground._src.wrapper import Wrapper
+
+from jaxact.environments import environment_drive
+from jaxact.environments.driven_step import DrivenStep
+from jaxact.errors import UserError
+
+KEY = "jaxact"
+"""Where `state.info` has what the next draws follow from."""
+# `mjx_env.step` is a global of Playground, which one environment at a time replaces while it steps.
+_STEPPING = threading.RLock()
+
+
+class DrivenEnvironment(Wrapper):
+    """An environment whose actuators are driven; see `jaxact.environments.playground`.
+
+    The state of the drive is in `state.data.userdata`, which whatever restores `data` restores.
+
+    Attributes:
+        drive: parameters, ranges and actuators.
+    """
+
+    def __init__(self, env: Any, drive: environment_drive.EnvironmentDrive) -> None:
+        super().__init__(env)
+        self.drive = drive
+        self._driven = DrivenStep(drive, mjx.step)
+
+    def reset(self, rng: jax.Array) -> mjx_env.State:
+        """As the environment does, with drives that have not begun."""
+        own, other = jax.random.split(rng)
+        state = self.env.reset(own)
+        info = {**state.info, KEY: {"key": other, "count": jnp.zeros((), jnp.int32)}}
+        return state.replace(data=self._driven.fresh(state.data), info=info)
+
+    def step(self, state: mjx_env.State, action: jax.Array) -> mjx_env.State:
+        """As the environment does, its physics steps under the drive."""
+        own = state.info[KEY]
+        steps: list[int] = []
+        plain = mjx_env.step
+
+        def driven(model: Any, data: Any, control: jax.Array, n_substeps: int = 1) -> Any:
+            if not data.userdata.shape[-1]:  # the environment resets by itself
+                return plain(model, data, control, n_substeps)
+            key = jax.random.fold_in(jax.random.fold_in(own["key"], own["count"]), len(steps))
+            steps.append(n_substeps)
+            return self._driven.step(model, data, control, n_substeps, key)
+
+        with _replaced(driven):
+            after = self.env.step(state, action)
+        if not steps:
+            raise UserError(
+                f"{type(self.env.unwrapped).__name__}: does not step through mjx_env.step, so its"
+                " drive would be left out; put jaxact.drive_around into its step instead"
+            )
+        info = {**after.info, KEY: {**own, "count": own["count"] + 1}}
+        return after.replace(info=info)
+
+    @property
+    def unwrapped(self) -> Any:
+        """Itself: wrappers that randomise the model go through here, and would leave it out."""
+        return self
+
+    @property
+    def _mjx_model(self) -> mjx.Model:
+        return self.env.unwrapped._mjx_model
+
+    @_mjx_model.setter
+    def _mjx_model(self, model: mjx.Model) -> None:
+        self.env.unwrapped._mjx_model = model
+
+
+@contextlib.contextmanager
+def _replaced(step: Callable[..., Any]) -> Iterator[None]:
+    """Playground's step function, replaced within the block."""
+    with _STEPPING:
+        own = mjx_env.step
+        mjx_env.step = step
+        try:
+            yield
+        finally:
+            mjx_env.step = own
+
+
+def wrap(env: Any, **options: Any) -> DrivenEnvironment:
+    """See `jaxact.environments.playground`."""
+    name = type(env.unwrapped).__name__
+    inner = env
+    while inner is not None:
+        if isinstance(inner, DrivenEnvironment):
+            raise UserError(f"{name}: has a drive already")
+        inner = inner.__dict__.get("env") if isinstance(inner, Wrapper) else None
+    drive = environment_drive.build(env.mj_model, name, options.pop("parameters"), **options)
+    drive.ticks(env.n_substeps)
+    wrapped = DrivenEnvironment(env, drive)
+    state = jax.eval_shape(wrapped.reset, jax.random.PRNGKey(0))
+    action = jax.ShapeDtypeStruct((env.action_size,), jnp.result_type(float))
+    jax.eval_shape(wrapped.step, state, action)
+    return wrapped
