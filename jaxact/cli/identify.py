@@ -13,6 +13,7 @@ from jaxact.errors import UserError
 
 if TYPE_CHECKING:
     from jaxact.identification.result import Identified
+    from jaxact.identification.robot import IdentifiedRobot
 
 
 Logs = Annotated[
@@ -24,7 +25,18 @@ Map = Annotated[
 ]
 Plant = Annotated[
     str,
-    arg(metavar="none|mass|pendulum", help="What the drive moves; none: its force was measured."),
+    arg(
+        metavar="none|mass|pendulum|MODEL",
+        help="What the drive moves; none: its force was measured; or a robot's MJCF or URDF file.",
+    ),
+]
+Groups = Annotated[
+    str,
+    arg(
+        metavar="PATTERN,...",
+        help="Regular expressions found in the names of a robot's joints; those of one share a"
+        " drive.",
+    ),
 ]
 Validate = Annotated[
     tuple[Path, ...],
@@ -65,6 +77,7 @@ def main(
     plant: Plant = "none",
     validate: Validate = (),
     joint: JointName = "",
+    groups: Groups = "",
     control_rate: ControlRate = None,
     loss: Loss = "linear",
     bootstrap: Bootstrap = False,
@@ -78,9 +91,14 @@ def main(
     that grows with the load, is fitted to the logs on their own time stamps. The simplest one that
     predicts other logs as well as the best, and all of whose numbers the logs can tell, is chosen.
 
+    With a robot's model as --plant: logs of its joints together, of the robot in the air or on a
+    bench, the map with a table or a name for each joint. Links and gravity are the model's; of each
+    joint's drive armature, friction, delay and dynamics are identified.
+
     examples:
       jaxact identify bench.csv --map columns.toml --validate other.csv
       jaxact identify swing.csv --map columns.toml --plant pendulum --control-rate 1000
+      jaxact identify air.csv --map columns.toml --plant robot.xml --groups hip,knee
       jaxact identify --design --wn 100..1000 --delay 0..5e-3 --duration 20
     """
     out = out or Path("excitation.csv" if design else "drive.toml")
@@ -101,6 +119,7 @@ def main(
     with _progress.phases(quiet=quiet) as progress:
         found = identify(
             logs, plant, validate=validate, columns=columns, joint=joint,
+            groups=groups.split(",") if groups else (),
             control_rate=control_rate, loss=loss, bootstrap=bootstrap,
             progress=lambda name: progress(f"fitting: {name}"),
         )  # fmt: skip
@@ -123,15 +142,18 @@ def _check_outputs(paths: list[Path], *, overwrite: bool) -> None:
             )
 
 
-def _write(found: Identified, out: Path, picture: Path) -> None:
+def _write(found: Identified | IdentifiedRobot, out: Path, picture: Path) -> None:
     """The drive as TOML, and its picture."""
     from jaxact import files
+    from jaxact.identification.result import Identified
     from jaxact.loops import toml
     from jaxact.plotting import theme
-    from jaxact.verbs.identify import identification_sheet
+    from jaxact.verbs.identify import identification_sheet, robot_sheet
 
-    figure = identification_sheet(found)
-    text = f"# Identified by jaxact identify: {found.verdict.sentence}\n\n"
+    one = isinstance(found, Identified)
+    figure = identification_sheet(found) if one else robot_sheet(found)
+    said = found.verdict.sentence if one else found.sentence
+    text = f"# Identified by jaxact identify: {said}\n\n"
     with files.output(out) as partial:
         partial.write_text(text + toml.dumps(found.document()), encoding="utf-8")
     theme.write(figure, picture, title="jaxact identify")

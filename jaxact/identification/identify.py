@@ -34,15 +34,7 @@ def identify(
     bootstrap: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Identified:
-    """Find the drive behind logs: its dynamics, delay, friction, and how well each is known.
-
-        found = jaxact.identify("log.csv", "pendulum", validate="other.csv", columns="map.toml")
-        print(found.report)
-        jaxact.margins(found.loop)
-
-    A ladder of models is fitted by least squares on the logs' own time stamps, and each is tried
-    on logs it has not seen; the simplest is chosen that is within 1 % of the best and all of whose
-    numbers are identified.
+    """Find the drive behind logs of one joint, see `jaxact.identify`.
 
     Args:
         logs: to fit; files (CSV or NPZ) or `Log`s of one joint.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import signal as _signal
 
-from jaxact.identification.log import Log
+from jaxact.identification.log import LINKS, Log
 from jaxact.parameters import FEEDFORWARD, SETPOINT
 
 # Where more than this share of the samples is at the extreme, it is a limit and no peak; where most
@@ -77,9 +77,10 @@ def inspect(log: Log) -> Inspection:
     period = log.period
     gaps = np.flatnonzero(steps > 1.7 * period)
     usual = steps[steps <= 1.7 * period]
-    together = np.stack([values for values in log.signals.values()], axis=1)
+    own = {name: values for name, values in log.signals.items() if name not in LINKS}
+    together = np.stack(list(own.values()), axis=1)
     repeated = float(np.mean(np.all(together[1:] == together[:-1], axis=1)))
-    quanta = {name: q for name, values in log.signals.items() if (q := quantum(values)) is not None}
+    quanta = {name: q for name, values in own.items() if (q := quantum(values)) is not None}
     limits = {
         name: limit
         for name in ("command", "force", "supply")

@@ -60,6 +60,26 @@ class Structure:
 
 
 @dataclass(frozen=True)
+class Links:
+    """What the links of a robot do to a joint in the middle of each tick, shape (ticks,) each.
+
+    Attributes:
+        inertia: that the joint moves with all others held [kg or kg m^2].
+        force: of gravity and of the other joints' motion, to be overcome [N or N m].
+        stiffness: its change with the joint's own position [N/m or N m/rad].
+        position: at which it was computed [m or rad].
+    """
+
+    inertia: jax.Array
+    force: jax.Array
+    stiffness: jax.Array
+    position: jax.Array
+
+
+jax.tree_util.register_dataclass(Links)
+
+
+@dataclass(frozen=True)
 class Recording:
     """What the simulation needs of a log; arrays over its ticks.
 
@@ -73,6 +93,7 @@ class Recording:
         kp, kd: of the controller [N/m, N s/m or per rad]; NaN where they are sought.
         command_limit: of the controller's output [N or N m].
         position, velocity: at the first row [m or rad] and per second.
+        links: of a robot, None of a single joint.
     """
 
     time: jax.Array
@@ -87,6 +108,7 @@ class Recording:
     command_limit: jax.Array
     position: jax.Array
     velocity: jax.Array
+    links: Links | None = None
 
 
 jax.tree_util.register_dataclass(Recording)
@@ -112,9 +134,10 @@ def simulate(
     """Position and command at each row.
 
     Args:
-        values: inertia [kg or kg m^2], gain, wn [rad/s], zeta, delay [s], force_limit [N or N m],
-            friction by `_friction`, gravity [N m], zero [rad], offset [N or N m], kp and kd where
-            the recording has none, initial_position, initial_velocity.
+        values: inertia [kg or kg m^2] (with links armature, beside theirs), gain, wn [rad/s],
+            zeta, delay [s], force_limit [N or N m], friction by `_friction`, gravity [N m], zero
+            [rad], offset [N or N m], kp and kd where the recording has none, initial_position,
+            initial_velocity.
         recording: the log.
         structure: static.
 
@@ -135,6 +158,7 @@ def simulate(
         "command": recording.command[jnp.maximum(plan.held, 0)],
         "strength": recording.strength[jnp.maximum(plan.held, 0)],
         "length": length,
+        "links": jax.tree.map(lambda rows: rows[tick], recording.links),
     }
     begin = _begin(values, recording, structure)
 
@@ -169,6 +193,7 @@ def _begin(values: Mapping[str, Any], recording: Recording, structure: Structure
     seen = tuple(position - velocity * period * (late + 1) for late in range(number))
     # The force that holds the joint where it is: it stood there before the log began.
     force = values["gravity"] * jnp.sin(position - values["zero"]) if structure.gravity else zero
+    force = force if recording.links is None else recording.links.force[0]
     return _Carry(
         position=position,
         velocity=velocity,
@@ -228,7 +253,7 @@ def _move(
     structure: Structure,
     carry: _Carry,
     over: Free,
-    now: Mapping[str, jax.Array],
+    now: Mapping[str, Any],
     held: jax.Array,
 ) -> _Carry:
     """Drive and joint over one interval with a constant input."""
@@ -243,13 +268,18 @@ def _move(
     moment = _within(moment, 0.5 * limit * length**2)
     force = value + over.c * e + over.s * g
     rate = over.rate_e * e + over.rate_g * g
-    inertia = values["inertia"]
+    links = now["links"]
+    inertia = values["inertia"] if links is None else values["armature"] + links.inertia
     position, velocity = carry.position, carry.velocity
     load = values["offset"]
     pull = jnp.zeros_like(load)
     if structure.gravity:
         middle = position + 0.5 * length * velocity
         pull = values["gravity"] * jnp.sin(middle - values["zero"])
+        load = load - pull
+    if links is not None:
+        middle = position + 0.5 * length * velocity
+        pull = links.force + links.stiffness * (middle - links.position)
         load = load - pull
     viscous, dry = _friction(values, velocity, impulse / length, pull)
     decay = viscous * length / inertia
@@ -315,6 +345,7 @@ def recording(
     command_limit: float,
     ticks_per_row: int,
     controlled: int,
+    links: tuple[np.ndarray, ...] | None = None,
 ) -> Recording:
     """A log cut into ticks.
 
@@ -327,6 +358,7 @@ def recording(
         command_limit: of the controller's output.
         ticks_per_row: into which each time between rows is cut.
         controlled: the controller runs at every so many ticks.
+        links: of a robot: inertia, force and stiffness as in `Links`, at each row.
     """
     share = np.arange(ticks_per_row) / ticks_per_row
     fine = (time[:-1, None] + np.diff(time)[:, None] * share).ravel()
@@ -334,6 +366,10 @@ def recording(
 
     def each(values: np.ndarray) -> jax.Array:
         return jnp.asarray(np.append(np.repeat(values[:-1], ticks_per_row), values[-1]))
+
+    def between(values: np.ndarray) -> jax.Array:
+        middle = fine + 0.5 * np.diff(fine, append=fine[-1])
+        return jnp.asarray(np.interp(middle, time, values))
 
     return Recording(
         time=jnp.asarray(fine),
@@ -348,4 +384,5 @@ def recording(
         command_limit=jnp.asarray(command_limit),
         position=jnp.asarray(float(position[0])),
         velocity=jnp.asarray(velocity),
+        links=None if links is None else Links(*(between(rows) for rows in (*links, position))),
     )

@@ -25,6 +25,9 @@ SIGNALS: dict[str, str] = {
 }
 """What a column can stand for, by name."""
 
+LINKS = ("link_inertia", "link_force", "link_stiffness")
+"""Signals of a robot's joint that its model computes, see `jaxact.identification.joint_motion`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Log:

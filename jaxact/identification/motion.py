@@ -18,7 +18,7 @@ from scipy import signal as _signal
 from jaxact.errors import UserError
 from jaxact.identification import inspection, joint_motion
 from jaxact.identification.joint_motion import Recording, Structure
-from jaxact.identification.log import Log, filled
+from jaxact.identification.log import LINKS, Log, filled
 from jaxact.identification.model import DYNAMICS, NEUTRAL_DRIVE, Family, Rung, drive_unknowns
 from jaxact.identification.problem import Unknown
 from jaxact.parameters import (
@@ -65,7 +65,7 @@ _NEUTRAL: dict[str, float] = {
     # Not known: where the log begins.
     INITIAL_POSITION: math.nan, INITIAL_VELOCITY: math.nan,
 }  # fmt: skip
-_POSITIVE = frozenset(("inertia", "viscous", "coulomb", "stribeck_speed", KP, WN, ZETA))
+_POSITIVE = frozenset(("inertia", "armature", "viscous", "coulomb", "stribeck_speed", KP, WN, ZETA))
 
 
 @dataclass(frozen=True)
@@ -117,11 +117,13 @@ def family(logs: Sequence[Log], plant: str, control_rate: float | None = None) -
     longest = _MOST_TICKS_OF_DELAY * ticks + 2
     structure = Structure(closed, longest, first.difference_ticks, plant == "pendulum")
     context = _Context(logs, plant, structure, sought, control_rate)
+    if context.robot and sought:
+        raise UserError(f"{first.title}: a robot needs kp and kd in the map, or its command")
     unit = "rad" if first.unit == "rad" else "m"
     return Family(
         rungs=context.rungs(),
         unknowns=context.unknowns,
-        neutral={**_NEUTRAL, **context.known()},
+        neutral=context.neutral(),
         positive=_POSITIVE,
         inputs=context.inputs,
         simulate=Simulate(structure, sought),
@@ -156,6 +158,11 @@ class _Context:
     sought_gains: bool
     control_rate: float | None
 
+    @property
+    def robot(self) -> bool:
+        """Whether the joint is one of a robot, whose links are known."""
+        return set(LINKS) <= set(self.logs[0].signals)
+
     def known(self) -> dict[str, float]:
         """Numbers that the logs' details give."""
         details = self.logs[0].details
@@ -166,8 +173,18 @@ class _Context:
             found["gravity"] = details[MASS] * GRAVITY * details["length"]
         return found
 
+    def neutral(self) -> dict[str, float]:
+        """Every number of the model, at the value at which it changes nothing."""
+        if self.robot:  # the links' inertia is known, and the rotor's is sought
+            rest = {name: value for name, value in _NEUTRAL.items() if name != "inertia"}
+            return {**rest, "armature": 1e-12}
+        return {**_NEUTRAL, **self.known()}
+
     def always(self) -> tuple[str, ...]:
         """Unknowns of every rung."""
+        if self.robot:
+            # Where the gains are stated, the drive's own is in them: dry friction hides the rest.
+            return ("offset", "armature", *(() if self.structure.closed else ("gain",)))
         known = self.known()
         names = ["offset"] if not self.structure.gravity else ["zero"]
         if self.sought_gains:
@@ -208,8 +225,8 @@ class _Context:
         viscous = max(guess["viscous"], 1e-3 * guess["inertia"])
         low, high = 1e-4, 1e4
         sought = (
-            Unknown("inertia", mass, low * guess["inertia"], high * guess["inertia"],
-                    (guess["inertia"],), positive=True),
+            *(Unknown(name, mass, low * guess["inertia"], high * guess["inertia"],
+                      (guess["inertia"],), positive=True) for name in ("inertia", "armature")),
             Unknown("gain", "1", 1e-3 * guess["gain"], 1e3 * guess["gain"], (guess["gain"],)),
             Unknown("viscous", f"{force} s/{logs[0].unit}", low * viscous, high * viscous,
                     (viscous,), positive=True),
@@ -269,12 +286,13 @@ class _Context:
             command=filled(log["command"] if "command" in log else zero),
             feedforward=filled(log[FEEDFORWARD] if FEEDFORWARD in log else zero),
             strength=filled(strength),
-            position=np.append(position, log["position"][1:]),
+            position=filled(np.append(position, log["position"][1:])),
             velocity=velocity,
             gains=(float(gains[0] or 0.0), float(gains[1] or 0.0)),
             command_limit=min(limit, 1e12),
             ticks_per_row=ticks,
             controlled=controlled,
+            links=tuple(filled(log[name]) for name in LINKS) if self.robot else None,
         )
 
 
@@ -311,7 +329,10 @@ def _guess(logs: Sequence[Log], context: _Context) -> dict[str, Any]:
         if gravity:
             columns.append(np.sin(log["position"]))
         rows.append(np.stack(columns, axis=1))
-        forces.append(_force(log, context))
+        force = _force(log, context)
+        if context.robot:
+            force = force - log[LINKS[0]] * acceleration - log[LINKS[1]]
+        forces.append(force)
     matrix, force = np.concatenate(rows), np.concatenate(forces)
     size = max(float(np.max(np.abs(force))), 1e-9)
     fastest = max(float(np.max(np.abs(matrix[:, 1]))), 1e-9)
@@ -327,6 +348,10 @@ def _guess(logs: Sequence[Log], context: _Context) -> dict[str, Any]:
     inertia = scaled["inertia"]
     if inertia <= 0.0:
         inertia = gain * size / max(float(np.max(np.abs(matrix[:, 0]))), 1e-9)
+    if context.robot:
+        # Where the motion hardly tells: a rotor, seen through its gear, is like the links.
+        least = 0.05 * float(np.mean([np.mean(log[LINKS[0]]) for log in logs]))
+        inertia = max(inertia, least)
     return {
         "inertia": inertia, "viscous": scaled["viscous"], "coulomb": scaled["coulomb"],
         "offset": float(np.clip(scaled["offset"], -0.5 * gain * size, 0.5 * gain * size)),

@@ -8,7 +8,8 @@
     kp = 400.0                   # of the controller, or "unknown"
     kd = "unknown"
 
-Several joints in one file each have a table `[joints.NAME]`; what stands outside is for all. What
+Several joints in one file each have a table `[joints.NAME]`; what stands outside is for all. Where
+only names differ, `joints = ["hip", "knee"]` and `position = "q_{joint}"` say the same. What
 differs between files stands in tables `[files."PATTERN"]`, such as the gain of each recording.
 """
 
@@ -115,6 +116,8 @@ def read_columns(path: Path) -> ColumnMap:
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise UserError(f"{path}: is not TOML ({error})") from None
     joints, files = document.pop("joints", {"": {}}), document.pop("files", {})
+    if isinstance(joints, list) and all(isinstance(name, str) for name in joints) and joints:
+        joints = {name: _spelt(document, name) for name in joints}
     for name, tables in (("joints", joints), ("files", files)):
         if not isinstance(tables, dict) or not all(isinstance(t, dict) for t in tables.values()):
             raise UserError(f"{path}: {name} must be tables [{name}.NAME]")
@@ -125,6 +128,17 @@ def read_columns(path: Path) -> ColumnMap:
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
     return found
+
+
+def _spelt(table: Mapping[str, Any], joint: str) -> dict[str, Any]:
+    """What stands for all joints, with the name of one for {joint} in the names of columns."""
+
+    def one(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: one(inner) for key, inner in value.items()}
+        return value.replace("{joint}", joint) if isinstance(value, str) else value
+
+    return {key: one(value) for key, value in table.items()}
 
 
 def _columns(table: Mapping[str, Any]) -> Columns:

@@ -14,7 +14,6 @@ import numpy as np
 
 from jaxact.errors import UserError, nearest
 from jaxact.identification import forces, motion
-from jaxact.identification.fitting import Problem, solve
 from jaxact.identification.identify import Source, logs_of
 from jaxact.identification.log import Log
 from jaxact.identification.model import Family, predicted
@@ -163,7 +162,6 @@ def replay(
     own = _with_gains(known, own, asked)
     with jax.enable_x64(True):
         family, numbers = _model(known, own, asked)
-        numbers |= _beginning(family, own, numbers)
         simulated = predicted(family, own, numbers)
         stimulus, measured = family.stimulus(own), family.measured(own)
     closed = family.signal == "position" and stimulus is own.signals.get(SETPOINT)
@@ -171,20 +169,6 @@ def replay(
         known.name, own, stimulus, measured, simulated, SETPOINT if closed else "command",
         family.signal, family.unit,
     )  # fmt: skip
-
-
-def _beginning(family: Family, log: Log, numbers: Mapping[str, float]) -> dict[str, float]:
-    """Position and velocity with which a joint begins, by least squares on all of its log."""
-    unknowns = family.nuisances([log])
-    if not unknowns:
-        return {}
-    measured = family.measured(log)
-    sought = Problem(
-        unknowns=unknowns, numbers={**numbers, **{u.name: u.starts[0] for u in unknowns}},
-        positive=family.positive, simulate=family.simulate, inputs=(family.inputs(log),),
-        measured=(measured,), scale=1.0 / max(float(np.std(measured)), 1e-300), period=None,
-    )  # fmt: skip
-    return {name.partition("[")[0]: value for name, value in solve(sought).values.items()}
 
 
 def _with_gains(drive: IdentifiedDrive, log: Log, asked: Mapping[str, Any]) -> Log:

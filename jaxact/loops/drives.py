@@ -41,6 +41,8 @@ from jaxact.units import UNITS
 
 DRIVE = "drive"
 """The key of a specification, and the argument of a loop, that names an identified drive."""
+ROBOT = "robot"
+"""The plant of drives that were identified on the joints of a robot."""
 NOT_ENOUGH = "not good enough"
 """The verdict on a drive that should not be used."""
 # What a joint of a robot has from its model, and not from the bench on which its drive was.
@@ -136,8 +138,13 @@ class IdentifiedDrive:
         Args:
             robot: of a robot, whose own inertias, springs and gains stay; else of the joint on
                 which the drive was identified.
+
+        Raises:
+            UserError: the drives are those of a robot's joints, and the loop is not a robot's.
         """
-        if not robot:
+        if self.plant == ROBOT and not robot:
+            raise UserError(f"{self.name}: has the drives of a robot's joints; give its `model`")
+        if not robot or self.plant == ROBOT:
             return dict(self.joint)
         kept = {name: value for name, value in self.joint.items() if name not in _OF_BENCH}
         if KP in self.numbers:  # per unit of an inertia that is not known
@@ -147,6 +154,8 @@ class IdentifiedDrive:
 
     def left_out(self, *, robot: bool = False) -> list[str]:
         """What the drive has and such a loop does not take, in words."""
+        if self.plant == ROBOT:
+            return list(self.document.get("left_out", ()))
         force = "N m" if self.unit == "rad" else "N"
         dry = self.numbers.get("coulomb", 0.0)
         said = [words for name, words in _FRICTION.items() if self.numbers.get(name)]
@@ -166,6 +175,8 @@ class IdentifiedDrive:
 
         A drive whose gain is not known moves a joint as one whose inertia is not.
         """
+        if self.plant == ROBOT:
+            return {name: (low, high) for name, (low, high) in self.intervals.items()}
         found: dict[str, tuple[float, float] | str] = {}
         for name in (WN, ZETA):
             if name in self.intervals and name in self.numbers:
@@ -224,7 +235,7 @@ def parameters_of(numbers: Mapping[str, Any], plant: str) -> dict[str, Any]:
     if np.any(np.isinf(found[WN])):
         del found[WN], found[ZETA]
     if plant != "none":
-        found[MASS] = numbers.get("inertia", 1.0)
+        found |= {MASS: numbers["inertia"]} if "inertia" in numbers else {}
         own = {JOINT_DAMPING: "viscous", JOINT_STIFFNESS: "gravity"}
         found |= {name: numbers[model] for name, model in own.items() if model in numbers}
     if KP in numbers:
@@ -262,7 +273,9 @@ def of_document(name: str, document: Mapping[str, Any]) -> IdentifiedDrive:
     Raises:
         UserError: it is not such a document.
     """
-    loops, plant = document.get("loop"), document.get("plant")
+    plant = document.get("plant")
+    # Of a robot one table of all joints, whose keys name them.
+    loops = [document.get(ROBOT)] if plant == ROBOT else document.get("loop")
     if not isinstance(loops, list) or not isinstance(plant, str) or "estimates" not in document:
         raise UserError(f"{name}: is not a drive; give a file that jaxact identify wrote")
     if len(loops) != 1:
@@ -276,7 +289,7 @@ def of_document(name: str, document: Mapping[str, Any]) -> IdentifiedDrive:
             level=document.get("verdict", {}).get("level", ""),
             joint=_checked(name, loops[0]),
             numbers={k: float(v) for k, v in document.get("numbers", {}).items()},
-            intervals={k: (float(e["low"]), float(e["high"])) for k, e in _estimates(document)},
+            intervals=_intervals(document),
             spread=spread, document=document,
         )  # fmt: skip
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -344,15 +357,16 @@ def written_out(document: Mapping[str, Any], drive: IdentifiedDrive) -> dict[str
     return {**rest, "parameters": fixed | rest["parameters"]}
 
 
-def _estimates(document: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """(name of the model's number, estimate) of all; a time constant as the frequency it is."""
-    found = []
+def _intervals(document: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """By name of the model's number; a time constant as the frequency it is."""
+    found = {key: (float(low), float(high)) for key, (low, high) in
+             document.get("uncertainty", {}).items()}  # fmt: skip
     for name, one in document["estimates"].items():
         own = one.get("number", name)
         if own != name:
             one = {"low": one["value"] / one["high"], "high": one["value"] / one["low"]}
             one = {end: ratio * document["numbers"][own] for end, ratio in one.items()}
-        found.append((own, one))
+        found[own] = float(one["low"]), float(one["high"])
     return found
 
 

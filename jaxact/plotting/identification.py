@@ -85,6 +85,29 @@ def sheet(
     return paper.figure
 
 
+def joints(each: Sequence[Compared], *, title: str = "", footer: str = "") -> Figure:
+    """Measured and simulated of several joints, two beside each other.
+
+    Args:
+        each: a log and its simulation.
+        title: above.
+        footer: below.
+    """
+    rows = -(-len(each) // 2)
+    with theme.applied():
+        paper = page(9.0, 1.2 + 1.5 * rows, title=title, footer=footer, entries=2, entry_width=2.6)
+        panels = paper.figure.subplots(rows, min(len(each), 2), squeeze=False)
+        handles: list = []
+        for axes, compared in zip(panels.flat, each, strict=False):
+            handles = over(axes, compared)
+        for axes in panels.flat[len(each) :]:
+            axes.remove()
+        for axes in panels[-1]:
+            axes.set_xlabel("time [s]")
+        paper.legend(handles)
+    return paper.figure
+
+
 def replay(compared: Compared, *, title: str = "", footer: str = "") -> Figure:
     """Measured and simulated where most happens, what is left there, and what is left of it all.
 

@@ -2,19 +2,92 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from jaxact.identification.identify import identify
+from jaxact.errors import UserError
+from jaxact.identification import identify as _joints
+from jaxact.identification.identify import Source
 from jaxact.identification.model import predicted
+from jaxact.identification.reading import ColumnMap, Columns, read_columns
 from jaxact.identification.replay import Replay, replay
 from jaxact.identification.result import Identified
+from jaxact.identification.robot import SUFFIXES, IdentifiedRobot, identify_robot
 from jaxact.plotting import identification as _pictures
 from jaxact.plotting.identification import Compared, Step
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["identification_sheet", "identify", "replay", "replay_sheet"]
+__all__ = ["identification_sheet", "identify", "replay", "replay_sheet", "robot_sheet"]
+
+
+def identify(
+    logs: Source | Sequence[Source],
+    plant: str | os.PathLike[str] = "none",
+    *,
+    validate: Source | Sequence[Source] = (),
+    columns: ColumnMap | Mapping[str, Columns] | str | os.PathLike[str] | None = None,
+    joint: str = "",
+    groups: Sequence[str] = (),
+    control_rate: float | None = None,
+    loss: str = "linear",
+    bootstrap: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> Any:
+    """Find the drive behind logs: its dynamics, delay, friction, and how well each is known.
+
+        found = jaxact.identify("log.csv", "pendulum", validate="other.csv", columns="map.toml")
+        print(found.report)
+        jaxact.margins(found.loop)
+
+    A ladder of models is fitted by least squares on the logs' own time stamps, and each is tried
+    on logs it has not seen; the simplest is chosen that is within 1 % of the best and all of whose
+    numbers are identified.
+
+    Args:
+        logs: to fit; files (CSV or NPZ) or `Log`s of one joint; of a robot files of all joints.
+        plant: what the drive moves: "none" where its force was measured, "mass" or "pendulum"; or
+            the MJCF or URDF file of a robot, in the air or on a test bench.
+        validate: logs to try the models on; without them the last 30 % of each log.
+        columns: what the columns are: a TOML file, or from `read_columns`.
+        joint: of several in a file.
+        groups: of a robot, patterns found in the names of joints: those of one share a drive; none:
+            every joint its own.
+        control_rate: at which the drive's own controller runs [Hz]; None for once a row.
+        loss: of the least squares; "soft_l1" and "huber" bear outliers.
+        bootstrap: intervals by resampling blocks instead of the kernel's estimate.
+        progress: is told each model's name as its turn comes.
+
+    Returns:
+        The identified drive, `jaxact.identification.result.Identified`; of a robot those of its
+        joints, `jaxact.identification.robot.IdentifiedRobot`.
+
+    Raises:
+        UserError: logs that cannot be read or used, or that lack what the plant needs.
+    """
+    read = read_columns(Path(columns)) if isinstance(columns, str | os.PathLike) else columns
+    given: dict[str, Any] = {
+        "validate": validate, "columns": read, "joint": joint, "control_rate": control_rate,
+        "loss": loss, "bootstrap": bootstrap, "progress": progress,
+    }  # fmt: skip
+    if Path(plant).suffix.lower() in SUFFIXES:
+        return identify_robot(logs, Path(plant), groups=groups, **given)
+    if groups:
+        raise UserError("`groups`: are of a robot's joints; give its model file as `plant`")
+    return _joints.identify(logs, str(plant), **given)
+
+
+def robot_sheet(identified: IdentifiedRobot) -> Figure:
+    """Measured and simulated of every drive that was identified on a robot, one below the other."""
+    drawn = [
+        replace(compared(part.found), title=f"{part.name}: {part.found.chosen.rung.name}")
+        for part in identified.parts
+    ]
+    return _pictures.joints(drawn, title=identified.robot.path.name, footer=identified.sentence)
 
 
 def identification_sheet(identified: Identified, *, title: str = "", log: int = 0) -> Figure:

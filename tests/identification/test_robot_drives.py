@@ -1,0 +1,156 @@
+"""The drives of a robot's joints, from logs that C MuJoCo made."""
+
+import tomllib
+
+import mujoco
+import numpy as np
+import pytest
+
+import jaxact as jx
+from jaxact.cli.main import main
+from jaxact.identification import links
+from jaxact.identification.log import LINKS, Log
+from jaxact.robots.model import read
+
+ARM = """
+<mujoco>
+  <option timestep="0.0001" integrator="implicitfast"/>
+  <worldbody>
+    <body pos="0 0 1">
+      <joint name="shoulder" axis="0 1 0" armature="{armature}" damping="{damping}"
+             frictionloss="{friction}"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.03" mass="1.2"/>
+      <body pos="0 0 -0.3">
+        <joint name="elbow" axis="0 1 0" armature="{armature}" damping="{damping}"
+               frictionloss="{friction}"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.25" size="0.02" mass="0.8"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="m1" joint="shoulder"/><motor name="m2" joint="elbow"/></actuator>
+</mujoco>
+"""
+TRUTH = {"armature": 0.03, "damping": 0.4, "friction": 0.3}
+GUESSED = {"armature": 0.01, "damping": 0.1, "friction": 0.5}
+KP, KD, PERIOD, STEPS, LATE = 60.0, 2.0, 2e-3, 20, 30
+DELAY = 2.95e-3  # MuJoCo's integrator has positions half a step ahead of velocities
+ROWS = 2000
+
+
+def _swing(seed):
+    """Setpoints and positions of both joints, shape (rows, 2): PD at each row, 3 ms late."""
+    model = mujoco.MjModel.from_xml_string(ARM.format(**TRUTH))
+    data = mujoco.MjData(model)
+    generator = np.random.default_rng(seed)
+    setpoints = np.repeat(0.3 * generator.normal(size=(ROWS // 50, 2)), 50, axis=0)
+    positions = np.empty((ROWS, 2))
+    waiting = [np.zeros(2)] * LATE
+    for row in range(ROWS):
+        positions[row] = data.qpos
+        command = KP * (setpoints[row] - data.qpos) - KD * data.qvel
+        for _ in range(STEPS):
+            waiting.append(command)
+            data.ctrl[:] = waiting.pop(0)
+            mujoco.mj_step(model, data)
+    return setpoints, positions
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("arm")
+    (path / "arm.xml").write_text(ARM.format(**GUESSED))
+    for name, seed in (("fit", 1), ("other", 2)):
+        table = np.column_stack([np.arange(ROWS) * PERIOD, *_swing(seed)])
+        head = "time,set_shoulder,set_elbow,q_shoulder,q_elbow"
+        np.savetxt(path / f"{name}.csv", table, delimiter=",", header=head, comments="")
+    (path / "map.toml").write_text(
+        'joints = ["shoulder", "elbow"]\nsetpoint = "set_{joint}"\nposition = "q_{joint}"\n'
+        f"kp = {KP}\nkd = {KD}\n"
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(folder):
+    return jx.identify(
+        folder / "fit.csv", folder / "arm.xml", validate=folder / "other.csv",
+        columns=folder / "map.toml", groups=(".*",),
+    )  # fmt: skip
+
+
+def test_the_links_do_what_inverse_dynamics_says(folder):
+    """With M, the forces and the accelerations of MuJoCo along a motion that is a formula."""
+    robot = read(folder / "arm.xml", base="fixed")
+    time = np.arange(400) * PERIOD
+    q = np.column_stack([0.5 * np.sin(3.0 * time), 0.4 * np.cos(4.0 * time)])
+    logs = [
+        Log("air", time, {"position": q[:, at]}, name) for at, name in enumerate(("shoulder", "m2"))
+    ]
+    done = links.with_links(logs, robot)
+    model = mujoco.MjModel.from_xml_string(ARM.format(armature=0.0, damping=0.0, friction=0.0))
+    data = mujoco.MjData(model)
+    row = 137
+    data.qpos[:] = q[row]
+    data.qvel[:] = 1.5 * np.cos(3.0 * time[row]), -1.6 * np.sin(4.0 * time[row])
+    data.qacc[:] = -4.5 * np.sin(3.0 * time[row]), -6.4 * np.cos(4.0 * time[row])
+    mujoco.mj_inverse(model, data)
+    for at, log in enumerate(done):
+        inertia, force, _ = (log[name][row] for name in LINKS)
+        assert inertia * data.qacc[at] + force == pytest.approx(data.qfrc_inverse[at], rel=1e-3)
+
+
+def test_armature_friction_and_delay_are_found_through_the_links(found):
+    (part,) = found.parts
+    numbers = part.found.chosen.numbers
+    assert numbers["armature"] == pytest.approx(TRUTH["armature"], rel=0.1)
+    assert numbers["viscous"] == pytest.approx(TRUTH["damping"], rel=0.1)
+    assert numbers["coulomb"] == pytest.approx(TRUTH["friction"], rel=0.1)
+    assert part.delay.identified and part.delay.value == pytest.approx(DELAY, abs=1e-4)
+    assert min(part.found.chosen.scores) > 97.0
+
+
+def test_a_robot_takes_what_its_model_has_not_yet(found, folder):
+    loop = jx.robot(folder / "arm.xml", drive=found, joint_damping=0.0)
+    numbers = found.parts[0].found.chosen.numbers
+    both = "shoulder|elbow"
+    added = loop.values[f"joint_armature@{both}"]
+    assert added == pytest.approx(numbers["armature"] - GUESSED["armature"])
+    assert loop.values[f"kp@{both}"] == pytest.approx(KP)
+    assert f"joint_damping@{both}" not in loop.values  # what is said wins
+    (less,) = found.drive.left_out(robot=True)
+    assert less.startswith("frictionloss of .*") and "not the 0.5 of arm.xml" in less
+
+
+def test_the_command_writes_the_drives_of_a_robot(folder, tmp_path, capsys):
+    out = tmp_path / "drive.toml"
+    given = ["identify", str(folder / "fit.csv"), "--map", str(folder / "map.toml")]
+    given += ["--plant", str(folder / "arm.xml")]
+    assert main([*given, "--joint", "elbow", "--out", str(out), "--quiet"]) == 0
+    assert "elbow: " in capsys.readouterr().out
+    document = tomllib.loads(out.read_text())
+    assert document["plant"] == "robot" and "joint_armature@elbow" in document["robot"]
+    assert (tmp_path / "drive.png").stat().st_size > 10_000
+    drive = jx.load_drive(out)
+    low, high = drive.uncertainty["delay@elbow"]
+    assert low <= DELAY <= high
+    assert main(["margins", "--drive", str(out), "--inertia", "0.05"]) == 2
+    assert "has the drives of a robot's joints; give its --model" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--joint", "knee"], "joint 'knee' is not in arm.xml; allowed: shoulder, elbow"),
+        (["--groups", "hip"], "--groups 'hip': matches no driven joint"),
+        (["--plant", "mass", "--groups", "hip"], "--groups: are of a robot's joints"),
+        (["--plant", "none.xml"], "none.xml: no such"),
+    ],
+)
+def test_what_does_not_fit_is_one_line(folder, tmp_path, capsys, options, said):
+    given = ["identify", str(folder / "fit.csv"), "--map", str(folder / "map.toml")]
+    plant = [] if "--plant" in options else ["--plant", str(folder / "arm.xml")]
+    out = tmp_path / "drive.toml"
+    assert main([*given, *plant, "--out", str(out), "--quiet", *options]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
