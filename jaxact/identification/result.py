@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,11 +92,11 @@ class Identified:
     def _numbers(self) -> dict[str, float]:
         """The model's numbers by name, without those that change nothing."""
         chosen, neutral = self.chosen, self.ladder.family.neutral
-        free = {u.model_name for u in chosen.fit.problem.unknowns}
+        free = {u.model_name for u in chosen.fit.problem.unknowns if not u.nuisance}
         return {
             name: value
             for name, value in chosen.numbers.items()
-            if "[" not in name
+            if not math.isnan(value)  # where a log begins is not the model's
             and (name in free or value != neutral.get(name) or (value and name in _STATED))
         }
 
