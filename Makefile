@@ -92,5 +92,5 @@ $(ENVIRONMENTS)/.complete: $(STAMP)
 	@rm -rf $(ENVIRONMENTS)
 	@$(PIP) install --no-deps --no-compile --target $(ENVIRONMENTS) playground==0.2.0 brax==0.14.2 \
 		flax==0.12.12 ml-collections==1.1.0 jaxopt==0.8.5 cloudpickle==3.1.3 lxml==6.1.3 tqdm==4.70.1 \
-		gymnasium==1.4.0 farama-notifications==0.0.6
+		gymnasium==1.4.0 farama-notifications==0.0.6 imageio==2.38.1
 	@touch $@

@@ -256,8 +256,9 @@ def test_commands_of_the_pages_run(commands, tmp_path):
 
 @pytest.mark.parametrize("code", [pytest.param(b, id=page) for page, b in _blocks("python")])
 def test_examples_of_the_pages_run(code):
-    if "mujoco_playground" in code:
-        pytest.importorskip("mujoco_playground", reason="needs jaxact[playground]")
+    for name, extra in (("mujoco_playground", "playground"), ("gymnasium", "gymnasium")):
+        if f"import {name}" in code or f"from {name}" in code:
+            pytest.importorskip(name, reason=f"needs jaxact[{extra}]")
     as_users_have_it = {"JAX_NUMPY_RANK_PROMOTION": "allow"}  # mujoco.mjx relies on it
     ran = _python(code, **ENVIRONMENT, **as_users_have_it)
     assert ran.returncode == 0, ran.stderr

@@ -56,3 +56,37 @@ def playground(
         env, parameters=parameters, joints=joints, gains=gains, damping=damping,
         velocity=velocity, each_joint=each_joint,
     )  # fmt: skip
+
+
+def gymnasium(
+    env: Any,
+    *,
+    joints: str | Sequence[str] = (".*",),
+    gains: str | os.PathLike[str] | None = None,
+    damping: str = "joint",
+    velocity: str = "sampled",
+    each_joint: bool = False,
+    **parameters: Any,
+) -> Any:
+    """Put the drive into an environment of gymnasium on C MuJoCo.
+
+        env = jaxact.environments.gymnasium(gymnasium.make("Ant-v5"), delay=(0.002, 0.008))
+
+    As `playground`, of which the arguments are those. The state of the drive is with the wrapper;
+    what a reset draws follows from the environment's own `np_random`, so from its seed. In vectors,
+    wrap each environment; asynchronous ones start with `context="spawn"`, since JAX and fork do not
+    go together.
+
+    Returns:
+        The environment; its `drive` has what was understood, its `values` what was drawn.
+
+    Raises:
+        UserError: as `playground`, and an environment that is not a `MujocoEnv`.
+        ModuleNotFoundError: gymnasium is not installed (`jaxact[gymnasium]`).
+    """
+    from jaxact.environments import gymnasium_wrapper
+
+    return gymnasium_wrapper.wrap(
+        env, parameters=parameters, joints=joints, gains=gains, damping=damping,
+        velocity=velocity, each_joint=each_joint,
+    )  # fmt: skip

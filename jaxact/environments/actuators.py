@@ -59,7 +59,7 @@ class Actuators:
         square = self.moments(model) ** 2
         bias = model.actuator_biasprm[self.indices]
         servo = 1.0 - self._are(FORCE)
-        return -bias[:, 1] * square * servo, -bias[:, 2] * square * servo
+        return (0.0 - bias[:, 1]) * square * servo, (0.0 - bias[:, 2]) * square * servo
 
     def setpoint(self, model: Any, control: Any, numeric: Any) -> Setpoint:
         """What a control asks of the joints: positions, velocities or forces.
@@ -82,22 +82,33 @@ class Actuators:
         )
 
     def as_motors(self, model: Any, *, damping: bool) -> dict[str, Any]:
-        """The fields of a model of MJX in which the driven actuators are motors.
+        """The fields of a model in which the driven actuators are motors.
 
         Args:
-            model: of MJX, which may be traced.
+            model: of MuJoCo or MJX, which may be traced.
             damping: the joints' own damping is taken out.
         """
         at = self.indices
-        viscous = model.actuator_biasprm[at, 2] * self._are(FORCE)
+        gain, bias = model.actuator_gainprm, model.actuator_biasprm
+        own = {"gain": np.eye(1, gain.shape[1]), "viscous": np.eye(1, bias.shape[1], 2)}
+        viscous = (bias[at, 2] * self._are(FORCE))[:, None] * own["viscous"]
         found = {
-            "actuator_gainprm": model.actuator_gainprm.at[at].set(0.0).at[at, 0].set(1.0),
-            "actuator_biasprm": model.actuator_biasprm.at[at].set(0.0).at[at, 2].set(viscous),
-            "actuator_ctrlrange": model.actuator_ctrlrange.at[self.controls].set([-_FAR, _FAR]),
+            "actuator_gainprm": _with(gain, at, own["gain"]),
+            "actuator_biasprm": _with(bias, at, viscous),
+            "actuator_ctrlrange": _with(model.actuator_ctrlrange, self.controls, [-_FAR, _FAR]),
         }
         if damping:
-            found["dof_damping"] = model.dof_damping.at[self.velocities].set(0.0)
+            found["dof_damping"] = _with(model.dof_damping, self.velocities, 0.0)
         return found
+
+
+def _with(values: Any, places: np.ndarray, new: Any) -> Any:
+    """A copy of an array, of NumPy or JAX, with other values at some places."""
+    if isinstance(values, np.ndarray):
+        values = values.copy()
+        values[places] = new
+        return values
+    return values.at[places].set(new)
 
 
 def find(model: mujoco.MjModel, patterns: Sequence[str], where: str) -> Actuators:

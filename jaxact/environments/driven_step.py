@@ -18,7 +18,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxact.drive import sensor as _sensor
 from jaxact.drive import step as _drive
-from jaxact.drive.controller import Setpoint
+from jaxact.drive.controller import Controller, Setpoint
 from jaxact.drive.step import DriveState
 from jaxact.environments.environment_drive import EnvironmentDrive
 from jaxact.loops import loop as _loop
@@ -76,7 +76,7 @@ class DrivenStep:
         setpoint = own.setpoint(model, control, jnp)
         prepared = self._prepared(model, control, draws)
         position, velocity = prepared.plant.measure(data)
-        first = _held(prepared, setpoint, position, velocity)
+        first = held(prepared.drive.drive.controller, setpoint, position, velocity)
         rest = _tick(_drive.init(prepared.drive, parts.options, position, velocity, command=first))
         flat, unravel = ravel_pytree(rest)
         state, tick = unravel(jnp.where(begun, data.userdata[1 + parts.draws :], flat))
@@ -123,13 +123,12 @@ def _tick(state: DriveState) -> tuple[DriveState, jax.Array]:
     return state, jnp.zeros((), jnp.int32)
 
 
-def _held(
-    prepared: Prepared, setpoint: Setpoint, position: jax.Array, velocity: jax.Array
+def held(
+    controller: Controller, setpoint: Setpoint, position: jax.Array, velocity: jax.Array
 ) -> jax.Array:
     """The command that a controller without delay would give: as if it had been held before."""
-    gains = prepared.drive.drive.controller
     return (
-        gains.kp * (setpoint.position - position)
-        + gains.kd * (setpoint.velocity - velocity)
+        controller.kp * (setpoint.position - position)
+        + controller.kd * (setpoint.velocity - velocity)
         + setpoint.force
     )

@@ -1,0 +1,213 @@
+"""The drive in environments of gymnasium on C MuJoCo, and in their vectors."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from jaxact.drive import sensor as _sensor
+from jaxact.drive import step as _drive
+from jaxact.drive.controller import Setpoint
+from jaxact.drive.options import DriveOptions
+from jaxact.drive.step import Coefficients, DriveState
+from jaxact.environments import environment_drive
+from jaxact.environments.actuators import Actuators
+from jaxact.environments.driven_step import held
+from jaxact.environments.environment_drive import EnvironmentDrive
+from jaxact.errors import UserError
+from jaxact.loops.conversion import drive_of
+from jaxact.plants.linear import hermite
+
+_STEP = "_step_mujoco_simulation"
+_FIELDS = ("actuator_gear", "actuator_gainprm", "actuator_biasprm", "dof_damping")
+Pair = tuple[jax.Array, jax.Array]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Carry:
+    """A drive between two physics steps.
+
+    Attributes:
+        state: of the drive.
+        tick: number of control periods that have begun, int32.
+        before: positions and velocities of the joints when the last physics step began.
+        late: the same at the measuring instant of this period, as far as it has come.
+    """
+
+    state: DriveState
+    tick: jax.Array
+    before: Pair
+    late: Pair
+
+
+class DrivenEnvironment(gymnasium.Wrapper):
+    """An environment whose actuators are driven; see `jaxact.environments.gymnasium`.
+
+    Attributes:
+        drive: parameters, ranges and actuators.
+        values: the parameters that the last reset drew, by short name.
+    """
+
+    def __init__(self, env: gymnasium.Env, drive: EnvironmentDrive) -> None:
+        super().__init__(env)
+        self.drive = drive
+        self.values: dict[str, Any] = {}
+        self._carry: Carry | None = None
+        self._draws, self._key, self._calls = jnp.zeros(drive.draws), jax.random.PRNGKey(0), 0
+        self._known: tuple[bytes, ...] = ()
+        shape = (len(drive.actuators.names),)
+        self._prepare = jax.jit(lambda v: _drive.prepare(drive_of(v), drive.options, shape))
+        self._begin = jax.jit(functools.partial(_begun, drive.options))
+        self._force = jax.jit(functools.partial(_forced, drive.options), static_argnames="place")
+
+    def reset(self, **options: Any) -> Any:
+        """As the environment does, with drives that have not begun, and parameters drawn anew."""
+        found = self.env.reset(**options)
+        seed = int(self.unwrapped.np_random.integers(2**31))
+        drawing, self._key = jax.random.split(jax.random.PRNGKey(seed))
+        self._draws, self._carry, self._known, self._calls = self.drive.draw(drawing), None, (), 0
+        self._look(self.unwrapped.model)
+        return found
+
+    def step(self, action: Any) -> Any:
+        """As the environment does, its physics steps under the drive."""
+        before = self._calls
+        with _replaced(self.unwrapped, self._driven):
+            found = self.env.step(action)
+        if self._calls == before:
+            raise UserError(
+                f"{type(self.unwrapped).__name__}: does not step through {_STEP}, so its drive"
+                " would be left out; put jaxact.drive_around into its step instead"
+            )
+        return found
+
+    def _look(self, model: mujoco.MjModel) -> None:
+        """The drive's parameters, again where the model's gains are others than before."""
+        known = tuple(getattr(model, name).tobytes() for name in _FIELDS)
+        if known != self._known:
+            found = self.drive.values(self._draws, model)
+            dtype = jnp.result_type(float)
+            self._known, self.values = known, {k: jnp.asarray(v, dtype) for k, v in found.items()}
+            self._coefficients = self._prepare(self.values)
+
+    def _driven(self, control: Any, frames: int) -> None:
+        """In place of the environment's own: physics steps under the drive."""
+        model, data = self.unwrapped.model, self.unwrapped.data
+        own = self.drive.actuators
+        self.drive.ticks(frames)
+        self._look(model)
+        self._calls += 1
+        moments = own.moments(model)
+        setpoint = own.setpoint(model, np.asarray(control, float), np)
+        if self._carry is None:
+            self._carry = self._begin(self._coefficients, setpoint, *_joints(data, own))
+        data.ctrl[:] = control
+        with _as_motors(model, own, damping=self.drive.damping):
+            for frame in range(frames):
+                place = frame % self.drive.options.substeps
+                self._carry, force = self._force(
+                    self._coefficients, self._carry, setpoint, *_joints(data, own), self._key,
+                    place=place,
+                )  # fmt: skip
+                data.ctrl[own.controls] = np.asarray(force, float) / moments
+                mujoco.mj_step(model, data)
+        data.ctrl[:] = control
+        mujoco.mj_rnePostConstraint(model, data)  # as the environment's own step does
+
+
+def _joints(data: mujoco.MjData, own: Actuators) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities of the driven joints."""
+    return data.qpos[own.positions], data.qvel[own.velocities]
+
+
+def _begun(
+    options: DriveOptions, coefficients: Coefficients, setpoint: Setpoint, position: jax.Array,
+    velocity: jax.Array,
+) -> Carry:  # fmt: skip
+    """A drive that has held for ever what the setpoint asks for at once."""
+    command = held(coefficients.drive.controller, setpoint, position, velocity)
+    state = _drive.init(coefficients, options, position, velocity, command=command)
+    now = position + jnp.zeros_like(command), velocity + jnp.zeros_like(command)
+    return Carry(state, jnp.zeros((), jnp.int32), now, now)
+
+
+def _forced(
+    options: DriveOptions, coefficients: Coefficients, carry: Carry, setpoint: Setpoint,
+    position: jax.Array, velocity: jax.Array, key: jax.Array, *, place: int,
+) -> tuple[Carry, jax.Array]:  # fmt: skip
+    """The joints' mean forces over the physics step that begins now.
+
+    Args:
+        place: of the physics step in its control period, static.
+    """
+    now, state, late, tick = (position, velocity), carry.state, carry.late, carry.tick
+    capture = coefficients.capture
+    if capture is not None:  # the measuring instant, if it was in the step that ends now
+        there = hermite(carry.before, now, capture.offset, coefficients.step)
+        here = capture.here[place - 1] > 0.0
+        late = (jnp.where(here, there[0], late[0]), jnp.where(here, there[1], late[1]))
+    if place == 0:
+        if state.measurements is not None:
+            captured = _drive.capture(state, *late)
+            # nothing has been measured before the first period
+            state = jax.tree.map(lambda a, b: jnp.where(tick > 0, a, b), captured, state)
+        late = now
+        like = jnp.asarray(coefficients.drive.controller.kp)
+        draws = _sensor.draw(options.sensor, key, tick, like)
+        state, _ = _drive.tick(coefficients, options, state, *now, setpoint, draws)
+        tick = tick + 1
+    responses, _ = _drive.at_substep(coefficients)
+    response = jax.tree.map(lambda leaf: leaf[place], responses)
+    state, force = _drive.actuate(coefficients, options, state, response, velocity)
+    return Carry(state, tick, now, late), force.mean
+
+
+@contextlib.contextmanager
+def _replaced(env: Any, step: Callable[..., None]) -> Iterator[None]:
+    """The environment's own step of the physics, replaced within the block."""
+    setattr(env, _STEP, step)
+    try:
+        yield
+    finally:
+        delattr(env, _STEP)
+
+
+@contextlib.contextmanager
+def _as_motors(model: mujoco.MjModel, own: Any, *, damping: bool) -> Iterator[None]:
+    """The driven actuators are motors within the block, and as before after it."""
+    changed = own.as_motors(model, damping=damping)
+    before = {name: getattr(model, name).copy() for name in changed}
+    try:
+        for name, value in changed.items():
+            getattr(model, name)[:] = value
+        yield
+    finally:
+        for name, value in before.items():
+            getattr(model, name)[:] = value
+
+
+def wrap(env: gymnasium.Env, **options: Any) -> DrivenEnvironment:
+    """See `jaxact.environments.gymnasium`."""
+    inner = env.unwrapped
+    name = type(inner).__name__
+    for needed in (_STEP, "model", "data", "frame_skip"):
+        if not hasattr(inner, needed):
+            raise UserError(f"{name}: is not an environment of gymnasium on MuJoCo (no {needed})")
+    layer: Any = env
+    while isinstance(layer, gymnasium.Wrapper):
+        if isinstance(layer, DrivenEnvironment):
+            raise UserError(f"{name}: has a drive already")
+        layer = layer.env
+    drive = environment_drive.build(inner.model, name, options.pop("parameters"), **options)
+    drive.ticks(inner.frame_skip)
+    return DrivenEnvironment(env, drive)
