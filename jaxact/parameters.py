@@ -280,10 +280,10 @@ SHARED = (
     GAIN_SCALE, MASS, CONTROL_RATE, POLICY_RATE, PAYLOAD, CONTACT_FRICTION, REST_AMPLITUDE,
 )  # fmt: skip
 
-# Given instead of the mass, it says that the joint is rotary.
-INERTIA = "inertia"
+INERTIA = "inertia"  # given instead of the mass, it says that the joint is rotary
 
-# Actuators by name: (wn [rad/s], zeta), as the reference study identified them.
+# Actuators by name: (wn [rad/s], zeta), as the reference study identified them: HyQ is hydraulic,
+# StarlETH has springs in series.
 PRESETS: dict[str, tuple[float, float]] = {
     "ideal": (INF, 1.0),
     "hyq": (800.0, 0.45),
@@ -293,7 +293,7 @@ PRESETS: dict[str, tuple[float, float]] = {
 _ALIASES = {parameter.long_name.replace(" ", "_"): parameter.name for parameter in _TABLE} | {
     "effort_limit": FORCE_LIMIT,
     "added_joint_damping": JOINT_DAMPING,
-    INERTIA: MASS,  # given so, it says that the joint is rotary
+    INERTIA: MASS,
 }
 
 LINEAR = (KP, KD, MASS, *OF_DRIVES, VELOCITY_FILTER, *OF_JOINT)

@@ -10,13 +10,14 @@ import quickly
 from exact import growth_rate as exact_growth_rate
 
 from jaxact.drive import step as drives
-from jaxact.drive.actuator import PRESETS, Actuator
+from jaxact.drive.actuator import Actuator
 from jaxact.drive.controller import Controller, Setpoint
 from jaxact.drive.sensor import Sensor
 from jaxact.drive.step import Drive, DriveOptions
 from jaxact.loops import loop, reading
 from jaxact.loops.loop import Loop
 from jaxact.loops.samples import expand
+from jaxact.parameters import PRESETS
 from jaxact.plants.mass import Mass
 from jaxact.simulation import plans, spectra
 from jaxact.simulation.growth import rate as growth

@@ -11,13 +11,14 @@ from quickly import compiled_quickly as compiled_quickly
 from robots import PENDULUM
 
 from jaxact.drive import step as drives
-from jaxact.drive.actuator import PRESETS, Actuator
+from jaxact.drive.actuator import Actuator
 from jaxact.drive.controller import Controller, Setpoint
 from jaxact.drive.step import Drive
 from jaxact.errors import UserError
 from jaxact.loops import loop, reading
 from jaxact.loops.loop import Loop
 from jaxact.loops.samples import expand
+from jaxact.parameters import PRESETS
 from jaxact.plants.mass import Mass
 from jaxact.plants.mjx import plant as mjx
 from jaxact.simulation import plans, rollout, single, spectra

@@ -10,11 +10,12 @@ import pytest
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.drive import step as drives
-from jaxact.drive.actuator import PRESETS, Actuator
+from jaxact.drive.actuator import Actuator
 from jaxact.drive.controller import Controller, Setpoint
 from jaxact.drive.step import Drive
 from jaxact.loops import loop
 from jaxact.loops.loop import Loop
+from jaxact.parameters import PRESETS
 from jaxact.plants.mass import Mass
 from jaxact.simulation.growth import rate as growth
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from jaxact.errors import UserError
 from jaxact.loops import checks, toml
 from jaxact.loops.reading import load, parse
-from jaxact.parameters import PARAMETERS, PRESETS, canonical
+from jaxact.parameters import PARAMETERS, canonical
 
 GOOD = """
 description = "a test"
@@ -322,12 +322,6 @@ def test_every_parameter_has_a_default_in_its_bounds_and_says_what_it_is():
         )
         assert parameter.unit and parameter.description.endswith(".")
         assert canonical(parameter.long_name.replace(" ", "_")) == name == canonical(name)
-
-
-def test_presets_are_those_of_the_actuator():
-    from jaxact.drive import actuator
-
-    assert PRESETS == actuator.PRESETS
 
 
 _SCALARS = st.one_of(

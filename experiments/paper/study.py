@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from jaxact.drive.actuator import PRESETS
+from jaxact.parameters import PRESETS
 
 CITATION = (
     "M. Neunert, T. Boaventura, J. Buchli, “Why off-the-shelf physics simulators fail in "

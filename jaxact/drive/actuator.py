@@ -17,15 +17,6 @@ import jax.numpy as jnp
 from jaxact.drive.joint_motion import Joint, Rows
 from jaxact.drive.joint_motion import rows as joint_rows
 
-PRESETS: dict[str, tuple[float, float]] = {
-    "ideal": (inf, 1.0),
-    "hyq": (800.0, 0.45),
-    "starleth": (110.0, 0.9),
-}
-"""Natural frequency [rad/s] and damping ratio of named actuators. HyQ (hydraulic) and StarlETH
-(series-elastic) as in Neunert, Boaventura, Buchli, "Why off-the-shelf physics simulators fail in
-evaluating feedback controller performance"; ideal passes the command through."""
-
 # Below this many (damped) radians the closed forms of the integrals lose digits to cancellation and
 # the power series has converged after _TERMS terms.
 _SERIES_BELOW = 2.0

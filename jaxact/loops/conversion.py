@@ -139,20 +139,11 @@ def sampled(values: Mapping[str, Any], velocity: str) -> SampledLoop:
         values: as for `continuous`.
         velocity: that the controller sees, "sampled" or "differenced".
     """
-    own = continuous(values)
-    return SampledLoop(
-        kp=own.kp,
-        kd=own.kd,
-        mass=own.mass,
-        natural_frequency=own.natural_frequency,
-        damping_ratio=own.damping_ratio,
-        delay=own.delay,
-        control_period=1.0 / jnp.asarray(values[CONTROL_RATE], float),
-        velocity_filter=jnp.asarray(values[VELOCITY_FILTER], float),
-        velocity=velocity,
-        joint_damping=own.joint_damping,
-        joint_stiffness=own.joint_stiffness,
-    )
+    own = {
+        "control_period": 1.0 / jnp.asarray(values[CONTROL_RATE], float),
+        "velocity_filter": jnp.asarray(values[VELOCITY_FILTER], float),
+    }
+    return SampledLoop(**vars(continuous(values)) | own, velocity=velocity)
 
 
 def specification(loop: ControlLoop, **options: Any) -> Specification:

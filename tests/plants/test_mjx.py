@@ -10,12 +10,13 @@ from exact import growth_rate as exact_growth_rate
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.drive import step as drives
-from jaxact.drive.actuator import PRESETS, Actuator
+from jaxact.drive.actuator import Actuator
 from jaxact.drive.controller import Controller, Setpoint
 from jaxact.drive.step import Drive
 from jaxact.errors import UserError
 from jaxact.loops import loop
 from jaxact.loops.loop import Loop
+from jaxact.parameters import PRESETS
 from jaxact.plants.mass import Mass
 from jaxact.plants.mjx import plant as mjx
 from jaxact.simulation import rollout
