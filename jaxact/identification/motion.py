@@ -224,6 +224,8 @@ class _Context:
         size, coulomb = guess["size"], max(abs(guess["coulomb"]), 0.02 * guess["size"])
         viscous = max(guess["viscous"], 1e-3 * guess["inertia"])
         low, high = 1e-4, 1e4
+        # A pendulum may swing under its own weight, far above what the drive gives.
+        heavy = 10.0 * max(size, abs(guess["gravity"]))
         sought = (
             *(Unknown(name, mass, low * guess["inertia"], high * guess["inertia"],
                       (guess["inertia"],), positive=True) for name in ("inertia", "armature")),
@@ -239,7 +241,7 @@ class _Context:
             Unknown("stribeck_speed", speed, 1e-3 * guess["speed"], 3.0 * guess["speed"],
                     (0.1 * guess["speed"],), positive=True),
             Unknown("offset", force, -size, size, (guess["offset"],)),
-            Unknown("gravity", force, -10.0 * size, 10.0 * size, (guess["gravity"],)),
+            Unknown("gravity", force, -heavy, heavy, (guess["gravity"],)),
             Unknown("zero", "rad", -0.5, 0.5, (0.0,)),
             Unknown(KP, "1/s^2", 1.0, 1e7, guess[KP], positive=True),
             Unknown(KD, "1/s", 0.0, 1e5, (guess[KD],)),

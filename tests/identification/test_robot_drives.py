@@ -15,6 +15,10 @@ from jaxact.robots.model import read
 ARM = """
 <mujoco>
   <option timestep="0.0001" integrator="implicitfast"/>
+  <default>
+    <!-- Dry friction that is dry: by default MuJoCo's creeps, as if through a spring of 20 ms. -->
+    <joint solreffriction="0.001 1" solimpfriction="0.99 0.999 0.001 0.5 2"/>
+  </default>
   <worldbody>
     <body pos="0 0 1">
       <joint name="shoulder" axis="0 1 0" armature="{armature}" damping="{damping}"
@@ -38,21 +42,21 @@ ROWS = 2000
 
 
 def _swing(seed):
-    """Setpoints and positions of both joints, shape (rows, 2): PD at each row, 3 ms late."""
+    """Setpoints, positions and commands of both joints, shape (rows, 2): PD, 3 ms late."""
     model = mujoco.MjModel.from_xml_string(ARM.format(**TRUTH))
     data = mujoco.MjData(model)
     generator = np.random.default_rng(seed)
     setpoints = np.repeat(0.3 * generator.normal(size=(ROWS // 50, 2)), 50, axis=0)
-    positions = np.empty((ROWS, 2))
+    positions, commands = np.empty((ROWS, 2)), np.empty((ROWS, 2))
     waiting = [np.zeros(2)] * LATE
     for row in range(ROWS):
         positions[row] = data.qpos
-        command = KP * (setpoints[row] - data.qpos) - KD * data.qvel
+        commands[row] = KP * (setpoints[row] - data.qpos) - KD * data.qvel
         for _ in range(STEPS):
-            waiting.append(command)
+            waiting.append(commands[row])
             data.ctrl[:] = waiting.pop(0)
             mujoco.mj_step(model, data)
-    return setpoints, positions
+    return setpoints, positions, commands
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +65,7 @@ def folder(tmp_path_factory):
     (path / "arm.xml").write_text(ARM.format(**GUESSED))
     for name, seed in (("fit", 1), ("other", 2)):
         table = np.column_stack([np.arange(ROWS) * PERIOD, *_swing(seed)])
-        head = "time,set_shoulder,set_elbow,q_shoulder,q_elbow"
+        head = "time,set_shoulder,set_elbow,q_shoulder,q_elbow,c_shoulder,c_elbow"
         np.savetxt(path / f"{name}.csv", table, delimiter=",", header=head, comments="")
     (path / "map.toml").write_text(
         'joints = ["shoulder", "elbow"]\nsetpoint = "set_{joint}"\nposition = "q_{joint}"\n'
@@ -102,11 +106,24 @@ def test_the_links_do_what_inverse_dynamics_says(folder):
 def test_armature_friction_and_delay_are_found_through_the_links(found):
     (part,) = found.parts
     numbers = part.found.chosen.numbers
-    assert numbers["armature"] == pytest.approx(TRUTH["armature"], rel=0.1)
-    assert numbers["viscous"] == pytest.approx(TRUTH["damping"], rel=0.1)
-    assert numbers["coulomb"] == pytest.approx(TRUTH["friction"], rel=0.1)
+    assert numbers["armature"] == pytest.approx(TRUTH["armature"], rel=0.03)
+    assert numbers["viscous"] == pytest.approx(TRUTH["damping"], rel=0.03)
+    assert numbers["coulomb"] == pytest.approx(TRUTH["friction"], rel=0.03)
     assert part.delay.identified and part.delay.value == pytest.approx(DELAY, abs=1e-4)
-    assert min(part.found.chosen.scores) > 97.0
+    assert min(part.found.chosen.scores) > 99.0
+
+
+def test_the_gain_of_a_drive_is_found_from_recorded_commands(folder):
+    columns = folder / "commands.toml"
+    columns.write_text(
+        'joints = ["shoulder", "elbow"]\nposition = "q_{joint}"\n'
+        'command = { column = "c_{joint}", scale = 0.5 }\n'
+    )
+    found = jx.identify(folder / "fit.csv", folder / "arm.xml", columns=columns, joint="m2",
+                        validate=folder / "other.csv")  # fmt: skip
+    numbers = found.parts[0].found.chosen.numbers
+    assert numbers["gain"] == pytest.approx(2.0, rel=0.03)
+    assert numbers["coulomb"] == pytest.approx(TRUTH["friction"], rel=0.1)
 
 
 def test_a_robot_takes_what_its_model_has_not_yet(found, folder):
