@@ -59,8 +59,8 @@ def check(recorded: Recorded, given: Mapping[str, Any], unfit: Mapping[str, Any]
 
 
 def run(
-    recorded: Recorded, given: Mapping[str, Any], joint: str, out: Path, csv: Path | None, *,
-    as_json: bool,
+    recorded: Recorded, given: Mapping[str, Any], joint: str, model: Path | None, out: Path,
+    csv: Path | None, *, as_json: bool,
 ) -> None:  # fmt: skip
     """Simulate, write the picture and the columns, and print the errors.
 
@@ -68,6 +68,7 @@ def run(
         recorded: options of the log.
         given: parameters that were given, the drive among them.
         joint: of several in the log, "" for the only one.
+        model: of the robot whose drives they are, None for a single joint.
         out: picture.
         csv: file of the columns, None for none.
         as_json: print one JSON object.
@@ -77,7 +78,8 @@ def run(
 
     assert recorded.replay is not None
     changes = {name: value for name, value in given.items() if name not in (DRIVE, "unit")}
-    found = replay(given[DRIVE], recorded.replay, columns=recorded.map, joint=joint, **changes)
+    found = replay(given[DRIVE], recorded.replay, columns=recorded.map, joint=joint, model=model,
+                   **changes)  # fmt: skip
     theme.write(replay_sheet(found), out, title="jaxact: a drive over a log")
     if csv is not None:
         columns = found.columns()

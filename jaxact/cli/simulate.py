@@ -93,6 +93,7 @@ def main(
       jaxact simulate --actuator starleth --delay 0.005
       jaxact simulate --actuator hyq --kp 4000 --kd 200 --force-limit 100 --csv run.csv
       jaxact simulate --drive drive.toml --replay log.csv --map columns.toml --csv replay.csv
+      jaxact simulate --drive drive.toml --replay air.csv --map map.toml --model go2.xml --joint FL_hip
       jaxact simulate --spec experiments/paper_gain_map.toml --set engine=mjx --duration 2
       jaxact simulate --model robot.xml --keyframe home --actuator hyq --delay 0.001 --npz run.npz
     """
@@ -102,10 +103,11 @@ def main(
     for path, ending in ((csv, ".csv"), (npz, ".npz")):
         _files.check_output(path, ending, overwrite=overwrite)
     given = _arguments.given(parameters)
-    _replay.check(recorded, given, vars(robot) | vars(rollout) | {"npz": npz})
+    mounted = {name: value for name, value in vars(robot).items() if name != "model"}
+    _replay.check(recorded, given, mounted | vars(rollout) | {"npz": npz})
     if recorded.replay is not None:
         one = "" if joint == _FIRST else joint
-        _replay.run(recorded, given, one, out, csv, as_json=json)
+        _replay.run(recorded, given, one, robot.model, out, csv, as_json=json)
         return
     specification = specified(robot, given, vars(rollout))
 

@@ -15,12 +15,13 @@ import numpy as np
 from jaxact.errors import UserError, nearest
 from jaxact.identification import forces, motion
 from jaxact.identification.identify import Source, logs_of
-from jaxact.identification.log import Log
+from jaxact.identification.links import constant_forces, joint_of, levelled, with_links
+from jaxact.identification.log import LINKS, Log
 from jaxact.identification.model import Family, predicted
 from jaxact.identification.motion import Simulate
-from jaxact.identification.reading import ColumnMap, Columns, read_columns
+from jaxact.identification.reading import ColumnMap, Columns, read, read_columns
 from jaxact.loops import control_loop, drives
-from jaxact.loops.drives import IdentifiedDrive
+from jaxact.loops.drives import ROBOT, IdentifiedDrive
 from jaxact.parameters import (
     DELAY,
     FORCE_LIMIT,
@@ -32,6 +33,8 @@ from jaxact.parameters import (
     WN,
     ZETA,
 )
+from jaxact.robots.model import read as read_robot
+from jaxact.robots.mounting import FIXED
 
 # Parameters of a loop -> numbers of a drive's model that they replace in a replay.
 _CHANGED = {
@@ -124,6 +127,7 @@ def replay(
     *,
     columns: ColumnMap | Mapping[str, Columns] | str | os.PathLike[str] | None = None,
     joint: str = "",
+    model: str | os.PathLike[str] | None = None,
     **changes: Any,
 ) -> Replay:
     """Simulate an identified drive on a log's own time stamps, over what was measured.
@@ -139,6 +143,8 @@ def replay(
         log: file (CSV or NPZ) or `Log` of one joint.
         columns: what the columns are, as for `jaxact.identify`.
         joint: of several in the file.
+        model: of a robot on whose joints the drives were identified, its MJCF or URDF file; the log
+            is then one of its joints together.
         changes: other numbers than the drive's: wn [rad/s], zeta, delay [s], force_limit [N or
             N m], mass [kg or kg m^2], joint_damping, or `actuator`; kp and kd of the controller.
 
@@ -151,11 +157,17 @@ def replay(
     known = drives.taken(drive)
     if isinstance(columns, str | os.PathLike):
         columns = read_columns(Path(columns))
-    (own,) = logs_of(log, columns, joint)
+    if known.plant == ROBOT:
+        known, own = _of_robot(known, log, columns, joint, model)
+    elif model is not None:
+        raise UserError(f"`model`: {known.name} is the drive of a single joint; leave it out")
+    else:
+        (own,) = logs_of(log, columns, joint)
     if own.unit != known.unit:
         raise UserError(f"{own.title}: is in {own.unit}, and {known.name} in {known.unit}")
     asked = control_loop.read(changes, robot=False)
-    possible = [n for n in (*_CHANGED, KP, KD) if known.plant != "none" or n not in _OF_MOTION]
+    not_here = {"none": _OF_MOTION}.get(known.plant, (MASS,) if LINKS[0] in own else ())
+    possible = [name for name in (*_CHANGED, KP, KD) if name not in not_here]
     for name in asked:
         if name not in possible:
             raise UserError(f"`{name}`: changes nothing in this replay; {nearest(name, possible)}")
@@ -169,6 +181,35 @@ def replay(
         known.name, own, stimulus, measured, simulated, SETPOINT if closed else "command",
         family.signal, family.unit,
     )  # fmt: skip
+
+
+def _of_robot(
+    drive: IdentifiedDrive,
+    log: Source,
+    columns: ColumnMap | Mapping[str, Columns] | None,
+    joint: str,
+    model: str | os.PathLike[str] | None,
+) -> tuple[IdentifiedDrive, Log]:
+    """The drive of one joint of a robot, and that joint's log with what the links do to it."""
+    parts = drive.document["joints"].values()
+    names = [name for part in parts for name in part["joints"]]
+    if model is None or isinstance(log, Log):
+        raise UserError(
+            f"{drive.name}: has the drives of a robot's joints; give its `model`, and a file"
+        )
+    if not joint:
+        raise UserError(f"{drive.name}: has several drives; choose a `joint`: {', '.join(names)}")
+    robot = read_robot(Path(model), base=FIXED)
+    chosen = joint_of(robot, joint)
+    own = next((part for part in parts if chosen.name in part["joints"]), None)
+    recorded = [one for one in with_links(read(Path(log), columns), robot)
+                if joint_of(robot, one.joint) == chosen]  # fmt: skip
+    if own is None or not recorded:
+        where = drive.name if own is None else Path(log).name
+        raise UserError(f"joint {chosen.name}: is not in {where}")
+    if len(own["joints"]) > 1:
+        recorded = levelled(recorded, constant_forces(recorded))
+    return drives.of_document(drive.name, own), recorded[0]
 
 
 def _with_gains(drive: IdentifiedDrive, log: Log, asked: Mapping[str, Any]) -> Log:

@@ -1,5 +1,6 @@
 """The drives of a robot's joints, from logs that C MuJoCo made."""
 
+import json
 import tomllib
 
 import mujoco
@@ -150,6 +151,15 @@ def test_the_command_writes_the_drives_of_a_robot(folder, tmp_path, capsys):
     drive = jx.load_drive(out)
     low, high = drive.uncertainty["delay@elbow"]
     assert low <= DELAY <= high
+    replayed = ["simulate", "--drive", str(out), "--replay", str(folder / "other.csv")]
+    replayed += ["--map", str(folder / "map.toml"), "--out", str(tmp_path / "replay.png")]
+    assert main([*replayed, "--joint", "elbow", "--model", str(folder / "arm.xml"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["log"] == "other.csv, elbow" and found["nrmse"] < 0.02
+    assert main([*replayed, "--joint", "elbow"]) == 2
+    assert "give its --model" in capsys.readouterr().err
+    assert main([*replayed, "--joint", "shoulder", "--model", str(folder / "arm.xml")]) == 2
+    assert "joint shoulder: is not in drive.toml" in capsys.readouterr().err
     assert main(["margins", "--drive", str(out), "--inertia", "0.05"]) == 2
     assert "has the drives of a robot's joints; give its --model" in capsys.readouterr().err
 
