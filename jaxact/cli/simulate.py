@@ -93,7 +93,7 @@ def main(
       jaxact simulate --actuator starleth --delay 0.005
       jaxact simulate --actuator hyq --kp 4000 --kd 200 --force-limit 100 --csv run.csv
       jaxact simulate --drive drive.toml --replay log.csv --map columns.toml --csv replay.csv
-      jaxact simulate --drive drive.toml --replay air.csv --map map.toml --model go2.xml --joint FL_hip
+      jaxact simulate --drive d.toml --replay air.csv --map map.toml --model go2.xml --joint FL_hip
       jaxact simulate --spec experiments/paper_gain_map.toml --set engine=mjx --duration 2
       jaxact simulate --model robot.xml --keyframe home --actuator hyq --delay 0.001 --npz run.npz
     """
