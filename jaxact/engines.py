@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 Name = Literal["mass", "mjx", "mujoco", "warp"]
+Asked = Literal[Name, "auto"]
+"""What a specification may ask for."""
 _MIB = 2**20
 
 

@@ -83,7 +83,7 @@ def _own(joints: JointGains, comments: Sequence[str]) -> str:
 def _mjcf(joints: JointGains, comments: Sequence[str]) -> str:
     elements = []
     for name, kp, kd, limit in _rows(joints):
-        written = {"name": name, "joint": name, "kp": repr(kp), "kv": repr(kd)}
+        written = {"name": name, "joint": name, KP: repr(kp), "kv": repr(kd)}
         written["forcelimited"] = "true" if math.isfinite(limit) else "false"
         if math.isfinite(limit):
             written["forcerange"] = f"{-limit!r} {limit!r}"

@@ -80,7 +80,7 @@ def _of_section(path: Path, root: ElementTree.Element) -> Iterator[Entry]:
             raise UserError(f"{path}: a <position> has no joint; name it")
         where = f"<position joint={name!r}>"
         gear = _number(path, where, "gear", one.get("gear", "1"))
-        for parameter, key in ((KP, "kp"), (KD, "kv")):
+        for parameter, key in ((KP, KP), (KD, "kv")):
             value = one.get(key)
             if value is None:
                 raise UserError(

@@ -118,7 +118,7 @@ class IdentifiedRobot:
             "joints": {
                 part.name: {
                     **part.found.document(), "joints": [joint.name for joint in part.joints],
-                    "delay": {"value": part.delay.value, "low": part.delay.low,
+                    DELAY: {"value": part.delay.value, "low": part.delay.low,
                               "high": part.delay.high, "identified": part.delay.identified},
                 }
                 for part in self.parts

@@ -28,7 +28,7 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from jaxact.engines import Engine, known
+from jaxact.engines import MASS, Asked, Engine, known
 from jaxact.loops import toml
 from jaxact.loops.axes import MOST_SAMPLES, Axis
 from jaxact.parameters import OF_MODEL, OF_ROBOTS, PARAMETERS, PRESETS, WN, ZETA
@@ -162,7 +162,7 @@ class Specification:
     """
 
     description: Annotated[str, Field(max_length=1000)] = ""
-    engine: Literal["mass", "mjx", "mujoco", "warp", "auto"] = "mass"
+    engine: Asked = MASS.name
     physics_step: Annotated[float, Field(ge=1e-7, le=1.0, allow_inf_nan=False)] | None = None
     integrator_correction: bool = False
     velocity: Literal["sampled", "differenced"] = "sampled"

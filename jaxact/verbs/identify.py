@@ -16,6 +16,7 @@ from jaxact.identification.reading import ColumnMap, Columns, read_columns
 from jaxact.identification.replay import Replay, replay
 from jaxact.identification.result import Identified
 from jaxact.identification.robot import SUFFIXES, IdentifiedRobot, identify_robot
+from jaxact.parameters import CONTROL_RATE
 from jaxact.plotting import identification as _pictures
 from jaxact.plotting.identification import Compared, Step
 
@@ -71,7 +72,7 @@ def identify(
     """
     read = read_columns(Path(columns)) if isinstance(columns, str | os.PathLike) else columns
     given: dict[str, Any] = {
-        "validate": validate, "columns": read, "joint": joint, "control_rate": control_rate,
+        "validate": validate, "columns": read, "joint": joint, CONTROL_RATE: control_rate,
         "loss": loss, "bootstrap": bootstrap, "progress": progress,
     }  # fmt: skip
     if Path(plant).suffix.lower() in SUFFIXES:
