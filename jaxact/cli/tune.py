@@ -181,6 +181,13 @@ class Robot(_arguments.Mounting):
         ),
     ] = "auto"
 
+    def check(self, joint: str) -> None:
+        """Raise UserError for a name of a single joint, and for rollouts of no length."""
+        if joint != "joint":
+            raise UserError("--joint: is for a single joint; a robot's are named by its model")
+        if not (self.validate >= 0.0 and math.isfinite(self.validate)):
+            raise UserError(f"--validate {self.validate:g}: give seconds, 0 for none")
+
     def one(self, **which: Any) -> _arguments.Robot:
         """At one posture: a model and its keyframe, or a specification."""
         shared = {name: getattr(self, name) for name in vars(_arguments.Mounting())}
@@ -236,16 +243,13 @@ def main(
     whole = _arguments.demand_robot(robot, given=robot.model is not None or bool(robot.spec))
     search.check()
     given = _arguments.given(parameters)
-    if whole and joint != "joint":
-        raise UserError("--joint: is for a single joint; a robot's are named by its model")
-    if whole and not (robot.validate >= 0.0 and math.isfinite(robot.validate)):
-        raise UserError(f"--validate {robot.validate:g}: give seconds, 0 for none")
+    if whole:
+        robot.check(joint)
     _cache.prepare(wanted=not no_cache)
     drive = None if whole else _loops.identified(given.get(DRIVE), given)
     loops = _postures(robot, given, velocity) if whole else [_joint(given, velocity)]
-    drive = None
-    if DRIVE in given:  # what a robot cannot take of it was said for each posture
-        drive = load_drive(given[DRIVE]) if whole else _loops.identified(given[DRIVE], given)
+    if whole and DRIVE in given:  # what a robot cannot take of it was said for each posture
+        drive = load_drive(given[DRIVE])
     unsure = _uncertainty(search, drive, loops[0], given)
 
     from jaxact.tuning.rollouts import validation
@@ -258,11 +262,9 @@ def main(
             phase("simulating")
             rollouts = validation.rollouts(best, robot.validate)
         phase("reporting")
-        result: tuning_tables.Joint | tuning_tables.Robot = (
-            tuning_tables.Robot(best, rollouts)
-            if whole
-            else tuning_tables.Joint(best, loops[0], joint)
-        )
+        result: Any = tuning_tables.Joint(best, loops[0], joint)
+        if whole:
+            result = tuning_tables.Robot(best, rollouts)
         document = result.report()
     for one in loops:
         _warnings.posture(one.kind.plant)
@@ -275,14 +277,20 @@ def main(
     if strength != 1.0:
         document["drive_gain"] = strength
     print(tuning_tables.as_json(document) if json else result.text(document))
-    if strength != 1.0 and not json:
-        print(f"the drive gives {strength:.4g} of its command: divide the gains by that to tell it")
-    if out is not None and not json:
-        print(f"wrote {out}")
+    if not json:
+        _say_more(strength, out)
     if rollouts is not None:
         _warn_of(*rollouts.stable)
     if not best.certified:
         raise SystemExit(NOT_MET)
+
+
+def _say_more(strength: float, out: Path | None) -> None:
+    """What the force of the drive is of its command, and where files are."""
+    if strength != 1.0:
+        print(f"the drive gives {strength:.4g} of its command: divide the gains by that to tell it")
+    if out is not None:
+        print(f"wrote {out}")
 
 
 def _warn_of(stable: int, of: int) -> None:
