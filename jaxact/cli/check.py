@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from jaxact.cli import _arguments, _options
+from jaxact.cli import _arguments, _loops, _options
+from jaxact.parameters import CONTROL_RATE
 
 REFUSED = 1
 
@@ -21,9 +22,14 @@ def main(
     damping: _arguments.Damping = None,
     gains: _arguments.Gains = None,
     control_rate: Annotated[
-        float,
-        _arguments.option("HZ", "Of the controllers, at which the gains have to bear delay [Hz]."),
-    ] = 1000.0,
+        float | None,
+        _arguments.option(
+            "HZ",
+            "Of the controllers, at which the gains have to bear delay [Hz].",
+            "1000, or the drive's",
+        ),
+    ] = None,
+    drive: _arguments.DriveFile = None,
     json: Annotated[bool, arg(help="Print one JSON object.")] = False,
 ) -> None:
     r"""Show what will be driven in a robot and how, and every field that engines would ignore.
@@ -43,7 +49,7 @@ def main(
     keyframe, else 0.
 
     JSON: model, keyframe, digest, physics_step [s], degrees_of_freedom; engines that can simulate
-    it (warp where it is installed); on_stand with control_rate [Hz], outside (joints beyond
+    it (warp where it is installed); on_stand with control_rate [Hz], drive, outside (joints beyond
     their ranges), hidden_gains (joints), friction, falls (why), and as_it_is, in_drive, stuck,
     free, of each joint, participation (shares of all), stable, shakes, topples, growth_rate [1/s],
     delay [s] and frequency [rad/s]; on_stand_not_known (why); joints with name, actuator, kind,
@@ -56,22 +62,19 @@ def main(
       jaxact check robot.xml --keyframe home
       jaxact check robot.xml --keyframe home --control-rate 500
       jaxact check robot.xml --joints '.*_hip' '.*_knee'
+      jaxact check robot.xml --keyframe home --drive drive.toml
       jaxact check robot.urdf --json
     """
-    mounted = _arguments.mounted(base=base, damping=damping)
+    mounted: dict[str, Any] = _arguments.mounted(base=base, damping=damping)
 
     from jaxact.loops.building import robot
     from jaxact.verbs.check import check
 
+    if control_rate is not None:
+        mounted[CONTROL_RATE] = control_rate
+    identified = _loops.identified(drive, (), robot=True)
     found = check(
-        robot(
-            model,
-            keyframe=keyframe,
-            joints=joints,
-            control_rate=control_rate,
-            gains=gains,
-            **mounted,
-        )  # type: ignore[arg-type]
+        robot(model, keyframe=keyframe, joints=joints, drive=identified, **mounted)  # type: ignore[arg-type]
     )
     print(_options.typed(found.to_json() if json else repr(found), "margins"))
     if found.refused:

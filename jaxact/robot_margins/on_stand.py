@@ -1,14 +1,15 @@
 """How much delay the gains that a robot's model brings bear, and what its damping does to that.
 
 On a stand, where only the joints and their drives are left; and of a base that is free, whether the
-robot stands at all. Ideal actuators, unless the model brings others. What is asked is about the
-robot and not about its simulation, so MuJoCo's integrator is corrected for: it has positions half a
-physics step ahead of velocities, which margins take for that much less delay.
+robot stands at all. Ideal actuators, unless the model or an identified drive brings others. What is
+asked is about the robot and not about its simulation, so MuJoCo's integrator is corrected for: it
+has positions half a physics step ahead of velocities, which margins take for that much less delay.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -24,9 +25,6 @@ from jaxact.parameters import CONTROL_RATE
 from jaxact.robot_margins import whole_robot
 from jaxact.robots import friction, mounting
 from jaxact.robots.robot import Joint, Robot
-
-USUAL_CONTROL_RATE = 1000.0
-"""At which a robot is looked at where nothing else is asked [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ class OnStand:
     """What is known of a robot's own gains; None for what does not apply, or is asked for already.
 
     Attributes:
-        control_rate: [Hz].
+        drive: parameters of the drives beside the gains, the control rate [Hz] among them.
         as_it_is: on a stand.
         in_drive: on a stand, with the joints' damping in the drives.
         hidden: the joints whose damping stands for a drive's kd, see `hidden_gains`.
@@ -65,7 +63,7 @@ class OnStand:
         falls: why there is no such loop: the robot does not come to rest; "" where there is.
     """
 
-    control_rate: float
+    drive: Mapping[str, float]
     as_it_is: Loop
     in_drive: Loop | None
     hidden: tuple[Joint, ...]
@@ -75,6 +73,11 @@ class OnStand:
     outside: tuple[str, ...]
     free: Loop | None
     falls: str
+
+    @property
+    def control_rate(self) -> float:
+        """Of the controllers [Hz]."""
+        return self.drive[CONTROL_RATE]
 
 
 def hidden_gains(robot: Robot) -> tuple[Joint, ...]:
@@ -97,12 +100,12 @@ def brings_gains(robot: Robot) -> bool:
     )
 
 
-def loop(plant: Plant, control_rate: float = USUAL_CONTROL_RATE) -> Loop:
+def loop(plant: Plant, drive: Mapping[str, float]) -> Loop:
     """The loop of the gains that the model brings.
 
     Args:
         plant: the robot.
-        control_rate: [Hz].
+        drive: parameters of the drives beside the gains, by short name.
 
     Raises:
         UserError: as `jaxact.robot_margins.whole_robot.evaluate`.
@@ -111,7 +114,7 @@ def loop(plant: Plant, control_rate: float = USUAL_CONTROL_RATE) -> Loop:
     specification = Specification(
         engine="mujoco",
         plant=plant,
-        parameters={CONTROL_RATE: parameters.check(CONTROL_RATE, control_rate)},
+        parameters={name: parameters.check(name, value) for name, value in drive.items()},
         integrator_correction=model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4,
     )
     along = {name: np.array([value]) for name, value in specification.nominal.items()}
@@ -120,13 +123,13 @@ def loop(plant: Plant, control_rate: float = USUAL_CONTROL_RATE) -> Loop:
     return Loop(found.delay_borne, found.robot.names)
 
 
-def on_stand(plant: Plant, robot: Robot, control_rate: float = USUAL_CONTROL_RATE) -> OnStand:
+def on_stand(plant: Plant, robot: Robot, drive: Mapping[str, float]) -> OnStand:
     """What the gains that the model brings bear.
 
     Args:
         plant: the robot.
         robot: the same, read.
-        control_rate: [Hz].
+        drive: parameters of the drives beside the gains, the control rate among them.
 
     Raises:
         UserError: as `jaxact.robot_margins.whole_robot.evaluate`, of the robot on a stand; or the
@@ -136,13 +139,13 @@ def on_stand(plant: Plant, robot: Robot, control_rate: float = USUAL_CONTROL_RAT
     outside = _outside(stand)
     hidden = hidden_gains(robot)
     rubs = plant.friction == "moving" and friction.rubs(robot.model)
-    free, falls = _free(plant, control_rate) if mounting.floats(robot) else (None, "")
+    free, falls = _free(plant, drive) if mounting.floats(robot) else (None, "")
     return OnStand(
-        control_rate=control_rate,
-        as_it_is=loop(stand, control_rate),
-        in_drive=loop(replace(stand, damping="drive"), control_rate) if hidden else None,
+        drive=dict(drive),
+        as_it_is=loop(stand, drive),
+        in_drive=loop(replace(stand, damping="drive"), drive) if hidden else None,
         hidden=hidden,
-        stuck=loop(replace(stand, friction="stuck"), control_rate) if rubs else None,
+        stuck=loop(replace(stand, friction="stuck"), drive) if rubs else None,
         friction=friction.largest(robot.model),
         friction_unit=friction_unit(robot.model),
         outside=outside,
@@ -169,8 +172,8 @@ def friction_unit(model: mujoco.MjModel) -> str:
     return " or ".join(sorted(units, reverse=True))
 
 
-def _free(plant: Plant, control_rate: float) -> tuple[Loop | None, str]:
+def _free(plant: Plant, drive: Mapping[str, float]) -> tuple[Loop | None, str]:
     try:
-        return loop(plant, control_rate), ""
+        return loop(plant, drive), ""
     except UserError as error:
         return None, str(error)

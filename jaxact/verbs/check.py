@@ -20,6 +20,7 @@ from jaxact.parameters import (
     KP,
     SETPOINT,
     SETPOINT_DELAY,
+    base,
 )
 from jaxact.plants import warp
 from jaxact.plants.mjx import refusals as mjx_refusals
@@ -130,8 +131,7 @@ def check(loop: ControlLoop) -> RobotCheck:
         jaxact.check(jaxact.robot("go1.xml", keyframe="home", control_rate=500))
 
     Args:
-        loop: of a robot; of its drives only the control rate is looked at: the gains are those that
-            the model brings.
+        loop: of a robot; the gains are those that the model brings, whatever the loop's.
 
     Raises:
         UserError: a loop of a joint, or a robot that cannot be read.
@@ -140,7 +140,9 @@ def check(loop: ControlLoop) -> RobotCheck:
     if plant is None:
         raise UserError("only a robot is checked; make one with jaxact.robot(model, ...)")
     robot = robots.read(plant)
-    known = check_gains.found(plant, robot, conversion.one(loop)[CONTROL_RATE])
+    own = conversion.one(loop)
+    asked = {name: own[name] for name in loop.values if base(name) not in (KP, KD)}
+    known = check_gains.found(plant, robot, {CONTROL_RATE: own[CONTROL_RATE], **asked})
     more = (*mjx_refusals.find(robot.model), *_of_warp(robot))
     return RobotCheck(loop, replace(robot, findings=(*robot.findings, *more)), known)
 

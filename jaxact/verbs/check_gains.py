@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from jaxact.errors import UserError
 from jaxact.files import plain
+from jaxact.loops.drives import DRIVE
 from jaxact.parameters import CONTROL_RATE
 
 # Share of a joint in a motion from which on the motion is its own, and from which on it is named
@@ -20,8 +22,14 @@ if TYPE_CHECKING:
     from jaxact.robots.robot import Robot
 
 
-def found(plant: Plant, robot: Robot, control_rate: float) -> OnStand | str:
-    """What the gains bear, or why that is not known; "" where the model brings none."""
+def found(plant: Plant, robot: Robot, drive: Mapping[str, float]) -> OnStand | str:
+    """What the gains bear, or why that is not known; "" where the model brings none.
+
+    Args:
+        plant: the robot.
+        robot: the same, read.
+        drive: parameters of the drives beside the gains, the control rate among them.
+    """
     import mujoco
     import numpy as np
 
@@ -31,7 +39,7 @@ def found(plant: Plant, robot: Robot, control_rate: float) -> OnStand | str:
     if not on_stand.brings_gains(robot) or any(MUJOCO in item.engines for item in robot.findings):
         return ""
     try:
-        return on_stand.on_stand(plant, robot, control_rate)
+        return on_stand.on_stand(plant, robot, drive)
     except (UserError, mujoco.FatalError, np.linalg.LinAlgError) as error:
         return str(error)
 
@@ -43,6 +51,7 @@ def as_json(known: OnStand | str) -> dict[str, Any] | None:
     loops = {name: getattr(known, name) for name in ("as_it_is", "in_drive", "stuck", "free")}
     return {
         CONTROL_RATE: known.control_rate,
+        DRIVE: {name: value for name, value in known.drive.items() if name != CONTROL_RATE},
         **{name: None if loop is None else _loop(loop) for name, loop in loops.items()},
         "outside": list(known.outside),
         "hidden_gains": [joint.name for joint in known.hidden],
@@ -62,7 +71,8 @@ def as_text(known: OnStand | str) -> list[str]:
     """The same as paragraphs."""
     if isinstance(known, str):
         return [f"How much delay the gains bear is not known: {known}"] if known else []
-    at = f"On a stand, at {known.control_rate:g} Hz,"
+    behind = ", behind these drives" if len(known.drive) > 1 else ""
+    at = f"On a stand, at {known.control_rate:g} Hz{behind},"
     first = f"{at} the gains {_bears(known.as_it_is)}."
     if known.in_drive is not None:
         # The answer that counts for a robot comes first.

@@ -40,6 +40,14 @@ def test_the_delay_that_the_gains_bear_is_that_of_the_margins(path, found):
     assert found.on_stand.control_rate == 500.0
 
 
+def test_behind_a_late_drive_the_gains_bear_that_much_less(path, found):
+    late = jx.check(jx.robot(path, keyframe="home", control_rate=500, delay=1e-3))
+    borne = found.on_stand.as_it_is.borne.delay
+    assert late.on_stand.as_it_is.borne.delay == pytest.approx(borne - 1e-3, rel=1e-6)
+    assert "at 500 Hz, behind these drives, the gains bear" in repr(late)
+    assert json.loads(late.to_json())["on_stand"]["drive"] == {"delay": 1e-3}
+
+
 def test_printed_it_names_parameters_and_not_options(found):
     said = repr(found)
     assert "On a stand, at 500 Hz, the gains bear" in said and "shoulder" in said
