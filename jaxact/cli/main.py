@@ -34,7 +34,7 @@ VERBS = {
     "render": "film a robot twice, side by side: bare, and with the drive model",
     "tune": "find the best gains of a joint by gradient descent on its margins, and certify them",
     "identify": "find a drive's dynamics, delay and friction from logs of the real thing",
-    "export": "write the results of a sweep as one NetCDF file",
+    "export": "write a sweep's results as one NetCDF file, or a robot's gains in another format",
     "parameters": "list every parameter of a loop: unit, default, bounds, meaning",
     "check": "show what will be driven in a robot model, and every field that engines would ignore",
     "info": "show versions, devices, precision and caches: what a bug report needs",
