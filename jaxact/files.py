@@ -42,6 +42,21 @@ def replacing(path: Path) -> Iterator[Path]:
         os.replace(partial, path)
 
 
+def check_output(path: Path, *, overwrite: bool = True) -> None:
+    """Raise UserError if a file that a user has named cannot be written, or may not be replaced.
+
+    Args:
+        path: of the file.
+        overwrite: replace a file that is there.
+    """
+    if not path.parent.is_dir():
+        raise UserError(f"output {path}: the folder {path.parent} does not exist; create it first")
+    if path.is_dir():
+        raise UserError(f"output {path}: is a folder; name a file in it")
+    if path.exists() and not overwrite:
+        raise UserError(f"output {path}: exists; give another name, or `overwrite` to replace it")
+
+
 @contextmanager
 def output(path: Path) -> Iterator[Path]:
     """As `replacing`, of a file that a user has named.

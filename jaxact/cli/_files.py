@@ -22,12 +22,7 @@ def check_output(path: Path | None, ending: str, *, overwrite: bool) -> None:
         return
     if path.suffix.lower() != ending:
         raise UserError(f"output {path}: the name must end in {ending}")
-    if not path.parent.is_dir():
-        raise UserError(f"output {path}: the folder {path.parent} does not exist; create it first")
-    if path.is_dir():
-        raise UserError(f"output {path}: is a folder; name a file in it")
-    if path.exists() and not overwrite:
-        raise UserError(f"output {path}: exists; give another name, or --overwrite to replace it")
+    files.check_output(path, overwrite=overwrite)
 
 
 def write(path: Path, fill: Callable[[BinaryIO], object]) -> None:

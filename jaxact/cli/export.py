@@ -8,6 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from jaxact import files
 from jaxact.cli import _arguments, _warnings
 from jaxact.cli._arguments import option
 from jaxact.errors import UserError
@@ -90,7 +91,7 @@ def main(
 def _netcdf(result: str, file: Path, *, overwrite: bool) -> None:
     from jaxact.sweeping import opening
 
-    opening.check_netcdf(file, overwrite=overwrite)
+    files.check_output(file, overwrite=overwrite)
     _warnings.older(result)
     opening.to_netcdf(opening.load_result(result), file, overwrite=overwrite)
     print(f"{file}: {file.stat().st_size:,} bytes")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from jaxact import files
 from jaxact.cli import _design
 from jaxact.cli._design import Bench
 from jaxact.errors import UserError
@@ -134,17 +135,11 @@ def _check_outputs(paths: list[Path], *, overwrite: bool) -> None:
     if len(set(paths)) < len(paths):
         raise UserError(f"output {paths[0]}: the picture has this name; give --out drive.toml")
     for path in paths:
-        if path.exists() and not overwrite:
-            raise UserError(f"output {path}: exists; give another --out, or --overwrite")
-        if not path.parent.is_dir():
-            raise UserError(
-                f"output {path}: the folder {path.parent} does not exist; create it first"
-            )
+        files.check_output(path, overwrite=overwrite)
 
 
 def _write(found: Identified | IdentifiedRobot, out: Path, picture: Path) -> None:
     """The drive as TOML, and its picture."""
-    from jaxact import files
     from jaxact.identification.result import Identified
     from jaxact.loops import toml
     from jaxact.plotting import theme

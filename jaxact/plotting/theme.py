@@ -109,10 +109,7 @@ def check_output(path: Path) -> Path:
     if suffix not in FORMATS:
         said = f"'.{suffix}' is not a picture format" if suffix else "the name has no ending"
         raise UserError(f"output {path}: {said}; use .png, .svg or .pdf")
-    if not path.parent.is_dir():
-        raise UserError(f"output {path}: the folder {path.parent} does not exist; create it first")
-    if path.is_dir():
-        raise UserError(f"output {path}: is a folder; name a file in it")
+    files.check_output(path)
     return path
 
 

@@ -35,10 +35,7 @@ def check_output(path: Path, fps: float) -> Path:
     if suffix not in FORMATS:
         said = f"'.{suffix}' is not a film format" if suffix else "the name has no ending"
         raise UserError(f"output {path}: {said}; use .gif or .mp4")
-    if not path.parent.is_dir():
-        raise UserError(f"output {path}: the folder {path.parent} does not exist; create it first")
-    if path.is_dir():
-        raise UserError(f"output {path}: is a folder; name a file in it")
+    files.check_output(path)
     if suffix == "gif" and not (round(100 / fps) >= 2 and abs(100 / fps % 1.0) < 1e-9):
         raise UserError(f"a GIF cannot show {fps:g} frames per second; use 50, 25, 20 or 10")
     if suffix == "mp4" and _ffmpeg() is None:

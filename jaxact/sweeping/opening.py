@@ -160,16 +160,6 @@ def loaded(results: xr.Dataset) -> xr.Dataset:
         ) from error
 
 
-def check_netcdf(path: Path, *, overwrite: bool = False) -> None:
-    """Raise UserError if a file may not or cannot be written there; arguments as `to_netcdf`."""
-    if path.is_dir():
-        raise UserError(f"{path}: is a folder; name a file in it")
-    if path.exists() and not overwrite:
-        raise UserError(f"{path}: exists; give another name, or `overwrite` to replace it")
-    if not path.parent.is_dir():
-        raise UserError(f"{path}: the folder {path.parent} does not exist; create it first")
-
-
 def to_netcdf(results: xr.Dataset, path: Path, *, overwrite: bool = False) -> None:
     """Write the results as one NetCDF-4 file, whole or not at all.
 
@@ -181,7 +171,7 @@ def to_netcdf(results: xr.Dataset, path: Path, *, overwrite: bool = False) -> No
     Raises:
         UserError: the file exists and may not be replaced, or cannot be written.
     """
-    check_netcdf(path, overwrite=overwrite)
+    files.check_output(path, overwrite=overwrite)
     encoded = loaded(results).assign_attrs({k: _netcdf(v) for k, v in results.attrs.items()})
     try:
         with files.replacing(path) as partial:

@@ -79,20 +79,13 @@ def export(
     if to not in FORMATS:
         raise UserError(f"`to` = {shown(to)}; {nearest(to, FORMATS)}")
     if out is not None:
-        _check_output(Path(out), overwrite)
+        files.check_output(Path(out), overwrite=overwrite)
     joints, name = _found(source, model, robot_options)
     text = gain_formats.text(joints, to, name)
     if out is not None:
         with files.output(Path(out)) as partial:
             partial.write_text(text, encoding="utf-8")
     return Exported(joints, text, tuple(gain_formats.lost(joints, to)))
-
-
-def _check_output(path: Path, overwrite: bool) -> None:
-    if path.exists() and not overwrite:
-        raise UserError(f"{path}: is there already; replace it with `overwrite`, or name another")
-    if not path.parent.is_dir():
-        raise UserError(f"{path}: there is no folder {path.parent}")
 
 
 def _found(

@@ -162,7 +162,7 @@ def test_the_command_writes_the_drive_and_a_picture(files, tmp_path, capsys):
     assert main(["margins", "--loops", str(out), "--mass", "0.7"]) == 0
     assert "identified" in capsys.readouterr().out
     assert main(["identify", *given, "--out", str(out)]) == 2
-    assert "exists; give another --out, or --overwrite" in capsys.readouterr().err
+    assert "exists; give another name, or --overwrite" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
