@@ -103,17 +103,30 @@ def solve(
         for piece, point in begun[:_MOST_PIECES]
     }
     piece = min(tried, key=lambda one: tried[one].square_sum)
-    best = tried[piece]
-    while True:
-        best = _finished(sought, held, best, piece, loss, enough)
+    best = _finished(sought, held, tried[piece], piece, loss, enough)
+    ended = {piece}
+    while len(ended) <= _MOST_CROSSED:
         beyond = _beyond(sought, best, piece)
-        if beyond is None or beyond in tried or len(tried) >= _MOST_PIECES + _MOST_CROSSED:
+        if beyond is None or beyond in ended:
             break
-        tried[beyond] = _solve_piece(sought, held, best.point, beyond, loss, _FIRST_EVALUATIONS)
-        if tried[beyond].square_sum >= best.square_sum:
+        ended.add(beyond)
+        found = _solve_piece(
+            sought, held, _inside(sought, best.point, beyond), beyond, loss, _FIRST_EVALUATIONS
+        )
+        found = min(found, tried.get(beyond, found), key=lambda one: one.square_sum)
+        found = _finished(sought, held, found, beyond, loss, enough)
+        if found.square_sum >= best.square_sum:
             break
-        piece, best = beyond, tried[beyond]
+        piece, best = beyond, found
     return best
+
+
+def _inside(sought: Problem, point: np.ndarray, piece: int) -> np.ndarray:
+    """A point with its delay some way into a piece, as steps at a bound are small."""
+    moved, index = point.copy(), sought.names.index(DELAY)
+    ticks = moved[index] / (sought.period or 1.0)
+    moved[index] = (sought.period or 1.0) * float(np.clip(ticks, piece + 0.1, piece + 0.9))
+    return moved
 
 
 def _finished(

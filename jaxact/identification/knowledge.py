@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Set
+from collections.abc import Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,6 @@ from scipy.optimize import brentq
 
 from jaxact.identification import uncertainty
 from jaxact.identification.fitting import Fit, solve
-from jaxact.identification.problem import Problem
 from jaxact.parameters import DELAY, WN, ZETA
 
 # A number is identified where its interval is narrower than this share of it, in either direction.
@@ -20,8 +19,9 @@ _LARGEST_SHARE = 0.4
 # where their intervals are wide as well.
 _COLLINEAR, _NEARLY_COLLINEAR = 0.01, 0.05
 _IN_A_COMBINATION = 0.2
-_CHI_SQUARE = 3.841458820694124
 _STEPS_OF_PROFILE = 14
+# A drawn profile goes beyond the interval by this factor.
+_BEYOND_THE_INTERVAL = 1.6
 
 
 @dataclass(frozen=True)
@@ -98,13 +98,13 @@ def of_fit(fit: Fit, *, bootstrap: bool = False, profile: bool = True) -> Knowle
     for index, unknown in enumerate(fit.problem.unknowns):
         if unknown.nuisance:
             continue
-        half = uncertainty.critical(fit) * float(deviation[index])
+        half = uncertainty.critical(fit, float(wider[index])) * float(deviation[index])
         point = float(fit.point[index])
         both = sorted((unknown.value(point - half), unknown.value(point + half)))
         low, high = max(both[0], unknown.low), min(both[1], unknown.high)
         if unknown.name == DELAY and profile:
             ratio = float(wider[index]) if wider[index] > 0.0 else float(np.median(wider))
-            low, high = _profile(fit, index, max(ratio, 1.0))
+            low, high = _profile(fit, index, ratio)
         ends[index] = low, high
     wide = {fit.problem.names[index] for index, both in ends.items() if _wide(fit, index, *both)}
     sets, condition = combinations(fit, wide)
@@ -193,7 +193,7 @@ def combinations(fit: Fit, wide: Set[str]) -> tuple[tuple[tuple[str, ...], ...],
 
 
 def _profile(fit: Fit, index: int, wider: float) -> tuple[float, float]:
-    """The delay's interval: where the others' best fit grows by chi-square's 95 %.
+    """The delay's interval: where the others' best fit grows by what is exceeded in 5 of 100 logs.
 
     The sum of squares is in units of the residuals' variance times `wider`^2, which is how much
     less they say than independent ones.
@@ -202,7 +202,8 @@ def _profile(fit: Fit, index: int, wider: float) -> tuple[float, float]:
     period = fit.problem.period or unknown.high
     best = float(fit.point[index])
     spare = max(len(fit.residuals) - len(fit.point), 1)
-    allowed = fit.square_sum * (1.0 + _CHI_SQUARE * wider * wider / spare)
+    bound = (uncertainty.critical(fit, wider) * wider) ** 2
+    allowed = fit.square_sum * (1.0 + bound / spare)
     known = {
         u.name: value for u, value in zip(fit.problem.unknowns, fit.values.values(), strict=True)
     }
@@ -231,21 +232,44 @@ def _profile(fit: Fit, index: int, wider: float) -> tuple[float, float]:
     return end(unknown.low, -1.0), end(unknown.high, 1.0)
 
 
-def profile(problem: Problem, fit: Fit, name: str, values: np.ndarray) -> np.ndarray:
-    """The smallest sum of squares at each value of one unknown, for a picture.
+@dataclass(frozen=True)
+class Profile:
+    """Profile likelihood of one unknown: how well the others make up for a value of it.
+
+    Attributes:
+        estimate: of the unknown.
+        values: of it, shape (values,), in its unit.
+        rises: of the sum of squares there over the rise at the ends of a 95 % interval [-].
+    """
+
+    estimate: Estimate
+    values: np.ndarray
+    rises: np.ndarray
+
+
+def profile(fit: Fit, estimate: Estimate, *, number: int = 7) -> Profile:
+    """The profile likelihood of one unknown around its interval.
 
     Args:
-        problem: solved by `fit`.
-        fit: the solution.
-        name: of the unknown.
-        values: of it, shape (values,).
-
-    Returns:
-        Sum of squares over that of the fit, shape (values,).
+        fit: solved.
+        estimate: of the unknown.
+        number: of values.
     """
-    start: Mapping[str, float] = fit.values
-    found = [solve(problem, fixed={name: float(value)}, start=start) for value in values]
-    return np.array([one.square_sum for one in found]) / fit.square_sum
+    unknown = next(u for u in fit.problem.unknowns if u.name == estimate.name)
+    ends = [
+        estimate.value + _BEYOND_THE_INTERVAL * (end - estimate.value)
+        for end in (estimate.low, estimate.high)
+    ]
+    low, high = max(ends[0], unknown.low), min(ends[1], unknown.high)
+    values = np.unique(np.append(np.linspace(low, high, number), estimate.value))
+    spare = max(len(fit.residuals) - len(fit.point), 1)
+    bound = uncertainty.critical(fit, estimate.wider) * max(estimate.wider, 1e-6)
+    rise = fit.square_sum * bound**2 / spare
+    others = [
+        solve(fit.problem, fixed={estimate.name: float(value)}, start=fit.values).square_sum
+        for value in values
+    ]
+    return Profile(estimate, values, (np.array(others) - fit.square_sum) / rise)
 
 
 def _lag(fit: Fit, covariance: np.ndarray) -> tuple[float, float] | None:

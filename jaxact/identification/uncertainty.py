@@ -3,10 +3,10 @@
 With slopes J and residuals r of a fit, the scores s_t = J_t r_t, and A = J^T J,
 
     naive       cov = s^2 A^-1                           right for independent residuals only
-    one log     cov = A^-1 (sum_k w_k Gamma_k) A^-1      w: quadratic-spectral kernel
+    one log     cov = sum_k w_k Gamma_k                  of A^-1 s_t; w: quadratic-spectral kernel
     many logs   cov = A^-1 (sum_l S_l S_l^T) A^-1        S_l: the sum of the scores of one log
 
-The bandwidth of the kernel is chosen by the scores' own autocorrelation, after a first-order filter
+The bandwidth of the kernel is chosen by the series' own autocorrelation, after an autoregression
 has whitened them.
 
 Source: Andrews, "Heteroskedasticity and autocorrelation consistent covariance matrix estimation",
@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import fft, stats
+from scipy import fft, signal, stats
 
 from jaxact.identification.fitting import Fit
 
@@ -27,6 +27,8 @@ FEWEST_CLUSTERS = 6
 """Of so many logs and more, each is a draw of its own."""
 # The whitening filter must stay a filter: a pole of 1 would make the estimate infinite.
 _LARGEST_POLE = 0.97
+# Largest order of the whitening filter per factor of ten of the rows.
+_ORDERS = 10
 
 
 def naive(fit: Fit) -> np.ndarray:
@@ -37,25 +39,35 @@ def naive(fit: Fit) -> np.ndarray:
 
 def robust(fit: Fit) -> np.ndarray:
     """Covariance under residuals that hang together, shape (unknowns, unknowns)."""
-    scores = fit.slopes * fit.residuals[:, None]
-    ends = np.cumsum(fit.problem.lengths)
-    each = np.split(scores, ends[:-1])
-    rows, unknowns = scores.shape
+    each = np.split(influences(fit), np.cumsum(fit.problem.lengths)[:-1])
+    rows, unknowns = fit.slopes.shape
     if len(each) >= FEWEST_CLUSTERS:
         sums = np.stack([part.sum(axis=0) for part in each])
-        middle = sums.T @ sums * len(each) / (len(each) - 1)
-    else:
-        middle = sum(long_run(part) for part in each) * rows / max(rows - unknowns, 1)
-    outside = _inverse(fit)
-    return outside @ middle @ outside
+        return sums.T @ sums * len(each) / (len(each) - 1)
+    return np.asarray(sum(long_run(part) for part in each)) * rows / max(rows - unknowns, 1)
 
 
-def critical(fit: Fit) -> float:
-    """Half-width of a 95 % interval in standard deviations."""
-    logs = len(fit.problem.lengths)
-    if logs >= FEWEST_CLUSTERS:
-        return float(stats.t.ppf(0.975, logs - 1))
-    return float(stats.norm.ppf(0.975))
+def influences(fit: Fit) -> np.ndarray:
+    """By how much each row moves the solution, to first order, shape (rows, unknowns).
+
+    ``A^-1 s_t``: each column is the series whose long-run variance is that of one unknown, and
+    hangs together in its own way, unlike scores, of which each unknown's estimate mixes several.
+    """
+    return (fit.slopes * fit.residuals[:, None]) @ _inverse(fit)
+
+
+def critical(fit: Fit, wider: float) -> float:
+    """Half-width of a 95 % interval in standard deviations.
+
+    Args:
+        fit: solved.
+        wider: standard deviation of the unknown over that of independent residuals: rows that hang
+            together count as fewer independent ones.
+    """
+    logs, (rows, unknowns) = len(fit.problem.lengths), fit.slopes.shape
+    alone = rows / max(wider, 1.0) ** 2 - unknowns
+    freedom = logs - 1.0 if logs >= FEWEST_CLUSTERS else max(alone, 2.0)
+    return float(stats.t.ppf(0.975, freedom))
 
 
 def _inverse(fit: Fit) -> np.ndarray:
@@ -99,15 +111,41 @@ def long_run(scores: np.ndarray) -> np.ndarray:
     return 0.5 * (total + total.T) * np.outer(size, size)
 
 
-def _whitened(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The scores through a first-order filter each, and its poles."""
-    before, after = scores[:-1], scores[1:]
-    power = np.sum(before * before, axis=0)
-    poles = np.sum(before * after, axis=0) / np.where(power > 0.0, power, 1.0)
-    poles = np.clip(poles, -_LARGEST_POLE, _LARGEST_POLE)
-    white = scores.copy()
-    white[1:] -= poles * before
-    return white, poles
+def _whitened(series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each series through an autoregression of its own, and the sum of its coefficients.
+
+    The order is chosen by Akaike's criterion, the coefficients by the Levinson-Durbin recursion.
+
+    Source: den Haan, Levin, "A practitioner's guide to robust covariance matrix estimation",
+    Handbook of Statistics 15 (1997).
+    """
+    rows = len(series)
+    most = max(min(int(_ORDERS * math.log10(rows)), rows // 10), 1)
+    length = fft.next_fast_len(rows + most + 1, real=True)
+    power = np.abs(fft.rfft(series, length, axis=0)) ** 2
+    covariances = fft.irfft(power, length, axis=0)[: most + 1]
+    white, sums = series.copy(), np.zeros(series.shape[1])
+    for column in range(series.shape[1]):
+        coefficients = _autoregression(covariances[:, column], rows)
+        sums[column] = min(float(coefficients.sum()), _LARGEST_POLE)
+        white[:, column] = signal.lfilter(np.append(1.0, -coefficients), [1.0], series[:, column])
+    return white, sums
+
+
+def _autoregression(covariances: np.ndarray, rows: int) -> np.ndarray:
+    """Coefficients of the autoregression that Akaike's criterion chooses, shape (order,)."""
+    best, found = math.inf, np.zeros(0)
+    coefficients, left = np.zeros(0), float(covariances[0])
+    for order in range(len(covariances)):
+        if order:
+            ahead = covariances[order] - coefficients @ covariances[order - 1 : 0 : -1]
+            reflected = ahead / left if left > 0.0 else 0.0
+            coefficients = np.append(coefficients - reflected * coefficients[::-1], reflected)
+            left *= 1.0 - reflected**2
+        criterion = rows * math.log(max(left, 1e-300)) + 2.0 * order
+        if criterion < best:
+            best, found = criterion, coefficients
+    return found
 
 
 def _bandwidth(scores: np.ndarray) -> float:
@@ -146,8 +184,7 @@ def bootstrap(fit: Fit, *, number: int = 500, seed: int = 0) -> np.ndarray:
     of Statistics 17 (1989).
     """
     generator = np.random.default_rng(seed)
-    scores = fit.slopes * fit.residuals[:, None]
-    each = np.split(scores, np.cumsum(fit.problem.lengths)[:-1])
+    each = np.split(influences(fit), np.cumsum(fit.problem.lengths)[:-1])
     changes = np.zeros((number, len(fit.point)))
     for part in each:
         rows = len(part)
@@ -155,4 +192,4 @@ def bootstrap(fit: Fit, *, number: int = 500, seed: int = 0) -> np.ndarray:
         sums = np.cumsum(np.vstack([np.zeros(part.shape[1]), part - part.mean(axis=0)]), axis=0)
         first = generator.integers(0, rows - block + 1, (number, math.ceil(rows / block)))
         changes += (sums[first + block] - sums[first]).sum(axis=1)
-    return np.cov((changes @ _inverse(fit).T).T).reshape((len(fit.point),) * 2)
+    return np.cov(changes.T).reshape((len(fit.point),) * 2)

@@ -57,30 +57,69 @@ class Step:
     chosen: bool
 
 
+@dataclass(frozen=True)
+class Profile:
+    """The profile likelihood of one unknown.
+
+    Attributes:
+        name: of the unknown, with the model where that is not the chosen one.
+        unit: of its values.
+        value, low, high: the estimate and its 95 % interval.
+        values: shape (values,).
+        rises: of the sum of squares over that at the interval's ends, shape (values,).
+    """
+
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    values: np.ndarray
+    rises: np.ndarray
+
+
 def sheet(
-    compared: Compared, steps: Sequence[Step], *, title: str = "", footer: str = ""
+    compared: Compared,
+    steps: Sequence[Step],
+    profiles: Sequence[Profile] = (),
+    *,
+    title: str = "",
+    footer: str = "",
 ) -> Figure:
-    """All panels on one page.
+    """All panels on one page; those of the frequency response where there is one.
 
     Args:
         compared: a log that the model has not seen.
         steps: the ladder, simplest first.
+        profiles: of one or two unknowns.
         title: above.
         footer: below.
     """
+    columns = [("ladder", "white")]
+    if response(compared) is not None:
+        columns.insert(0, ("gain", "phase"))
+    if profiles:
+        columns.append(("first", "second" if len(profiles) > 1 else "first"))
     with theme.applied():
         paper = page(9.0, 6.6, title=title, footer=footer, entries=3, entry_width=2.6)
         grid = paper.figure.subplot_mosaic(
-            [["over", "over"], ["rest", "rest"], ["gain", "ladder"], ["phase", "white"]],
+            [
+                ["over"] * len(columns),
+                ["rest"] * len(columns),
+                *map(list, zip(*columns, strict=True)),
+            ],
             height_ratios=(1.5, 0.7, 1.0, 1.0),
         )
         handles = over(grid["over"], compared)
         residual(grid["rest"], compared)
         grid["over"].sharex(grid["rest"])
         grid["over"].tick_params(labelbottom=False)
-        frequency_response((grid["gain"], grid["phase"]), compared)
+        if "gain" in grid:
+            frequency_response((grid["gain"], grid["phase"]), compared)
         ladder(grid["ladder"], steps, compared.unit)
         autocorrelation(grid["white"], compared)
+        for name, drawn in zip(("first", "second"), profiles, strict=False):
+            profile_likelihood(grid[name], drawn)
         paper.legend(handles)
     return paper.figure
 
@@ -214,11 +253,46 @@ def autocorrelation(axes: Axes, compared: Compared) -> None:
     axes.grid(visible=True)
 
 
-def frequency_response(axes: Sequence[Axes], compared: Compared) -> None:
-    """Measured response with its 95 % band where the coherence allows, and the model's.
+def profile_likelihood(axes: Axes, drawn: Profile) -> None:
+    """Rise of the sum of squares over the values of one unknown, the others fitted anew.
 
     Args:
-        axes: of gain and phase.
+        axes: to draw on.
+        drawn: the profile.
+    """
+    axes.axvspan(drawn.low, drawn.high, color="#E4E4E4", zorder=0)
+    axes.axhline(1.0, color=theme.FAINT, linewidth=0.8, linestyle=(0, (4, 1.5)))
+    axes.plot(drawn.values, drawn.rises, "o-", color=theme.BLUE, markersize=3, linewidth=1.0)
+    axes.plot(drawn.value, 0.0, "o", color=theme.VERMILION, markersize=5, zorder=4)
+    axes.set_ylim(-0.1, 3.0)
+    axes.set_xlabel(f"{drawn.name} [{drawn.unit}]" if drawn.unit else drawn.name)
+    axes.set_ylabel("rise (1: 95 %)")
+    axes.grid(visible=True)
+
+
+@dataclass(frozen=True)
+class Response:
+    """Measured and modelled frequency response, where they are coherent; shape (frequencies,) each.
+
+    Attributes:
+        frequency: [Hz].
+        gain, phase: measured [-] and [degrees].
+        half: half-width of the 95 % band, as a share of the gain and in radians of phase.
+        model_gain, model_phase: of the model.
+    """
+
+    frequency: np.ndarray
+    gain: np.ndarray
+    phase: np.ndarray
+    half: np.ndarray
+    model_gain: np.ndarray
+    model_phase: np.ndarray
+
+
+def response(compared: Compared) -> Response | None:
+    """The frequency response from stimulus to signal; None where no band is coherent.
+
+    Args:
         compared: a log and its simulation.
 
     Source: Bendat, Piersol, "Random Data", 4th ed., section 9.2 (random errors of estimates).
@@ -233,6 +307,30 @@ def frequency_response(axes: Sequence[Axes], compared: Compared) -> None:
     kept = (coherence > 0.3) & (frequency > 0.0)
     # From the first coherent frequency to where the stimulus no longer says anything.
     kept &= np.cumsum(~kept & (frequency > 0.0)) <= _MOST_GAPS
+    if np.count_nonzero(kept) < _FEWEST_POINTS:
+        return None
+    averages = max(2.0 * len(compared.time) / length - 1.0, 1.0)
+    spread = np.sqrt((1.0 - coherence) / np.maximum(coherence, 1e-9) / (2.0 * averages))
+    floor = np.maximum(power, 1e-300)[kept]
+    turned = np.degrees(np.unwrap(np.angle(cross[kept])))
+    modelled = np.degrees(np.unwrap(np.angle(model[kept])))
+    return Response(
+        frequency=frequency[kept],
+        gain=np.abs(cross[kept]) / floor,
+        phase=turned + 360.0 * np.round((modelled - turned)[0] / 360.0),
+        half=(stats.norm.ppf(0.975) * spread)[kept],
+        model_gain=np.abs(model[kept]) / floor,
+        model_phase=modelled,
+    )
+
+
+def frequency_response(axes: Sequence[Axes], compared: Compared) -> None:
+    """Measured response with its 95 % band where the coherence allows, and the model's.
+
+    Args:
+        axes: of gain and phase.
+        compared: a log and its simulation.
+    """
     gain, phase = axes
     for panel, label in ((gain, "gain"), (phase, "phase [°]")):
         panel.set_xscale("log")
@@ -240,24 +338,19 @@ def frequency_response(axes: Sequence[Axes], compared: Compared) -> None:
         panel.grid(visible=True)
     gain.tick_params(labelbottom=False)
     phase.set_xlabel("frequency [Hz]")
-    if np.count_nonzero(kept) < _FEWEST_POINTS:
+    found = response(compared)
+    if found is None:
         gain.text(0.5, 0.5, "no coherent band", transform=gain.transAxes, ha="center", va="center")
         return
-    averages = max(2.0 * len(compared.time) / length - 1.0, 1.0)
-    spread = np.sqrt((1.0 - coherence) / np.maximum(coherence, 1e-9) / (2.0 * averages))
-    half = (stats.norm.ppf(0.975) * spread)[kept]
-    floor = np.maximum(power, 1e-300)[kept]
-    at = frequency[kept]
-    measured, simulated = np.abs(cross[kept]) / floor, np.abs(model[kept]) / floor
-    turned = np.degrees(np.unwrap(np.angle(cross[kept])))
-    modelled = np.degrees(np.unwrap(np.angle(model[kept])))
-    turned = turned + 360.0 * np.round((modelled - turned)[0] / 360.0)
+    at, half = found.frequency, found.half
     dashed = {"color": theme.VERMILION, "linestyle": (0, (4, 1.5)), "linewidth": 1.1, "zorder": 4}
     bands = (
-        (gain, measured, measured * np.maximum(1.0 - half, 1e-3), measured * (1.0 + half)),
-        (phase, turned, turned - np.degrees(half), turned + np.degrees(half)),
+        (gain, found.gain, found.gain * np.maximum(1.0 - half, 1e-3), found.gain * (1.0 + half)),
+        (phase, found.phase, found.phase - np.degrees(half), found.phase + np.degrees(half)),
     )
-    for (panel, middle, low, high), own in zip(bands, (simulated, modelled), strict=True):
+    for (panel, middle, low, high), own in zip(
+        bands, (found.model_gain, found.model_phase), strict=True
+    ):
         panel.fill_between(at, low, high, color="#D5D5D5", zorder=1)
         panel.plot(at, middle, color=theme.INK, linewidth=1.2, zorder=3)
         panel.plot(at, own, **dashed)

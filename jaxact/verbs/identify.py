@@ -8,22 +8,31 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxact.errors import UserError
+from matplotlib import pyplot
+from matplotlib.axes import Axes
+
+from jaxact.errors import UserError, nearest, shown
 from jaxact.identification import identify as _joints
+from jaxact.identification import knowledge
 from jaxact.identification.identify import Source
 from jaxact.identification.model import predicted
 from jaxact.identification.reading import ColumnMap, Columns, read_columns
 from jaxact.identification.replay import Replay, replay
 from jaxact.identification.result import Identified
 from jaxact.identification.robot import SUFFIXES, IdentifiedRobot, identify_robot
-from jaxact.parameters import CONTROL_RATE
+from jaxact.parameters import CONTROL_RATE, DELAY, WN, ZETA
 from jaxact.plotting import identification as _pictures
 from jaxact.plotting.identification import Compared, Step
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["identification_sheet", "identify", "replay", "replay_sheet", "robot_sheet"]
+__all__ = [
+    "identification_sheet", "identify", "profile_likelihood", "replay", "replay_sheet",
+    "residual_autocorrelation", "robot_sheet",
+]  # fmt: skip
+# Of these unknowns the sheet shows the profiles, the first two that the model has.
+_OF_THE_DRIVE = (DELAY, "lag", WN, ZETA)
 
 
 def identify(
@@ -104,12 +113,58 @@ def identification_sheet(identified: Identified, *, title: str = "", log: int = 
     """
     ladder = identified.ladder
     footer = "; ".join(log.title for log in ladder.fitted)
+    names = [e.name for e in ladder.chosen.knowledge.estimates if e.name in _OF_THE_DRIVE]
     return _pictures.sheet(
         compared(identified, log),
         steps(identified),
+        [_profile(identified, name) for name in sorted(names, key=_OF_THE_DRIVE.index)[:2]],
         title=title or f"{identified.verdict.level.value}: {ladder.chosen.rung.name}",
         footer=f"{identified.verdict.sentence}. Fitted: {footer}",
     )
+
+
+def profile_likelihood(
+    identified: Identified, name: str = DELAY, *, ax: Axes | None = None
+) -> Axes:
+    """How well the other unknowns of the chosen model make up for each value of one.
+
+    Args:
+        identified: from `jaxact.identify`.
+        name: of the unknown.
+        ax: of the values and the rise of the sum of squares, 1 at the ends of a 95 % interval.
+    """
+    ax = pyplot.subplots()[1] if ax is None else ax
+    _pictures.profile_likelihood(ax, _profile(identified, name))
+    return ax
+
+
+def residual_autocorrelation(
+    identified: Identified, *, log: int = 0, ax: Axes | None = None
+) -> Axes:
+    """Autocorrelation of what the chosen model leaves of a validation log, and white noise's band.
+
+    Args:
+        identified: from `jaxact.identify`.
+        log: number of the validation log.
+        ax: of lag and autocorrelation.
+    """
+    ax = pyplot.subplots()[1] if ax is None else ax
+    _pictures.autocorrelation(ax, compared(identified, log))
+    return ax
+
+
+def _profile(identified: Identified, name: str) -> _pictures.Profile:
+    chosen = identified.ladder.chosen
+    names = [estimate.name for estimate in chosen.knowledge.estimates]
+    if name not in names:
+        raise UserError(f"{shown(name)} is not an unknown of the model; {nearest(name, names)}")
+    found = knowledge.profile(chosen.fit, chosen.knowledge[name])
+    one = found.estimate
+    factor, unit = (1e3, "ms") if one.unit == "s" else (1.0, "" if one.unit == "1" else one.unit)
+    return _pictures.Profile(
+        name, unit, factor * one.value, factor * one.low, factor * one.high,
+        factor * found.values, found.rises,
+    )  # fmt: skip
 
 
 def compared(identified: Identified, log: int = 0) -> Compared:

@@ -30,6 +30,7 @@ from jaxact.status import Verdict
 from jaxact.verbs import responses
 from jaxact.verbs.boundary import Window
 from jaxact.verbs.boundary import boundary as _boundary
+from jaxact.verbs.identify import profile_likelihood, residual_autocorrelation
 from jaxact.verbs.map_pictures import lines, scatter, stability_map
 from jaxact.verbs.run_tables import SIGNALS
 from jaxact.verbs.tuning_pictures import (
@@ -46,8 +47,9 @@ if TYPE_CHECKING:
     from jaxact.verbs.margins_of_robot import RobotLoopMargins
 
 __all__ = [
-    "bode", "boundary", "convergence", "front", "lines", "nyquist", "robot_gains", "robot_margins",
-    "scatter", "sensitivity", "stability_map", "step", "step_band", "trajectory",
+    "bode", "boundary", "convergence", "front", "lines", "nyquist",
+    "profile_likelihood", "residual_autocorrelation", "robot_gains", "robot_margins", "scatter",
+    "sensitivity", "stability_map", "step", "step_band", "trajectory",
     "tuned_sensitivity", "tuning_map",
 ]  # fmt: skip
 _SMALL = "small"

@@ -5,8 +5,10 @@ import tomllib
 import jax
 import numpy as np
 import pytest
+from matplotlib import pyplot
 from scipy.linalg import expm
 
+import jaxact
 from jaxact.cli.main import main
 from jaxact.errors import UserError
 from jaxact.identification import model
@@ -183,3 +185,18 @@ def test_what_does_not_fit_is_one_line_and_writes_nothing(files, tmp_path, capsy
     error = capsys.readouterr().err
     assert said in error and error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_pictures_on_the_callers_axes(starleth):
+    axes = jaxact.plot.profile_likelihood(starleth, "wn")
+    line = axes.get_lines()[1]
+    known = starleth.chosen.knowledge["wn"]
+    # Where the interval ends the sum of squares has risen by what an interval of 95 % allows.
+    at_end = np.interp([known.low, known.high], *line.get_data())
+    np.testing.assert_allclose(at_end, 1.0, atol=0.35)
+    assert np.min(line.get_ydata()) == pytest.approx(0.0, abs=1e-3)
+    bars = jaxact.plot.residual_autocorrelation(starleth).collections
+    assert len(bars) == 1
+    with pytest.raises(UserError, match="'mass' is not an unknown of the model"):
+        jaxact.plot.profile_likelihood(starleth, "mass")
+    pyplot.close("all")

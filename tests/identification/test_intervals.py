@@ -62,7 +62,10 @@ def test_ninety_five_percent_intervals_cover_the_truth(pole, logs):
     inside, naive = np.zeros(2), np.zeros(2)
     for seed in range(SEEDS):
         fit, truth = _regression(seed, pole, logs)
-        half = uncertainty.critical(fit) * np.sqrt(np.diag(uncertainty.robust(fit)))
+        covariance = uncertainty.robust(fit)
+        deviation, plain = (np.sqrt(np.diag(c)) for c in (covariance, uncertainty.naive(fit)))
+        critical = np.array([uncertainty.critical(fit, ratio) for ratio in deviation / plain])
+        half = critical * deviation
         inside += np.abs(fit.point - truth) <= half
         plain = 1.96 * np.sqrt(np.diag(uncertainty.naive(fit)))
         naive += np.abs(fit.point - truth) <= plain
