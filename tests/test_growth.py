@@ -109,7 +109,9 @@ def test_high_control_rates():
         ),
         samples := expand(specification),
     )[0]
-    got = spectra.growth_batch(case, specification, samples, np.arange(case.batch) % len(samples))
+    got = spectra.rates_batch(
+        case, specification, samples, np.arange(case.batch) % len(samples)
+    ).growth
     kp, kd = samples.values["kp"], samples.values["kd"]
     want = exact_growth_rate(kp, kd, 0.7, *PRESETS["starleth"], delay, period=1.0 / rate)
     near = np.abs(want) < 200.0

@@ -127,7 +127,7 @@ def test_growth_rates_of_a_robot_are_those_of_the_exact_loop(engine, tmp_path):
     assert reading.parse(asked.text, tmp_path) == asked
     samples = expand(asked)
     (plan,) = plans.groups(asked, samples)
-    found = spectra.growth_batch(plan, asked, samples, np.resize(np.arange(3), plan.batch))
+    found = spectra.rates_batch(plan, asked, samples, np.resize(np.arange(3), plan.batch)).growth
     want = exact_growth_rate([30.0, 400.0, 6000.0], [20.0] * 3, 0.7, np.inf, 1.0, 0.0)
     np.testing.assert_allclose(found[:3], want, rtol=1e-3)
 

@@ -85,5 +85,5 @@ def test_a_bias_that_walks_is_no_part_of_the_growth_rate():
     for one in (specification, walking):
         samples = expand(one)
         (plan,) = plans.groups(one, samples)
-        rates.append(spectra.growth_batch(plan, one, samples, np.zeros(plan.batch, int)))
+        rates.append(spectra.rates_batch(plan, one, samples, np.zeros(plan.batch, int)).growth)
     np.testing.assert_array_equal(*rates)

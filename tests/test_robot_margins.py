@@ -523,7 +523,7 @@ def test_the_growth_rate_of_a_quadruped_changes_sign_at_its_gain_margins(quadrup
     samples = expand(swept)
     (plan,) = plans.groups(engines.resolved(swept), samples)
     ((numbers, count),) = plans.batches(plan, samples)
-    rates = spectra.growth_batch(plan, engines.resolved(swept), samples, numbers)[:count]
+    rates = spectra.rates_batch(plan, engines.resolved(swept), samples, numbers).growth[:count]
     assert (np.sign(rates) == [-1, 1, 1, -1]).all()
     # low gain topples it, high gain shakes it
     assert whole.gain_reduction_frequency == 0.0 and whole.gain_margin_frequency > 100.0

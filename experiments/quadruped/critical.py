@@ -38,7 +38,7 @@ def growth_rates(specification: Specification, columns: Columns) -> np.ndarray:
     samples = explicit(specification, dict(columns))
     found = np.zeros(len(samples))
     for plan, batch, count in _batches(specification, samples):
-        rates = spectra.growth_batch(plan, specification, samples, batch)
+        rates = spectra.rates_batch(plan, specification, samples, batch).growth
         found[batch[:count]] = rates[:count]
     return found
 

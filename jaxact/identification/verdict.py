@@ -24,9 +24,6 @@ _LEAST_SCORE = 40.0
 # A validation log that is this much worse than the fitted ones was not foreseen by the model.
 _MOST_LOST = 10.0
 _MOST_CORRELATED = 0.35
-# A validation that excites nothing new says nothing of other excitations.
-_SAME_BAND = 0.5
-_AMPLITUDE = 1e-3
 
 
 class Level(Enum):

@@ -15,25 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxact.parameters import (
-    CONTACT_FRICTION,
-    INERTIA_SCALE,
     JOINT_ARMATURE,
     JOINT_DAMPING,
     JOINT_FRICTION,
     JOINT_STIFFNESS,
-    PAYLOAD,
 )
-
-NEUTRAL = {
-    PAYLOAD: 0.0,
-    INERTIA_SCALE: 1.0,
-    JOINT_DAMPING: 0.0,
-    JOINT_STIFFNESS: 0.0,
-    JOINT_ARMATURE: 0.0,
-    JOINT_FRICTION: 0.0,
-    CONTACT_FRICTION: 1.0,
-}
-"""The value of each change that changes nothing."""
 
 
 @jax.tree_util.register_dataclass

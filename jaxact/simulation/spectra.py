@@ -96,13 +96,6 @@ def rates_batch(
         return Rates(np.where(sound, rates, _each(plan, specification, samples, numbers)))
 
 
-def growth_batch(
-    plan: Plan, specification: Specification, samples: Samples, numbers: np.ndarray
-) -> np.ndarray:
-    """Growth rates of one batch of samples [1/s], shape (batch,), in float64."""
-    return rates_batch(plan, specification, samples, numbers).growth
-
-
 def _each(
     plan: Plan, specification: Specification, samples: Samples, numbers: np.ndarray
 ) -> np.ndarray:

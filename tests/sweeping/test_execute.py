@@ -208,7 +208,7 @@ def test_a_model_edited_between_two_sweeps_is_another_model(tmp_path):
         samples = expand(asked)
         (plan,) = plans.groups(asked, samples)
         numbers = np.zeros(plan.batch, int)
-        rates.append(spectra.growth_batch(plan, asked, samples, numbers)[0])
+        rates.append(spectra.rates_batch(plan, asked, samples, numbers).growth[0])
     # -kd / (2 m) for an undelayed, lightly damped loop, up to sampling
     assert rates[1] == pytest.approx(-20.0 / (2 * 2.8), rel=0.1)
     assert rates[0] == pytest.approx(-20.0 / (2 * 0.7), rel=0.1)

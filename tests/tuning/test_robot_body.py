@@ -193,7 +193,7 @@ def test_on_its_contacts_a_member_grows_as_in_a_sweep(folder):
     samples = explicit(one.specification, one.columns(members.fraction))
     (plan,) = plans.groups(one.specification, samples)
     ((numbers, count),) = plans.batches(plan, samples)
-    swept = spectra.growth_batch(plan, one.specification, samples, numbers)[:count]
+    swept = spectra.rates_batch(plan, one.specification, samples, numbers).growth[:count]
     np.testing.assert_allclose(rates, swept, rtol=1e-3, atol=1e-3)
     assert np.ptp(rates) > 1e-3
 

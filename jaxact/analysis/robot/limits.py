@@ -292,11 +292,13 @@ def feedback(
     z^-k C (z I - A)^-1 N of k whole periods, with A = M - N C and N of the part that is left, which
     changes the loop by more than its phase.
 
-    angle: w T [rad]
-    delay: [periods]
+    Args:
+        angle: w T [rad].
+        delay: [periods].
 
-    Returns the places of the states, these in response to each command, shape (n, m), and what
-    comes back, shape (m, m).
+    Returns:
+        The places of the states, these in response to each command, shape (n, m), and what comes
+        back, shape (m, m).
     """
     whole = math.floor(delay)
     matrices = later_by((delay - whole) * period)
