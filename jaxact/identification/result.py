@@ -21,6 +21,8 @@ from jaxact.loops.control_loop import ControlLoop
 from jaxact.loops.drives import IdentifiedDrive
 from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, POSITION_RESOLUTION
 
+# Of a loop only one controller's gains can be.
+_OTHER_GAINS = "the gains of other logs than the first"
 # What a log may state of its joint: no number of its model is neutral then.
 _STATED = ("inertia", "gravity")
 
@@ -134,7 +136,8 @@ class Identified:
             "plant": self.plant,
             **({} if self.control_rate is None else {"control_rate": self.control_rate}),
             **({"usual_supply": motion.usual_supply(logs)} if "supply" in logs[0] else {}),
-            "unit": self.ladder.fitted[0].unit,
+            "unit": logs[0].unit,
+            **({"left_out": [_OTHER_GAINS]} if len({log.gains for log in logs}) > 1 else {}),
             "verdict": {
                 "level": self.verdict.level.value,
                 "sentence": self.verdict.sentence,

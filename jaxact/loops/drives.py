@@ -154,8 +154,9 @@ class IdentifiedDrive:
 
     def left_out(self, *, robot: bool = False) -> list[str]:
         """What the drive has and such a loop does not take, in words."""
+        own = list(self.document.get("left_out", ()))
         if self.plant == ROBOT:
-            return list(self.document.get("left_out", ()))
+            return own
         force = "N m" if self.unit == "rad" else "N"
         dry = self.numbers.get("coulomb", 0.0)
         said = [words for name, words in _FRICTION.items() if self.numbers.get(name)]
@@ -164,10 +165,10 @@ class IdentifiedDrive:
         elif dry and not robot:
             said = [f"dry friction of {dry:.3g} {force}", *said]
         if robot:
-            own = {MASS: INERTIA if self.unit == "rad" else MASS, JOINT_STIFFNESS: "gravity"}
-            said += [f"its joint's {words}" for name, words in own.items() if name in self.joint]
-            said += ["the gains of its log"] if KP in self.joint else []
-        return said
+            moved = {MASS: INERTIA if self.unit == "rad" else MASS, JOINT_STIFFNESS: "gravity"}
+            said += [f"its joint's {words}" for name, words in moved.items() if name in self.joint]
+            return said + (["the gains of its log"] if KP in self.joint else [])
+        return said + own
 
     @property
     def uncertainty(self) -> dict[str, tuple[float, float] | str]:

@@ -49,6 +49,7 @@ rows = [[4e-4, 0.0, 0.0, 0.0], [0.0, 0.0025, 0.002, 0.0], [0.0, 0.002, 0.0025, 0
 """
 SERVO = """
 model = "delay, viscous and dry"
+left_out = ["the gains of other logs than the first"]
 plant = "pendulum"
 unit = "rad"
 [[loop]]
@@ -177,6 +178,7 @@ def test_what_is_left_out_or_assumed_is_said(capsys):
     assert identified(Path("servo.toml"), ()) is not None
     said = capsys.readouterr().err
     assert "left out here: dry friction of 0.1 N m, friction that grows" in said
+    assert "the gains of other logs than the first" in said
     assert "call it not good enough" in said
     identified(Path("bench.toml"), ("kp",))
     assert "does not say what the joint moves; taken: 0.7 kg m^2" in capsys.readouterr().err
