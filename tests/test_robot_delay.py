@@ -116,11 +116,16 @@ def _critical(kp, kd):
     """The delay at which a root of one joint leaves the unit circle [s]."""
 
     def outside(delay):
-        M, N, C = _late(kp, kd, delay - np.floor(delay))
-        line = np.block([[M - N @ C, N], [C, np.zeros((1, 1))]]) if delay >= 1.0 else M
+        whole = int(delay)
+        M, N, C = _late(kp, kd, delay - whole)
+        line = np.zeros((3 + whole, 3 + whole))
+        line[:3, :3] = M - N @ C if whole else M
+        if whole:
+            line[:3, -1:], line[3:4, :3], line[4:, 3:-1] = N, C, np.eye(whole - 1)
         return np.max(np.abs(np.linalg.eigvals(line))) - 1.0
 
-    return brentq(outside, 0.5, 1.999)
+    last = next(delay for delay in np.arange(0.5, 13.0, 0.5) if outside(delay) > 0.0)
+    return brentq(outside, last - 0.5, last, xtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -129,11 +134,13 @@ def _critical(kp, kd):
         ((2.647e-3, 0.828), (1.415e-4, 0.758)),
         ((0.0766, 0.6445), (0.085, 0.7061)),
         ((9.8e-3, 0.7608), (7.29e-3, 0.7506)),
+        ((0.0014801, 0.1221439), (0.0014737, 0.1221499)),
+        ((0.0133728, 0.2855889), (0.0134123, 0.2855088)),
     ],
 )
 def test_the_joint_that_loses_its_delay_margin_first_is_named(gains):
-    """Two joints that know nothing of each other, at 0.7 rad a period, where a part of a period's
-    delay is more than its phase."""
+    """Two joints that know nothing of each other: at 0.7 rad a period, where a part of a period's
+    delay is more than its phase, and two that are almost alike."""
 
     def later(extra):
         joints = zip(*(_late(*own, extra) for own in gains), strict=True)

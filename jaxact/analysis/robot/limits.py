@@ -9,13 +9,13 @@ which of them bound the stable set is decided by the spectral radius of the loop
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import scipy.linalg
-from scipy.optimize import linear_sum_assignment, root
+from scipy.optimize import linear_sum_assignment
 
 from jaxact.analysis.robot.multiloop import Matrices, Multiloop, joined, reduced, sensitivity
 
@@ -35,6 +35,9 @@ _BESIDE = 1e-4
 _STILL = 1e-9
 # Imaginary parts below this share are rounding.
 _ROUNDING = 1e-9
+# Periods of delay by which a guess may be wrong; steps of Newton's method at most, how close they
+# come, and relative differences.
+_NEAR, _NEWTON, _CLOSE, _SMALL = 1.0, 20, 1e-11, 1e-7
 # Periods within which all delays are tried, and how finely: a delay that is not a whole period
 # changes the loop near the Nyquist frequency by more than its phase.
 _TRIED, _PARTS = 4, 4
@@ -248,11 +251,11 @@ def delay_limit(
     )
     best, where = math.inf, math.inf
     for guess, item in guesses:
-        if guess > 1.5 * best + 1.0:
+        if guess > 1.1 * best + 2.0:
             break
-        found = _marginal(later_by, period, item, guess)
-        if found is not None and found[0] < best:
-            best, where = found
+        for found in _marginal(later_by, period, item.angle, guess, best):
+            if found[0] < best:
+                best, where = found
     early = _early(later_by, period, min(best, float(_TRIED)) * (1.0 - 1e-9), bad)
     if early is not None:
         best, where = early
@@ -266,22 +269,42 @@ def _turn(crossing: Crossing) -> float:
 
 
 def _marginal(
-    later_by: Callable[[float], Matrices], period: float, start: Crossing, guess: float
-) -> tuple[float, float] | None:
-    """The delay in periods and the angle w T near a guess at which the loop is marginal."""
+    later_by: Callable[[float], Matrices], period: float, angle: float, guess: float, best: float
+) -> Iterator[tuple[float, float]]:
+    """The delays in periods and angles w T near a guess at which the loop is marginal.
 
-    def residual(point: np.ndarray) -> list[float]:
-        _, _, returned = feedback(later_by, period, *point)
-        values = np.linalg.eigvals(returned)
-        near = values[np.argmin(np.abs(values - 1.0))] - 1.0
-        return [near.real, near.imag]
+    Every eigenvalue that is near 1 at the guess is followed to 1 by Newton's method, by itself:
+    joints that are almost alike have some so near to each other that the nearest may be another's.
+    Those that arrive beyond the best delay so far [periods] are left out.
+    """
 
-    found = root(residual, [start.angle, guess], tol=1e-12)
-    angle, delay = (float(value) for value in found.x)
-    accurate = math.hypot(*residual(found.x)) < 1e-8
-    if accurate and delay >= 0.0 and 0.0 < angle <= math.pi * (1.0 + 1e-12):
-        return delay, angle
-    return None
+    def returned(angle: float, delay: float) -> np.ndarray:
+        return feedback(later_by, period, angle, delay)[2]
+
+    first = returned(angle, guess)
+    values, vectors = np.linalg.eig(first)
+    distance = np.abs(values - 1.0)
+    for k in np.flatnonzero(distance <= max(_NEAR * angle, float(distance.min()))):
+        point, vector, R = np.array([angle, guess]), vectors[:, k], first
+        for _ in range(_NEWTON):
+            roots, left, right = scipy.linalg.eig(R, left=True, right=True)
+            own = int(np.argmax(np.abs(vector.conj() @ right)))
+            value, vector = roots[own], right[:, own]
+            if abs(value - 1.0) < _CLOSE:
+                yield float(point[1]), float(point[0])
+                break
+            dual = left[:, own].conj() / (left[:, own].conj() @ vector)
+            ahead = point * (1.0 + _SMALL)
+            slopes = [dual @ (returned(*at) - R) @ vector / (at - point).sum()
+                      for at in ((ahead[0], point[1]), (point[0], ahead[1]))]  # fmt: skip
+            jacobian = np.array([np.real(slopes), np.imag(slopes)])
+            step = np.linalg.lstsq(jacobian, [1.0 - value.real, -value.imag])[0]
+            point = point + step
+            inside = 0.0 < point[0] <= math.pi * (1.0 + 1e-12) and point[1] >= 0.0
+            # What is left of the way is less than the step before.
+            if not inside or point[1] - abs(step[1]) > best:
+                break
+            R = returned(*point)
 
 
 def feedback(
