@@ -136,7 +136,8 @@ def settled(robot: Robot) -> Posture:
     if there.residual <= _NEARLY * gravity:  # an equilibrium that it leaves, upright for example
         return replace(there, settled=True)
     advice = 'give a keyframe at rest, or posture = "keyframe" to start from it as it is'
-    if np.any(robot.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)):
+    free = robot.model.jnt_bodyid[robot.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
+    if _own(robot).intersection(free.tolist()):
         advice = (
             'give a keyframe that stands by itself, posture = "keyframe" to start from it as it '
             'is, or base = "fixed" to put it on a stand'
@@ -266,6 +267,11 @@ def fallen(robot: Robot, qpos: np.ndarray) -> bool:
     return bool(_fallen(robot, qpos))
 
 
+def _own(robot: Robot) -> set[int]:
+    """The bodies that a free base of the robot moves with; others that are free are loose."""
+    return {int(robot.model.body_rootid[joint.body]) for joint in robot.joints}
+
+
 def _fallen(robot: Robot, qpos: np.ndarray) -> str:
     """What has turned over or sunk: the robot, or a body that is none of it; "" for nothing."""
     model = robot.model
@@ -273,7 +279,7 @@ def _fallen(robot: Robot, qpos: np.ndarray) -> str:
         return ""
     moved = np.zeros(model.nv)
     mujoco.mj_differentiatePos(model, moved, 1.0, robot.qpos, qpos)
-    own = {int(model.body_rootid[joint.body]) for joint in robot.joints}
+    own = _own(robot)
     for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)):
         dof, body = model.jnt_dofadr[joint], int(model.jnt_bodyid[joint])
         sunk = np.linalg.norm(moved[dof : dof + 3]) > _SUNK * model.stat.extent

@@ -236,8 +236,9 @@ def test_what_lay_on_a_robot_is_named_when_it_falls(tmp_path):
     rider = '<body name="rider" pos="0 0 2"><freejoint/><geom size=".05" mass=".1"/></body>'
     robot = _robot(tmp_path, _biped(after=rider, qpos=f"{POSE} {TURNED} {BENT} .3 -.2 .57 1 0 0 0"),
                    keyframe="bent", base="fixed")  # fmt: skip
-    with pytest.raises(UserError, match="body 'rider' falls from its keyframe"):
+    with pytest.raises(UserError, match="body 'rider' falls from its keyframe") as raised:
         posture.settled(robot)
+    assert 'posture = "keyframe"' in str(raised.value) and "stand" not in str(raised.value)
 
 
 def test_only_a_base_that_moves_floats(tmp_path):
