@@ -203,6 +203,12 @@ def test_links_lead_to_files(page):
             assert ((ROOT / page).parent / target).exists(), f"{page}: {target} is not there"
 
 
+def test_the_readme_says_what_every_folder_is_for():
+    table = README[README.index("| folder of `jaxact/` |") :]
+    folders = [path.parent.name for path in PACKAGE.glob("*/__init__.py")]
+    assert folders and not [name for name in folders if f"`{name}`" not in table]
+
+
 def test_every_page_is_linked_from_the_readme():
     assert all(name in README for name in PAGES if name != "README.md")
 
