@@ -184,7 +184,13 @@ def _solve_piece(
         max_nfev=most,
     )  # fmt: skip
     base[free] = solved.x
-    found = at(sought, base, evaluated(solved.x), evaluations=int(solved.nfev))
+    ended = evaluated(solved.x)
+    late = sought.names.index(DELAY) if DELAY in sought.names else None
+    if late in free and 0.0 < base[late] < _AT_THE_BOUND * (sought.period or 0.0):
+        # A search within bounds ends just inside of them: there is no delay.
+        base[late] = 0.0
+        ended = sought.evaluate(base)
+    found = at(sought, base, ended, evaluations=int(solved.nfev))
     return replace(found, converged=bool(solved.status > 0))
 
 

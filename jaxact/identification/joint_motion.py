@@ -318,14 +318,15 @@ def _friction(
 ) -> tuple[jax.Array, jax.Array]:
     """Viscous coefficient [N s/m or N m s/rad] and dry friction [N or N m] in this interval.
 
-    ``F = (F0 + loaded |f| + carried |G sin q|) (1 + stribeck exp(-(v / v_s)^2))``, with factors
-    of their own for the two directions where friction is asymmetric.
+    ``F = (F0 + loaded max(|f|, |G sin q|)) (1 + stribeck exp(-(v / v_s)^2))``, with factors of
+    their own for the two directions where friction is asymmetric: a gear is loaded by the larger of
+    what drives it and what it carries, whichever side that comes from.
     """
     forwards = velocity >= 0.0
     viscous = jnp.where(forwards, values["viscous"], values.get("viscous_back", values["viscous"]))
     dry = jnp.where(forwards, values["coulomb"], values.get("coulomb_back", values["coulomb"]))
     if "loaded" in values:
-        dry = dry + values["loaded"] * jnp.abs(force) + values["carried"] * jnp.abs(pull)
+        dry = dry + values["loaded"] * jnp.maximum(jnp.abs(force), jnp.abs(pull))
     if "stribeck" in values:
         slow = jnp.exp(-jnp.square(velocity / values["stribeck_speed"]))
         dry = dry * (1.0 + values["stribeck"] * slow)

@@ -50,16 +50,17 @@ FRICTION: dict[str, tuple[str, ...]] = {
     "asymmetric, with an offset": (
         "viscous", "coulomb", "viscous_asymmetry", "coulomb_asymmetry",
     ),
-    "load-dependent": ("viscous", "coulomb", "loaded", "carried"),
+    "load-dependent": ("viscous", "loaded"),
+    "dry and load-dependent": ("viscous", "coulomb", "loaded"),
     "load-dependent, more at rest": (
-        "viscous", "coulomb", "loaded", "carried", "stribeck", "stribeck_speed",
+        "viscous", "coulomb", "loaded", "stribeck", "stribeck_speed",
     ),
 }  # fmt: skip
 """Names of the numbers that each kind of friction leaves free."""
 
 _NEUTRAL: dict[str, float] = {
     "inertia": 1.0, "gain": 1.0, FORCE_LIMIT: 1e12, "viscous": 1e-12, "coulomb": 1e-12,
-    "viscous_asymmetry": 0.0, "coulomb_asymmetry": 0.0, "loaded": 0.0, "carried": 0.0,
+    "viscous_asymmetry": 0.0, "coulomb_asymmetry": 0.0, "loaded": 0.0,
     "stribeck": 0.0, "stribeck_speed": 1.0, "gravity": 0.0, "zero": 0.0, "offset": 0.0,
     KP: 1.0, KD: 0.0, **NEUTRAL_DRIVE,
     # Not known: where the log begins.
@@ -236,7 +237,6 @@ class _Context:
             Unknown("viscous_asymmetry", "1", -1.0, 1.0, (0.0,)),
             Unknown("coulomb_asymmetry", "1", -1.0, 1.0, (0.0,)),
             Unknown("loaded", "1", 0.0, 0.95, (0.01, 0.1)),
-            Unknown("carried", "1", 0.0, 2.0, (0.1,)),
             Unknown("stribeck", "1", 0.0, 10.0, (0.02, 0.3)),
             Unknown("stribeck_speed", speed, 1e-3 * guess["speed"], 3.0 * guess["speed"],
                     (0.1 * guess["speed"],), positive=True),

@@ -54,7 +54,6 @@ _FRICTION = {
     "viscous_asymmetry": "viscous friction that differs by direction",
     "coulomb_asymmetry": "dry friction that differs by direction",
     "loaded": "friction that grows with the drive's force",
-    "carried": "friction that grows with the load",
     "stribeck": "larger friction at rest",
     "offset": "a constant force",
 }

@@ -114,7 +114,7 @@ def test_a_pendulum_keeps_its_energy_and_period():
     np.testing.assert_allclose(position, 0.01 / natural * np.sin(natural * time), atol=2e-6)
 
 
-LOADED = {"loaded": 0.2, "carried": 0.1, "stribeck": 0.4, "stribeck_speed": 0.5}
+LOADED = {"loaded": 0.2, "stribeck": 0.4, "stribeck_speed": 0.5}
 NAMES = ("inertia", "gain", "wn", "zeta", "delay", "viscous", "coulomb", "gravity", "loaded")
 
 
