@@ -88,7 +88,7 @@ class Identified:
         quanta = self.inspections[0].quanta
         if "position" in quanta:
             values[POSITION_RESOLUTION] = quanta["position"]
-        values[CONTROL_RATE] = self.control_rate or round(1.0 / log.period, 6)
+        values[CONTROL_RATE] = self.control_rate or float(f"{1.0 / log.period:.4g}")
         return values
 
     def _numbers(self) -> dict[str, float]:

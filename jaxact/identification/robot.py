@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from jaxact.identification.log import Log
 from jaxact.identification.reading import ColumnMap, Columns, read
 from jaxact.identification.report import estimate
 from jaxact.identification.result import Identified
-from jaxact.identification.verdict import Level
+from jaxact.identification.verdict import MOST_CORRELATED, Level
 from jaxact.loops import drives
 from jaxact.loops.drives import ROBOT, IdentifiedDrive
 from jaxact.parameters import (
@@ -51,6 +51,8 @@ SUFFIXES = (".xml", ".mjcf", ".urdf")
 
 # Numbers of a joint that its model has too -> the parameter that is added to the model's.
 _ADDED = {"armature": JOINT_ARMATURE, "viscous": JOINT_DAMPING, "coulomb": JOINT_FRICTION}
+# Models whose error on unseen logs is within this factor are about as good.
+_ABOUT_AS_GOOD = 1.5
 _OF_DRIVE = (KP, KD, WN, ZETA, DELAY, FORCE_LIMIT, POSITION_RESOLUTION)
 
 
@@ -258,14 +260,40 @@ def _together(
 
 
 def _delay(found: Identified) -> Estimate:
-    """The delay's interval in the chosen model, or in the same one with a delay."""
+    """The delay's interval in the chosen model, or in the same one with a delay.
+
+    It contains what models predict that assume another friction and are about as good. Where the
+    error that is left follows the stimulus, as that of a wrong delay would, no delay is identified.
+    """
+    chosen = found.chosen
+    own = _own_delay(found)
+    period = found.ladder.fitted[0].period
+    others = [
+        one.numbers[DELAY]
+        for one in found.ladder.candidates
+        if one.rung.dynamics == DELAY and one.error <= _ABOUT_AS_GOOD * chosen.error
+    ]
+    low, high = min(own.low, *others, own.value), max(own.high, *others, own.value)
+    reason = own.reason
+    if not reason and high - low > max(period, own.high - own.low):
+        reason = "it depends on the friction that is assumed"
+    if found.verdict.correlated > MOST_CORRELATED:
+        high = max(high, low + period)
+        reason = reason or "the error that is left follows the stimulus, as a delay's would"
+    return replace(own, low=low, high=high, identified=not reason, reason=reason)
+
+
+def _own_delay(found: Identified) -> Estimate:
+    """The delay's estimate in the chosen model, or in the same one with a delay."""
     chosen = found.chosen
     if DELAY in chosen.rung.free:
         return chosen.knowledge[DELAY]
-    late = next(
+    names = (f"{chosen.rung.dynamics} with delay", DELAY)
+    beside = [
         one
+        for name in names
         for one in found.ladder.candidates
-        if one.rung.dynamics == DELAY and one.rung.friction == chosen.rung.friction
-    )
+        if one.rung.dynamics == name and one.rung.friction == chosen.rung.friction
+    ]
     with jax.enable_x64(True):
-        return knowledge.of_fit(late.fit)[DELAY]
+        return knowledge.of_fit(beside[0].fit)[DELAY]

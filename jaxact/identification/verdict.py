@@ -23,7 +23,8 @@ _GOOD_SCORE = 85.0
 _LEAST_SCORE = 40.0
 # A validation log that is this much worse than the fitted ones was not foreseen by the model.
 _MOST_LOST = 10.0
-_MOST_CORRELATED = 0.35
+MOST_CORRELATED = 0.35
+"""Correlation of error and stimulus from which on the error follows the stimulus."""
 
 
 class Level(Enum):
@@ -84,7 +85,7 @@ def judge(ladder: Ladder) -> Verdict:
         reasons.append(f"{score:.1f} % of logs it has not seen is predicted")
     if own - score > _MOST_LOST:
         reasons.append(f"it does not carry over: {own:.1f} % of the fitted logs is predicted")
-    if correlated > _MOST_CORRELATED:
+    if correlated > MOST_CORRELATED:
         reasons.append(f"its error follows the stimulus (correlation {correlated:.2f})")
     bounds = [e.name for e in chosen.knowledge.estimates if e.at_bound and e.name != DELAY]
     if bounds:
