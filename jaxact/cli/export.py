@@ -71,7 +71,7 @@ def main(
             if name in given or (name == "out" and out is not None):
                 raise UserError(f"{_arguments.typed(name)}: is for gains; give --to as well")
         if file is None:
-            raise UserError("give the NetCDF file to write, or a format of gains with --to")
+            raise UserError("give FILE, the NetCDF file to write, or a format of gains with --to")
         _netcdf(result, file, overwrite=overwrite)
         return
     if file is not None and out is not None:
