@@ -51,6 +51,9 @@ ControlRate = Annotated[
 Loss = Annotated[
     str, arg(metavar="linear|soft_l1|huber", help="Of the least squares; others bear outliers.")
 ]
+Method = Annotated[
+    str, arg(metavar="trf|adam", help="trf: all logs at once; adam: a few at a time, for dozens.")
+]
 Bootstrap = Annotated[
     bool, arg(help="Intervals by resampling blocks of rows, a check of the usual ones.")
 ]
@@ -81,6 +84,7 @@ def main(
     groups: Groups = "",
     control_rate: ControlRate = None,
     loss: Loss = "linear",
+    method: Method = "trf",
     bootstrap: Bootstrap = False,
     out: Out = None,
     overwrite: Overwrite = False,
@@ -121,7 +125,7 @@ def main(
         found = identify(
             logs, plant, validate=validate, columns=columns, joint=joint,
             groups=groups.split(",") if groups else (),
-            control_rate=control_rate, loss=loss, bootstrap=bootstrap,
+            control_rate=control_rate, loss=loss, method=method, bootstrap=bootstrap,
             progress=lambda name: progress(f"fitting: {name}"),
         )  # fmt: skip
     _write(found, out, picture)

@@ -17,8 +17,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from jaxact.identification.minibatches import descend
 from jaxact.identification.problem import Problem, Unknown, effective_lag
 from jaxact.parameters import DELAY, WN, ZETA
+
+LEAST_SQUARES, ADAM = "trf", "adam"
+METHODS = (LEAST_SQUARES, ADAM)
 
 # The most promising pieces are solved; from a solution at a tick the search goes on beyond it.
 _MOST_PIECES = 2
@@ -77,6 +81,7 @@ def solve(
     sought: Problem,
     *,
     loss: str = "linear",
+    method: str = LEAST_SQUARES,
     fixed: Mapping[str, float] | None = None,
     start: Mapping[str, float] | None = None,
     near: Fit | None = None,
@@ -87,6 +92,7 @@ def solve(
     Args:
         sought: the problem.
         loss: of `scipy.optimize.least_squares`; "soft_l1" and "huber" bear outliers.
+        method: "trf", least squares on all logs at once, or "adam" on a few at a time.
         fixed: unknowns that are held at a value.
         start: unknowns that begin at a value instead of each of their starts.
         near: a solution of another model of the same logs, whose values are begun from.
@@ -98,6 +104,10 @@ def solve(
     """
     held = {} if fixed is None else dict(fixed)
     begun = _begin(sought, held, {} if start is None else start, near)
+    if method == ADAM:
+        free = [index for index, u in enumerate(sought.unknowns) if u.name not in held]
+        point = descend(sought, begun[0][1], *_bounds(sought), free)
+        return at(sought, point, sought.evaluate(point))
     tried = {
         piece: _solve_piece(sought, held, point, piece, loss, _FIRST_EVALUATIONS)
         for piece, point in begun[:_MOST_PIECES]

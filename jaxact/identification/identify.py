@@ -10,6 +10,7 @@ import jax
 
 from jaxact.errors import UserError, nearest, shown
 from jaxact.identification import forces, motion
+from jaxact.identification.fitting import ADAM, LEAST_SQUARES, METHODS
 from jaxact.identification.ladder import climb
 from jaxact.identification.log import Log
 from jaxact.identification.reading import ColumnMap, Columns, read, read_columns
@@ -31,6 +32,7 @@ def identify(
     joint: str = "",
     control_rate: float | None = None,
     loss: str = "linear",
+    method: str = LEAST_SQUARES,
     bootstrap: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Identified:
@@ -44,6 +46,8 @@ def identify(
         joint: of several in a file.
         control_rate: at which the drive's own controller runs [Hz]; None for once a row.
         loss: of the least squares; "soft_l1" and "huber" bear outliers.
+        method: "trf", least squares on all logs at once; "adam" on a few at a time, for dozens,
+            where one step with all of them takes long. It ends near the least squares, not at it.
         bootstrap: intervals by resampling blocks instead of the kernel's estimate.
         progress: is told each model's name as its turn comes.
 
@@ -57,6 +61,10 @@ def identify(
         raise UserError(f"plant = {shown(plant)}; {nearest(plant, PLANTS)}")
     if loss not in LOSSES:
         raise UserError(f"loss = {shown(loss)}; {nearest(loss, LOSSES)}")
+    if method not in METHODS:
+        raise UserError(f"method = {shown(method)}; {nearest(method, METHODS)}")
+    if method == ADAM and loss != "linear":
+        raise UserError("`loss` is of the least squares; leave it out, or `method`")
     if control_rate is not None and not 0.1 <= control_rate <= 1e5:
         raise UserError(
             f"`control_rate` = {control_rate:g} is out of range; allowed: 0.1 to 1e5 Hz"
@@ -72,7 +80,9 @@ def identify(
             family = forces.family(fitted)
         else:
             family = motion.family(fitted, plant, control_rate)
-        ladder = climb(family, fitted, held, loss=loss, bootstrap=bootstrap, report=progress)
+        ladder = climb(
+            family, fitted, held, loss=loss, method=method, bootstrap=bootstrap, report=progress
+        )
         return Identified(plant, ladder, inspected(ladder), judge(ladder), control_rate)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxact.identification import knowledge as _knowledge
-from jaxact.identification.fitting import Fit, solve
+from jaxact.identification.fitting import LEAST_SQUARES, Fit, solve
 from jaxact.identification.inspection import quantum
 from jaxact.identification.knowledge import Knowledge
 from jaxact.identification.log import Log
@@ -100,6 +100,7 @@ def climb(
     validation: Sequence[Log],
     *,
     loss: str = "linear",
+    method: str = LEAST_SQUARES,
     bootstrap: bool = False,
     report: Callable[[str], None] | None = None,
 ) -> Ladder:
@@ -110,6 +111,7 @@ def climb(
         logs: to fit.
         validation: to try the models on; where there are none, the last 30 % of each log.
         loss: of the least squares, "linear", "soft_l1" or "huber".
+        method: of `METHODS`.
         bootstrap: intervals by resampling.
         report: is told each rung's name as its turn comes.
 
@@ -122,7 +124,7 @@ def climb(
     for rung in stages(family, found, floor):
         if report is not None:
             report(rung.name)
-        found.append(_candidate(family, rung, fitted, held, loss, found))
+        found.append(_candidate(family, rung, fitted, held, (loss, method), found))
     found = [without_delay(one, found) for one in found]
     chosen = choose(found, floor)
     final = replace(chosen, knowledge=_knowledge.of_fit(chosen.fit, bootstrap=bootstrap))
@@ -201,7 +203,7 @@ def _candidate(
     rung: Rung,
     fitted: Sequence[Log],
     held: Sequence[Log],
-    loss: str,
+    way: tuple[str, str],
     before: Sequence[Candidate],
 ) -> Candidate:
     sought = of_rung(family, rung, fitted)
@@ -209,7 +211,8 @@ def _candidate(
     others = [one.fit for one in before if one.joint <= set(rung.free)]
     fit = solve(
         sought,
-        loss=loss,
+        loss=way[0],
+        method=way[1],
         near=min(others, key=lambda one: one.square_sum, default=None),
         enough=min((one.square_sum for one in contained), default=0.0),
     )

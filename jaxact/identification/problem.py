@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -123,20 +123,24 @@ class Problem:
         }
         return {**self.numbers, **own}
 
-    def evaluate(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(
+        self, point: np.ndarray, logs: Sequence[int] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals at a point of the search, and their derivatives by the unknowns.
 
         Args:
             point: shape (unknowns,).
+            logs: numbers of those that are looked at; None for all.
 
         Returns:
             Of the logs one after another, shapes (rows,) and (rows, unknowns).
         """
         with jax.enable_x64(True):
             # All are under way before the first is waited for.
-            started = [self._started(point, number) for number in range(len(self.inputs))]
+            chosen = range(len(self.inputs)) if logs is None else logs
+            started = [(self._started(point, number), self.measured[number]) for number in chosen]
         rests, slopes = [], []
-        for (signal, along, places), measured in zip(started, self.measured, strict=True):
+        for (signal, along, places), measured in started:
             rows = len(measured)
             rests.append(self.scale * (np.asarray(signal)[:rows] - measured))
             own = np.zeros((rows, len(self.unknowns)))

@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from jaxact.errors import UserError, nearest, shown
 from jaxact.identification import identify as _joints
 from jaxact.identification import knowledge
+from jaxact.identification.fitting import LEAST_SQUARES
 from jaxact.identification.identify import Source
 from jaxact.identification.model import predicted
 from jaxact.identification.reading import ColumnMap, Columns, read_columns
@@ -45,6 +46,7 @@ def identify(
     groups: Sequence[str] = (),
     control_rate: float | None = None,
     loss: str = "linear",
+    method: str = LEAST_SQUARES,
     bootstrap: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Any:
@@ -69,6 +71,8 @@ def identify(
             every joint its own.
         control_rate: at which the drive's own controller runs [Hz]; None for once a row.
         loss: of the least squares; "soft_l1" and "huber" bear outliers.
+        method: "trf", least squares on all logs at once; "adam" on a few at a time, for dozens,
+            where one step with all of them takes long. It ends near the least squares, not at it.
         bootstrap: intervals by resampling blocks instead of the kernel's estimate.
         progress: is told each model's name as its turn comes.
 
@@ -82,7 +86,7 @@ def identify(
     read = read_columns(Path(columns)) if isinstance(columns, str | os.PathLike) else columns
     given: dict[str, Any] = {
         "validate": validate, "columns": read, "joint": joint, CONTROL_RATE: control_rate,
-        "loss": loss, "bootstrap": bootstrap, "progress": progress,
+        "loss": loss, "method": method, "bootstrap": bootstrap, "progress": progress,
     }  # fmt: skip
     if Path(plant).suffix.lower() in SUFFIXES:
         return identify_robot(logs, Path(plant), groups=groups, **given)

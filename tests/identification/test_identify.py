@@ -11,7 +11,8 @@ from scipy.linalg import expm
 import jaxact
 from jaxact.cli.main import main
 from jaxact.errors import UserError
-from jaxact.identification import model
+from jaxact.identification import forces, model
+from jaxact.identification.fitting import METHODS, solve
 from jaxact.identification.identify import identify
 from jaxact.identification.log import Log
 
@@ -172,6 +173,8 @@ def test_the_command_writes_the_drive_and_a_picture(files, tmp_path, capsys):
     [
         (["--plant", "car"], "plant = 'car'"),
         (["--loss", "cubic"], "loss = 'cubic'"),
+        (["--method", "newton"], "method = 'newton'"),
+        (["--method", "adam", "--loss", "huber"], "--loss is of the least squares"),
         (["--plant", "mass"], "has no position; a mass needs one"),
         (["--joint", "elbow"], "joint 'elbow' is not in the map"),
         (["--control-rate", "0"], "--control-rate = 0 is out of range"),
@@ -200,3 +203,15 @@ def test_pictures_on_the_callers_axes(starleth):
     with pytest.raises(UserError, match="'mass' is not an unknown of the model"):
         jaxact.plot.profile_likelihood(starleth, "mass")
     pyplot.close("all")
+
+
+def test_a_first_order_method_over_a_few_of_many_logs_ends_near_the_least_squares():
+    logs = [_log(_prbs(seed), STARLETH, seed) for seed in range(20, 32)]
+    with jax.enable_x64(True):
+        family = forces.family(logs)
+        rung = next(rung for rung in family.rungs if rung.name == "second order with delay")
+        both = [solve(model.of_rung(family, rung, logs), method=method) for method in METHODS]
+    exact, near = (fit.square_sum for fit in both)
+    assert exact <= near < 1.05 * exact
+    assert both[1].values["wn"] == pytest.approx(both[0].values["wn"], rel=0.05)
+    assert both[1].values["delay"] == pytest.approx(both[0].values["delay"], abs=3e-4)
