@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
     from jaxact.tuning.robot.loops import Situation
 
+# A box of so many ranges has 256 corners, each of them a robot to linearise.
+_MOST_OPEN = 8
 Range = tuple[float, float] | str
 """(low, high), or as it is written on the command line: "0.8x..1.2x"."""
 
@@ -138,6 +140,9 @@ def intervals(drive: IdentifiedDrive, loop: ControlLoop, ranges: str = "") -> st
         drive: identified.
         loop: what it says otherwise is known.
         ranges: that replace those of the drive, or are beside them.
+
+    Raises:
+        UserError: more numbers are open than a box can have.
     """
     given = {canonical(part.partition("=")[0].strip()) for part in ranges.split(",") if part}
     found = drive.uncertainty
@@ -149,6 +154,11 @@ def intervals(drive: IdentifiedDrive, loop: ControlLoop, ranges: str = "") -> st
         if name not in given
         and (name not in drive.joint or np.all(loop.parameters[name] == drive.joint[name]))
     }
+    if len(own) > _MOST_OPEN:
+        raise UserError(
+            f"`uncertainty`: {drive.name} leaves {len(own)} numbers open, and their box has too"
+            " many corners; give ranges of your own, or identify fewer groups of joints"
+        )
     return ",".join(part for part in (_ranges(own), ranges) if part)
 
 

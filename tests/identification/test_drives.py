@@ -159,6 +159,20 @@ def test_intervals_are_of_what_the_loop_has_from_its_drive():
     assert servo.uncertainty["wn"] == (pytest.approx(0.8), pytest.approx(1.25))
 
 
+def test_a_box_of_too_many_numbers_is_refused(folder):
+    keys = [f"delay@joint_{at}" for at in range(9)]
+    open_numbers = "".join(f'"{key}" = [0.0, 0.01]\n' for key in keys)
+    values = "".join(f'"{key}" = 0.002\n' for key in keys)
+    (folder / "robot.toml").write_text(
+        f'plant = "robot"\nunit = "rad"\n[robot]\n{values}[uncertainty]\n{open_numbers}'
+        "[estimates]\n[joints]\n"
+    )
+    model = ROOT / "experiments" / "quadruped" / "quadruped.xml"
+    loop = jx.robot(model, drive="robot.toml")
+    with pytest.raises(UserError, match=r"robot\.toml leaves 9 numbers open"):
+        jx.tune(loop, uncertainty=jx.load_drive("robot.toml"))
+
+
 def test_gains_are_robust_over_the_drawn_drives(folder, capsys):
     (folder / "still.toml").write_text(BENCH.replace("control_rate = 500.0\n", ""))
     given = ["--drive", "still.toml", "--inertia", "0.05", "--max-peak", "2"]
