@@ -13,7 +13,7 @@ from tyro.conf import arg
 
 from jaxact.cli import _arguments, _cache, _folders, _loops, _progress, _warnings
 from jaxact.cli._arguments import UNSET, UNSET_NUMBER, option
-from jaxact.errors import UserError
+from jaxact.errors import UserError, nearest, shown
 from jaxact.loops.drives import DRIVE, load_drive
 from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, LINEAR
 
@@ -313,6 +313,9 @@ def _uncertainty(
     words = search.uncertainty or ("" if drive is None else INTERVALS)
     first, _, rest = words.partition(",")
     if first not in (INTERVALS, SAMPLES, NONE):
+        if drive is not None and "=" not in first:
+            what = nearest(first, (INTERVALS, SAMPLES, NONE, "NAME=LOW..HIGH"))
+            raise UserError(f"--uncertainty {shown(first)}; {what}")
         return words
     if drive is None:
         raise UserError(f"--uncertainty {first}: is of an identified drive; give one with --drive")

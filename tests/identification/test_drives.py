@@ -227,6 +227,7 @@ def test_a_broken_file_is_one_line(folder, capsys, old, new, said):
     ("command", "said"),
     [
         (["margins", "--drive", "none.toml"], "none.toml: cannot be read"),
+        (["tune", "--drive", "bench.toml", "--uncertainty", "sample"], "did you mean 'samples'?"),
         (["tune", "--uncertainty", "samples"], "is of an identified drive; give one with --drive"),
         (
             ["tune", "--drive", "bench.toml", "--uncertainty", "samples,mass=1..2"],
