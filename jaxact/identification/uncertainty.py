@@ -27,6 +27,8 @@ FEWEST_CLUSTERS = 6
 """Of so many logs and more, each is a draw of its own."""
 # The whitening filter must stay a filter: a pole of 1 would make the estimate infinite.
 _LARGEST_POLE = 0.97
+# Of the filter's coefficients 1 minus their sum is at least this over the number of rows.
+_LEAST_REST = 10.0
 # Largest order of the whitening filter per factor of ten of the rows.
 _ORDERS = 10
 
@@ -127,7 +129,8 @@ def _whitened(series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     white, sums = series.copy(), np.zeros(series.shape[1])
     for column in range(series.shape[1]):
         coefficients = _autoregression(covariances[:, column], rows)
-        sums[column] = min(float(coefficients.sum()), _LARGEST_POLE)
+        # A smooth series has a sum close to 1; a filter that remembers the whole log is none.
+        sums[column] = min(float(coefficients.sum()), 1.0 - _LEAST_REST / rows)
         white[:, column] = signal.lfilter(np.append(1.0, -coefficients), [1.0], series[:, column])
     return white, sums
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from jaxact.identification import uncertainty
 from jaxact.identification.problem import Unknown
@@ -84,3 +85,14 @@ def test_independent_residuals_have_the_naive_intervals():
     fit, _ = _regression(5, 0.0)
     both = [np.sqrt(np.diag(c)) for c in (uncertainty.robust(fit), uncertainty.naive(fit))]
     np.testing.assert_allclose(both[0], both[1], rtol=0.25)
+
+
+def test_a_smooth_series_has_the_long_run_variance_of_its_filter():
+    # Sampled finely, so that the filter's coefficients almost add up to 1: sum of n values of
+    # e / (1 - p z)^2 has the variance n / (1 - p)^4.
+    pole, rows = 0.97, 20_000
+    white = np.random.default_rng(6).normal(size=(rows, 12))
+    series = lfilter([1.0], [1.0, -2.0 * pole, pole**2], white, axis=0)
+    found = np.diag(uncertainty.long_run(series)) * (1.0 - pole) ** 4 / rows
+    np.testing.assert_allclose(np.sqrt(found), 1.0, atol=0.35)
+    assert np.mean(np.sqrt(found)) == pytest.approx(1.0, abs=0.1)
