@@ -74,7 +74,7 @@ def main(
         mounted[CONTROL_RATE] = control_rate
     identified = _loops.identified(drive, (), robot=True)
     found = check(
-        robot(model, keyframe=keyframe, joints=joints, drive=identified, **mounted)  # type: ignore[arg-type]
+        robot(model, keyframe=keyframe, joints=joints, gains=gains, drive=identified, **mounted)  # type: ignore[arg-type]
     )
     print(_options.typed(found.to_json() if json else repr(found), "margins"))
     if found.refused:

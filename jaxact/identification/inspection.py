@@ -202,6 +202,26 @@ def recomputed(log: Log) -> Controller | None:
     )  # fmt: skip
 
 
+def explained_by(log: Log, kp: float, kd: float) -> float:
+    """Share of the command's variance that these gains explain.
+
+    With or without the setpoint's velocity in the damping, whichever explains more; a constant, and
+    what is fed forward, are free.
+    """
+    error, speed = log[SETPOINT] - log["position"], velocity(log)
+    command = log["command"]
+    limit = saturation(command)
+    inside = np.ones(len(log), bool) if limit is None else np.abs(command) < 0.999 * limit
+    free = [np.ones(len(log)), *([log[FEEDFORWARD]] if FEEDFORWARD in log else [])]
+    matrix = np.stack(free, axis=1)[inside]
+    left = []
+    for wanted in (0.0, np.gradient(log[SETPOINT], log.time)):
+        rest = (command - kp * error - kd * (wanted - speed))[inside]
+        rest = rest - matrix @ np.linalg.lstsq(matrix, rest, rcond=1e-10)[0]
+        left.append(float(np.var(rest)))
+    return 1.0 - min(left) / max(float(np.var(command[inside])), 1e-300)
+
+
 def _missing(log: Log, rest: np.ndarray, inside: np.ndarray) -> str:
     """What the unexplained rest of a command goes with most."""
     error = log[SETPOINT] - log["position"]

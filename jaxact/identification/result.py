@@ -179,6 +179,10 @@ def inspected(ladder: Ladder) -> tuple[Inspection, ...]:
     return tuple(inspection.inspect(log) for log in (*ladder.fitted, *ladder.validation))
 
 
+# Stated gains that explain less of a command, where others explain nearly all of it, are wrong.
+_CONTRADICTS = 0.9
+
+
 def check_gains(ladder_logs: Any) -> None:
     """That the gains a map states are those that the command follows from.
 
@@ -195,4 +199,11 @@ def check_gains(ladder_logs: Any) -> None:
                 f"{log.title}: kp = {kp:g} contradicts the command, which follows from"
                 f" kp = {found.kp:.4g} and kd = {found.kd:.4g}; correct the map, or say"
                 ' kp = "unknown"'
+            )
+        kd = log.gains[1]
+        if kd is not None and inspection.explained_by(log, kp, kd) < _CONTRADICTS:
+            raise UserError(
+                f"{log.title}: kd = {kd:g} contradicts the command, which follows from"
+                f" kp = {found.kp:.4g} and kd = {found.kd:.4g}; correct the map, or say"
+                ' kd = "unknown"'
             )

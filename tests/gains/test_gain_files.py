@@ -388,7 +388,7 @@ def test_the_command_line_takes_gains(model, tmp_path):
     file.write_text("kps: [1]\nkds: [1]\n")
     again = jaxact("export", file, "--to", "toml", "--model", model, "--out", out)
     bad = jaxact("margins", "--model", model, "--gains", file)
-    for ran, word in ((bad, "4 driven joints"), (again, "already")):
+    for ran, word in ((bad, "4 driven joints"), (again, "--overwrite")):
         assert ran.returncode == 2 and ran.stderr.startswith("jaxact: ") and word in ran.stderr
         assert ran.stderr.count("\n") == 1
 

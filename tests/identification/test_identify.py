@@ -15,6 +15,7 @@ from jaxact.identification import forces, model
 from jaxact.identification.fitting import METHODS, solve
 from jaxact.identification.identify import identify
 from jaxact.identification.log import Log
+from jaxact.identification.result import check_gains
 
 ROWS = 1500
 TICK = 1e-3
@@ -130,6 +131,31 @@ def test_gains_that_contradict_the_command_are_refused():
     wrong = Log("closed", log.time, signals, gains=(100.0, 0.0))
     with pytest.raises(UserError, match="contradicts the command, which follows from kp = 50"):
         identify(wrong)
+
+
+@pytest.mark.parametrize("follows", (False, True))
+def test_damping_that_contradicts_the_command_is_refused(follows):
+    """Of a controller that damps the velocity, or its difference from the setpoint's."""
+    time = np.arange(4000) * 1e-3
+    waves = [(0.2, 7.0, 0.3), (0.1, 23.0, 1.1), (0.03, 61.0, 0.2)]
+    position, rate = (
+        sum(a * w**n * np.sin(w * time + p + n * np.pi / 2) for a, w, p in waves) for n in (0, 1)
+    )
+    setpoint, wanted = (
+        sum(a * w**n * np.sin(w * time + p + 0.2 + n * np.pi / 2) for a, w, p in waves)
+        for n in (0, 1)
+    )
+    command = 50.0 * (setpoint - position) + 0.8 * (wanted * follows - rate)
+    signals = {"command": command, "position": position, "setpoint": setpoint}
+
+    def log(kd):
+        return Log("closed", time, signals, gains=(50.0, kd))
+
+    check_gains([log(0.8), log(None)])
+    if follows:  # what the setpoint's velocity adds is no gain of the joint's
+        return
+    with pytest.raises(UserError, match=r"kd = 8 contradicts the command, .* kd = 0\.[78]"):
+        check_gains([log(8.0)])
 
 
 def test_a_picture_does_not_take_the_drives_place(files, tmp_path, capsys):
