@@ -220,6 +220,9 @@ class _Context:
     def unknowns(self, logs: Sequence[Log]) -> dict[str, Unknown]:
         guess = _guess(logs, self)
         force = "N m" if logs[0].unit == "rad" else "N"
+        rubbing = f"{force} s/{logs[0].unit}"
+        if self.sought_gains:  # all of it per unit of the inertia
+            force, rubbing = f"{logs[0].unit}/s^2", "1/s"
         mass = "kg m^2" if logs[0].unit == "rad" else "kg"
         speed = "rad/s" if logs[0].unit == "rad" else "m/s"
         size, coulomb = guess["size"], max(abs(guess["coulomb"]), 0.02 * guess["size"])
@@ -231,8 +234,7 @@ class _Context:
             *(Unknown(name, mass, low * guess["inertia"], high * guess["inertia"],
                       (guess["inertia"],), positive=True) for name in ("inertia", "armature")),
             Unknown("gain", "1", 1e-3 * guess["gain"], 1e3 * guess["gain"], (guess["gain"],)),
-            Unknown("viscous", f"{force} s/{logs[0].unit}", low * viscous, high * viscous,
-                    (viscous,), positive=True),
+            Unknown("viscous", rubbing, low * viscous, high * viscous, (viscous,), positive=True),
             Unknown("coulomb", force, low * coulomb, 1e2 * coulomb, (coulomb,), positive=True),
             Unknown("viscous_asymmetry", "1", -1.0, 1.0, (0.0,)),
             Unknown("coulomb_asymmetry", "1", -1.0, 1.0, (0.0,)),

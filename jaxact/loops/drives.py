@@ -157,6 +157,7 @@ class IdentifiedDrive:
         if self.plant == ROBOT:
             return own
         force = "N m" if self.unit == "rad" else "N"
+        force = f"{self.unit}/s^2" if KP in self.numbers else force  # per unit of inertia
         dry = self.numbers.get("coulomb", 0.0)
         said = [words for name, words in _FRICTION.items() if self.numbers.get(name)]
         if robot and KP in self.numbers:

@@ -241,3 +241,20 @@ def test_a_first_order_method_over_a_few_of_many_logs_ends_near_the_least_square
     assert exact <= near < 1.05 * exact
     assert both[1].values["wn"] == pytest.approx(both[0].values["wn"], rel=0.05)
     assert both[1].values["delay"] == pytest.approx(both[0].values["delay"], abs=3e-4)
+
+
+def test_of_gains_that_are_not_known_all_is_per_unit_of_the_inertia():
+    """With neither gains nor force in the log, friction is an acceleration, not a force."""
+    time = np.arange(1500) * 2e-3
+    setpoint = 0.2 * np.sign(np.sin(9.0 * time)) * np.abs(np.sin(2.3 * time))
+    position, speed, found = 0.0, 0.0, []
+    for wanted in setpoint:
+        for _ in range(2):
+            push = 300.0 * (wanted - position) - 25.0 * speed - 1.5 * np.tanh(speed / 1e-3)
+            speed += 1e-3 * push
+            position += 1e-3 * speed
+        found.append(position)
+    log = Log("servo", time, {"setpoint": setpoint, "position": np.array(found)})
+    found = identify(log, plant="mass").chosen.knowledge.estimates
+    units = {one.name: one.unit for one in found}
+    assert units["kp"] == "1/s^2" and units["coulomb"] == "rad/s^2"
