@@ -190,6 +190,7 @@ def test_what_an_environment_draws_stays_until_it_is_reset(four):
     assert not shares[0].any() and all((one == shares[1]).all() for one in shares[2:])
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("full_reset", (False, True))
 def test_drives_begin_anew_with_their_episode(full_reset):
     """Through Playground's wrapper: with the first command held before, and another draw."""
@@ -211,6 +212,7 @@ def test_drives_begin_anew_with_their_episode(full_reset):
     assert (draws[starts[0]] != draws[starts[1]]).all()
 
 
+@pytest.mark.exhaustive
 def test_randomised_models_bring_their_own_gains():
     """Beside `randomization_fn`, which ordinary wrappers are left out by."""
     env = playground(Leg(leg()), delay=0.004)
@@ -241,6 +243,7 @@ def test_randomised_models_bring_their_own_gains():
         )
 
 
+@pytest.mark.exhaustive
 def test_delay_in_the_loop_shakes_where_margins_say_so_and_of_the_setpoint_does_not(tmp_path):
     path = tmp_path / "leg.xml"
     path.write_text(leg(gravity=0.0))
