@@ -313,6 +313,7 @@ BAD = {
     "broken.yaml": ("kps: [1, 2\nkds: [1\n", "YAML"),
     "empty.yaml": ("", "not a file of gains"),
     "computed.py": (MJLAB.replace("0.02", "inertia(3)"), "line 2"),
+    "key.py": ('A = X(joint_names_expr=[".*"], stiffness={[1]: 3}, damping=1)\n', "line 1"),
     "nothing.py": ("x = 1\n", "neither"),
     "syntax.py": ("def f(:\n", "line 1"),
     "overlap.py": (MJLAB.replace(".*_hip_joint", ".*hip.*"), "both give"),
