@@ -22,6 +22,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 STUDY := paper_gain_map
 ROBOTS := .robots
 ENVIRONMENTS := .environments
+TORCH := .torch
 
 .PHONY: help demo paper quadruped tuning engines shipped identification test test-all lint bench lock clean
 .DELETE_ON_ERROR:
@@ -51,10 +52,10 @@ shipped: $(STAMP) $(ROBOTS)/.complete
 identification: $(STAMP)
 	$(BIN)/python experiments/identification/run.py
 
-test: $(STAMP) $(ENVIRONMENTS)/.complete
+test: $(STAMP) $(ENVIRONMENTS)/.complete $(TORCH)/.complete
 	PYTHONPATH=$(ENVIRONMENTS) $(BIN)/python -m pytest -n auto -m "not exhaustive"
 
-test-all: $(STAMP) $(ENVIRONMENTS)/.complete
+test-all: $(STAMP) $(ENVIRONMENTS)/.complete $(TORCH)/.complete
 	PYTHONPATH=$(ENVIRONMENTS) $(BIN)/python -m pytest -n auto
 
 lint: $(STAMP)
@@ -69,7 +70,7 @@ lock:
 	@python=$$(tools/find_python.sh "$(PYTHON)") && "$$python" tools/lock.py
 
 clean:
-	rm -rf $(VENV) $(ROBOTS) $(ENVIRONMENTS)
+	rm -rf $(VENV) $(ROBOTS) $(ENVIRONMENTS) $(TORCH)
 
 # Everything is pinned by the lock file, the build backend included, so nothing is resolved here;
 # the second step only adds what a platform needs beyond it (colorama on Windows).
@@ -93,4 +94,14 @@ $(ENVIRONMENTS)/.complete: $(STAMP)
 	@$(PIP) install --no-deps --no-compile --target $(ENVIRONMENTS) playground==0.2.0 brax==0.14.2 \
 		flax==0.12.12 ml-collections==1.1.0 jaxopt==0.8.5 cloudpickle==3.1.3 lxml==6.1.3 tqdm==4.70.1 \
 		gymnasium==1.4.0 farama-notifications==0.0.6 imageio==2.38.1
+	@touch $@
+
+# What runs exported drives in the tests: torch for CPUs, apart from JAX's environment. Where pip has
+# no such wheel, those tests are skipped.
+$(TORCH)/.complete:
+	@rm -rf $(TORCH) && mkdir $(TORCH)
+	@python=$$(tools/find_python.sh "" 3.11) && "$$python" -m venv $(TORCH) && \
+		$(TORCH)/bin/python -m pip --disable-pip-version-check -qq install --no-deps --no-compile \
+		torch==2.13.0+cpu numpy==2.4.6 typing-extensions==4.16.0 || \
+		{ rm -rf $(TORCH)/bin; echo "no torch for Python 3.11: tests of it are skipped" >&2; }
 	@touch $@

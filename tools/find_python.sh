@@ -2,6 +2,8 @@
 # Print the Python to build the environment with: the best one on this machine that really runs.
 # A name on the PATH may be a launcher that fails, so each candidate is executed. Python 3.12 and newer
 # come first: they get a newer JAX, which sweeps two to three times faster than the one for 3.11.
+#
+#     find_python.sh [PYTHON [VERSION]]     this very interpreter, or one of this version only
 set -u
 
 CHECK='import sys, venv, ensurepip; sys.exit(not sys.version_info >= (3, 11))'
@@ -19,7 +21,7 @@ fi
 roots="${PYENV_ROOT:-} ${HOME:-}/.pyenv"
 command -v pyenv >/dev/null 2>&1 && roots="$roots $(pyenv root 2>/dev/null)"
 
-for version in 3.13 3.12 3.14 3.11; do
+for version in ${2:-3.13 3.12 3.14 3.11}; do
     runs "python$version" && { command -v "python$version"; exit 0; }
     for root in $roots; do
         for candidate in "$root"/versions/"$version".*/bin/python; do
@@ -27,6 +29,7 @@ for version in 3.13 3.12 3.14 3.11; do
         done
     done
 done
+[ -n "${2:-}" ] && exit 1
 for name in python3 python; do
     runs "$name" && { command -v "$name"; exit 0; }
 done

@@ -1,22 +1,24 @@
-"""`jaxact export`: a sweep's results as one NetCDF file, or gains in other people's formats."""
+"""`jaxact export`: a sweep's results as one NetCDF file, or gains and drives as others' files."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
 from jaxact import files
 from jaxact.cli import _arguments, _warnings
 from jaxact.cli._arguments import option
-from jaxact.errors import UserError
+from jaxact.errors import UserError, shown
+
+_ALL = ".*"
 
 
 @dataclass(frozen=True)
 class Robot:
-    """Of a file of gains, which robot they are for."""
+    """Of a file of gains or a drive, which robot it is for, and what is changed of it."""
 
     model: Annotated[
         Path | None,
@@ -25,6 +27,15 @@ class Robot:
     keyframe: _arguments.Keyframe = None
     joints: _arguments.Joints = ()
     damping: _arguments.Damping = None
+    gains: _arguments.Gains = None
+    set: Annotated[
+        UseAppendAction[tuple[str, ...]],
+        option(
+            "KEY=VALUE",
+            "A parameter of the drive, or of some joints: a number, or a range LOW..HIGH that"
+            " every environment draws from at its reset: delay=0.002..0.008, kp@.*_knee=30.",
+        ),
+    ] = ()
 
 
 def main(
@@ -33,8 +44,8 @@ def main(
         arg(
             metavar="RESULT",
             help="Results of a sweep (folder, its sweep.zarr, or a URL); with --to: gains.toml or"
-            " the folder of a tuned robot, a specification with a [plant], a model, a file of"
-            " gains.",
+            " the folder of a tuned robot, a drive of identify, a specification, a model, a file"
+            " of gains.",
         ),
     ],
     robot: Robot,
@@ -47,7 +58,8 @@ def main(
         str | None,
         option(
             "toml|mjcf|deploy-yaml|rl-gym|legged-gym|isaaclab|mjlab",
-            "Write the gains of a robot in this format.",
+            "Write the gains of a robot in this format; mjlab and isaaclab: where there is a drive"
+            " behind them, an actuator in torch.",
             "the results of a sweep as NetCDF",
         ),
     ] = None,
@@ -57,13 +69,16 @@ def main(
     """Write the results of a sweep as one NetCDF-4 file, or a robot's gains as another's file.
 
     NetCDF: units and specification included. Gains: kp and kd of every joint with all their digits;
-    what the format has no place for stands in a comment and is said.
+    what the format has no place for stands in a comment and is said. Drives, for mjlab and Isaac
+    Lab: one Python file with the drive in torch, an actuator class, and its configuration.
 
     examples:
       jaxact export results/paper_gain_map map.nc
       jaxact export tuned --to deploy-yaml --model go1.xml --keyframe home --out deploy.yaml
       jaxact export deploy.yaml --to mjcf --model go1.xml
       jaxact export go1.xml --to isaaclab --out go1_gains.py
+      jaxact export drive.toml --to mjlab --set kp=35 --set kd=0.5 --out drive.py
+      jaxact export go1.xml --to isaaclab --set actuator=starleth --set delay=0.002..0.008
     """
     given = {name: value for name, value in vars(robot).items() if value not in (None, ())}
     if to is None:
@@ -79,13 +94,37 @@ def main(
     from jaxact.verbs.export import export
 
     target = out if out is not None else file
-    found = export(result, to, target, overwrite=overwrite, **given)
+    parameters = _parameters(given.pop("set", ()))
+    found = export(result, to, target, parameters=parameters, overwrite=overwrite, **given)
     for one in found.lost:
         _warnings.warn(one)
     if target is None:
         print(found.text, end="")
     else:
-        print(f"{target}: gains of {len(found.joints.names)} joints")
+        what = "drives" if "DriveActuator" in found.text else "gains"
+        print(f"{target}: {what} of {len(found.joints.names)} joints")
+
+
+def _parameters(changes: tuple[str, ...]) -> dict[str, Any]:
+    """The parameters of --set: numbers, ranges, names, and tables of patterns of joints."""
+    tables: dict[str, dict[str, Any]] = {}
+    for change in changes:
+        key, equals, text = (part.strip() for part in change.partition("="))
+        if not equals or not key or not text:
+            raise UserError(f"--set {shown(change)}: write it as key=value, e.g. kp=400")
+        try:
+            numbers = tuple(float(part) for part in text.split(".."))
+        except ValueError:
+            numbers = ()
+        value = numbers if len(numbers) == 2 else numbers[0] if len(numbers) == 1 else text
+        name, _, pattern = key.partition("@")
+        tables.setdefault(name, {})[pattern or _ALL] = value
+    # what is given for all joints counts where nothing is given for some
+    return {
+        name: table[_ALL] if [*table] == [_ALL] else {_ALL: table.pop(_ALL), **table}
+        if _ALL in table else table
+        for name, table in tables.items()
+    }  # fmt: skip
 
 
 def _netcdf(result: str, file: Path, *, overwrite: bool) -> None:

@@ -175,7 +175,9 @@ def build(
     given = dict(parameters)
     if gains is not None:
         given = _of_file(gains, model, found) | given
-    low, high = _ranges(given, found, step)
+    defaults = {name: np.asarray(PARAMETERS[name].default, float) for name in _TAKEN}
+    defaults |= dict.fromkeys(_OWN, np.asarray(np.nan)) | {CONTROL_RATE: np.asarray(1.0 / step)}
+    low, high = ranges(given, found.names, defaults)
     substeps = _substeps(float(low[CONTROL_RATE]), float(high[CONTROL_RATE]), step)
     own = np.zeros(len(found.names))
     longest = {name: np.fmax(low[name], high[name]) for name in low}
@@ -217,36 +219,43 @@ def _substeps(low: float, high: float, step: float) -> int:
     return substeps
 
 
-def _ranges(
-    given: Mapping[str, Any], found: Actuators, step: float
+def ranges(
+    given: Mapping[str, Any], joints: Sequence[str], own: Mapping[str, np.ndarray]
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Both ends of every parameter."""
+    """Both ends of every parameter of a drive.
+
+    Args:
+        given: as for `build`.
+        joints: names, in their order.
+        own: of each parameter that a drive has here, what it is where nothing is given.
+
+    Raises:
+        UserError: another parameter, a value that is not allowed, or a pattern that no joint
+            matches.
+    """
     sides: list[dict[str, np.ndarray]] = []
-    tables: dict[str, Any] = {}
-    for name, value in given.items():
-        short = canonical(name)
-        if short not in (*_TAKEN, "actuator") and short in PARAMETERS:
-            raise UserError(f"`{name}`: is not a parameter of a drive around an environment")
-        tables[name] = value
+    for name in given:
+        short = canonical(name).partition("@")[0]
+        if short not in (*own, "actuator") and short in PARAMETERS:
+            raise UserError(f"`{name}`: is not a parameter of a drive")
     for side in (0, 1):
-        own = {name: np.asarray(PARAMETERS[name].default, float) for name in _TAKEN}
-        own |= dict.fromkeys(_OWN, np.asarray(np.nan)) | {CONTROL_RATE: np.asarray(1.0 / step)}
-        chosen = {name: _end(value, side) for name, value in tables.items()}
+        ends = {name: np.asarray(value, float) for name, value in own.items()}
+        chosen = {name: _end(value, side) for name, value in given.items()}
         for key, value in control_loop.read(chosen, robot=True).items():
             name, _, pattern = key.partition("@")
             array = np.asarray(value, float)
             if pattern:
-                meant = [re.fullmatch(pattern, joint) is not None for joint in found.names]
+                meant = [re.fullmatch(pattern, joint) is not None for joint in joints]
                 if not any(meant):
-                    raise UserError(f"`{key}`: matches no joint; {', '.join(found.names)}")
-                array = np.where(meant, array, np.broadcast_to(own[name], len(meant)))
-            elif array.shape not in ((), (len(found.names),)):
+                    raise UserError(f"`{key}`: matches no joint; {', '.join(joints)}")
+                array = np.where(meant, array, np.broadcast_to(ends[name], len(meant)))
+            elif array.shape not in ((), (len(joints),)):
                 raise UserError(
                     f"`{name}`: has shape {array.shape}; give a number, a range (low, high), or an"
-                    f" array of one number for each of the {len(found.names)} joints"
+                    f" array of one number for each of the {len(joints)} joints"
                 )
-            own[name] = array
-        sides.append(own)
+            ends[name] = array
+        sides.append(ends)
     for name in sides[0]:
         if np.any(sides[0][name] > sides[1][name]):
             raise UserError(f"`{name}`: its range ends below where it begins; give (low, high)")

@@ -42,16 +42,20 @@ class JointGains:
         return any(math.isfinite(one) for one in self.force_limit)
 
 
-def text(joints: JointGains, kind: str, source: str) -> str:
+UNITS = ("kp in N m/rad, kd in N m s/rad; of slides N/m, N s/m",)
+
+
+def text(joints: JointGains, kind: str, source: str, more: Sequence[str] = ()) -> str:
     """The content of a file.
 
     Args:
         joints: what is written.
         kind: of `FORMATS`.
         source: where the gains come from, for the comment at the top.
+        more: further comments, sentences.
     """
-    comments = [f"Gains of {len(joints.names)} joints, from {source}, written by jaxact", *_units()]
-    return FORMATS[kind](joints, [*comments, *lost(joints, kind)])
+    comments = [f"Gains of {len(joints.names)} joints, from {source}, written by jaxact", *UNITS]
+    return FORMATS[kind](joints, [*comments, *more, *lost(joints, kind)])
 
 
 def lost(joints: JointGains, kind: str) -> list[str]:
@@ -65,10 +69,6 @@ def lost(joints: JointGains, kind: str) -> list[str]:
     if kind in ("deploy-yaml", "rl-gym") and math.isnan(joints.period):
         said.append("The period of the policy is not known here: set it")
     return said
-
-
-def _units() -> list[str]:
-    return ["kp in N m/rad, kd in N m s/rad; of slides N/m, N s/m"]
 
 
 def _own(joints: JointGains, comments: Sequence[str]) -> str:
