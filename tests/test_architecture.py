@@ -24,8 +24,8 @@ PACKAGE = ROOT / "jaxact"
 LAYERS = (
     "errors", "status", "files", "units", "parameters", "engines", "matrix_exponential",
     "compilation", "drive", "robots", "gains", "plants", "analysis", "loops", "simulation",
-    "robot_margins", "sweeping", "tuning", "identification", "environments", "plotting", "verbs",
-    "cli", "__main__",
+    "robot_margins", "sweeping", "tuning", "identification", "environments", "plotting", "reports",
+    "verbs", "cli", "__main__",
 )  # fmt: skip
 MOST_AT_ROOT = 10
 # Theory and simulation are written independently, so that each can catch the other's mistakes.

@@ -31,6 +31,7 @@ VERBS = {
     "bode": "draw the Bode plot of loops, with the margins drawn in",
     "nyquist": "draw the Nyquist plot of loops, with the disk margin drawn in",
     "sensitivity": "draw the sensitivity functions of loops, with their peaks",
+    "report": "write one HTML file: a joint's stability map that one can click, and its margins",
     "render": "film a robot twice, side by side: bare, and with the drive model",
     "tune": "find the best gains of a joint by gradient descent on its margins, and certify them",
     "identify": "find a drive's dynamics, delay and friction from logs of the real thing",
@@ -43,7 +44,7 @@ VERBS = {
 # Those that keep what they compile and have no option that says otherwise.
 _COMPILE = (
     "plot", "simulate", "step", "margins", "bode", "nyquist", "sensitivity", "render",
-    "identify",
+    "identify", "report",
 )  # fmt: skip
 
 USAGE_ERROR = 2

@@ -79,10 +79,9 @@ def rightmost_root(loop: JointLoop) -> jax.Array:
     rows = jax.tree.map(lambda a: a.reshape((1, -1)), loop)
     root = _rightmost(jax.lax.stop_gradient(rows))
     value, slope = characteristic(rows, root)
-    # The value stays that of the search, the derivative is -(d Delta / d parameter) / Delta'(s).
-    step = value / jax.lax.stop_gradient(slope)
-    refined = root - (step - jax.lax.stop_gradient(step))
-    return refined.reshape(shape)
+    # One more step of Newton's; its derivative is -(d Delta / d parameter) / Delta'(s).
+    refined = (root - value / jax.lax.stop_gradient(slope)).reshape(shape)
+    return jax.lax.complex(refined.real, jnp.abs(refined.imag))
 
 
 def spectral_abscissa(loop: JointLoop) -> jax.Array:

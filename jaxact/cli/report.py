@@ -1,0 +1,58 @@
+"""`jaxact report`: a loop or a result as one HTML file that one can click."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+from tyro.conf import Positional, arg
+
+from jaxact.cli import _arguments, _loops
+from jaxact.cli._arguments import Title, Velocity, option
+from jaxact.errors import UserError
+
+
+def main(
+    parameters: _loops.Linear,  # type: ignore[valid-type]
+    result: Annotated[
+        Positional[str],
+        arg(
+            metavar="RESULT",
+            help="Results of a sweep, or a TOML file that describes or lists loops; none: the loop"
+            " of the options.",
+        ),
+    ] = "",
+    *,
+    velocity: Velocity = "sampled",
+    title: Title = "",
+    out: Annotated[
+        Path, option("FILE", "HTML file to write; one that is there is replaced.")
+    ] = Path("report.html"),
+) -> None:
+    """Write a joint's report: one HTML file that works without a network, and that one can click.
+
+    Its stability map has the exact boundary, level lines of the margins and the gains as they are.
+    A click, a drag or the arrow keys move the point (kp, kd); sliders move the actuator, delays,
+    mass and control rate; margins, growth rate, Bode, Nyquist and sensitivity plots and the step
+    response follow at once, computed in the page with the exact formulas. Tables stand behind all
+    pictures, and the loop can be copied as TOML or as a command.
+
+    examples:
+      jaxact report --actuator starleth --delay 0.005 --out joint.html
+      jaxact report results/paper_gain_map --out map.html
+      jaxact report experiments/paper_gain_map.toml
+      jaxact report --actuator hyq starleth --delay 0 0.001 0.005 --title "Two actuators"
+    """
+    given = _arguments.given(parameters)
+    if result and given:
+        name = next(iter(given))
+        raise UserError(f"{_arguments.typed(name)}: {result} says it; give one of the two")
+
+    from jaxact.verbs.report import check_output, report
+
+    check_output(out)
+    subject: Any = result or _loops.linear(parameters, None, velocity)
+    report(subject, out, title=title, command=shlex.join(["jaxact", *sys.argv[1:]]))
+    print(f"wrote {out}")

@@ -1,0 +1,1 @@
+"""Reports that one can click: one HTML file, whose page computes by itself."""

@@ -1,0 +1,106 @@
+"""One self-contained HTML file: the page's modules, its style and its data, and nothing else.
+
+A content security policy allows exactly the script and the style that are in the file, by their
+hashes: no network, no `eval`, nothing that text in the data could start.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+import re
+from collections.abc import Mapping
+from importlib import resources
+from typing import Any
+
+from jaxact import files
+
+_FOLDER = resources.files("jaxact.reports") / "page"
+_IMPORT = re.compile(r'^import \{([^}]*)\} from "\./(\w+)\.js";\n', re.MULTILINE)
+_WHOLE = re.compile(r'^import \* as (\w+) from "\./(\w+)\.js";\n', re.MULTILINE)
+_EXPORT = re.compile(r"^export ((?:async )?(?:function|const|class) (\w+))", re.MULTILINE)
+
+
+def document(
+    *, title: str, description: str, data: Mapping[str, Any], made: Mapping[str, str]
+) -> str:
+    """The whole file as text.
+
+    Args:
+        title, description: as a person wrote them; shown as text, whatever is in them.
+        data: for the page, plain values.
+        made: what the report was made of and with, by what it is called.
+    """
+    script, style = bundle("main"), _read("style.css")
+    # "<" in JSON could end the element that it stands in.
+    plain = json.dumps(files.plain(data), allow_nan=False).replace("<", "\\u003c")
+    policy = (
+        f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}';"
+        " img-src data:; base-uri 'none'; form-action 'none'"
+    )
+    about = "\n".join(
+        f'<h3>{html.escape(name)}</h3>\n<pre tabindex="0">{html.escape(text)}</pre>'
+        for name, text in made.items()
+    )
+    says = f"<p>{html.escape(description)}</p>\n" if description else ""
+    return f"""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{policy}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="icon" href="data:,">
+<title>{html.escape(title)}</title>
+<style>{style}</style>
+</head>
+<body>
+<header>
+<h1>{html.escape(title)}</h1>
+{says}</header>
+{_read("joint.html")}<footer>
+<h2>How this was made</h2>
+{about}
+</footer>
+<script type="application/json" id="data">{plain}</script>
+<script>{script}</script>
+</body>
+</html>
+"""
+
+
+def bundle(entry: str) -> str:
+    """The modules that one needs as a single script, each a function of its own.
+
+    `import` and `export` are those of a few fixed forms; a module becomes a constant with what it
+    exports. The same modules are what node tests.
+
+    Args:
+        entry: the module that starts, without `.js`.
+    """
+    done: dict[str, str] = {}
+
+    def add(name: str) -> None:
+        source = _read(f"{name}.js")
+        needed = [one for _, one in (*_IMPORT.findall(source), *_WHOLE.findall(source))]
+        for one in needed:
+            if one not in done:
+                add(one)
+        source = _IMPORT.sub(lambda found: f"const {{{found[1]}}} = in_{found[2]};\n", source)
+        source = _WHOLE.sub(lambda found: f"const {found[1]} = in_{found[2]};\n", source)
+        exported = ", ".join(found[1] for found in _EXPORT.findall(source))
+        source = _EXPORT.sub(r"\1", source)
+        done[name] = f"const in_{name} = (() => {{\n{source}return {{ {exported} }};\n}})();\n"
+
+    add(entry)
+    return '"use strict";\n' + "".join(done.values())
+
+
+def _read(name: str) -> str:
+    return (_FOLDER / name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    digest = hashlib.sha256(text.encode()).digest()
+    return f"sha256-{base64.b64encode(digest).decode()}"

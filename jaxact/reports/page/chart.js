@@ -1,0 +1,135 @@
+// Pictures as SVG: a frame with axes, lines and points in it. No style is set here but by classes.
+
+const SPACE = "http://www.w3.org/2000/svg";
+const MARGIN = { left: 62, right: 14, top: 10, bottom: 44 };
+
+/** An SVG element with attributes and children. */
+export function draw(name, attributes = {}, ...children) {
+  const element = document.createElementNS(SPACE, name);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+  element.append(...children);
+  return element;
+}
+
+/** A number with a few digits, as people write it. */
+export function short(value, digits = 4) {
+  if (value === Infinity) return "∞";
+  if (!Number.isFinite(value)) return "–";
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  if (size >= 1e5 || size < 1e-3) {
+    const [head, power] = value.toExponential(digits - 1).split("e");
+    return `${Number(head)}·10${superscript(Number(power))}`;
+  }
+  return `${Number(value.toPrecision(digits))}`;
+}
+
+const superscript = (power) =>
+  [...`${power}`].map((c) => (c === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(c)])).join("");
+
+/** Ticks of an axis: powers of ten (and 2 and 5 where there are few), or steps of 1, 2 or 5. */
+function ticks([low, high], log, most) {
+  if (log) {
+    const [from, to] = [Math.floor(Math.log10(low)), Math.ceil(Math.log10(high))];
+    const heads = to - from <= 2 ? [1, 2, 5] : [1];
+    const stride = Math.max(1, Math.ceil((to - from) / most));
+    const found = [];
+    for (let power = from; power <= to; power++) {
+      if (power % stride === 0) found.push(...heads.map((head) => head * 10 ** power));
+    }
+    return found.filter((x) => x >= low * 0.999 && x <= high * 1.001);
+  }
+  const rough = (high - low) / most;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((head) => head * power).find((x) => x >= rough);
+  const found = [];
+  for (let i = Math.ceil(low / step - 1e-9); i * step <= high + 1e-9 * step; i++) found.push(i * step);
+  return found;
+}
+
+const scaleOf = ({ domain: [low, high], log }, [from, to]) =>
+  log
+    ? (value) => from + ((to - from) * Math.log(value / low)) / Math.log(high / low)
+    : (value) => from + ((to - from) * (value - low)) / (high - low);
+
+/**
+ * Empty an SVG and draw axes: {domain, log, label} each. Gives the scales `x` and `y`, `inside`, a
+ * group whose content is clipped to the frame, and `invert` from places to values.
+ */
+export function frame(svg, { x, y, height }) {
+  const width = Math.max(svg.parentElement.clientWidth, 240);
+  svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+  const [left, right] = [MARGIN.left, width - MARGIN.right];
+  const [top, bottom] = [MARGIN.top, height - MARGIN.bottom];
+  const toX = scaleOf(x, [left, right]);
+  const toY = scaleOf(y, [bottom, top]);
+  const clip = `${svg.id}-clip`;
+  const parts = [
+    draw("clipPath", { id: clip }, draw("rect", { x: left, y: top, width: right - left, height: bottom - top })),
+    draw("rect", { class: "ground", x: left, y: top, width: right - left, height: bottom - top }),
+  ];
+  for (const value of ticks(x.domain, x.log, Math.max(3, Math.floor((right - left) / 80)))) {
+    parts.push(
+      draw("line", { class: "grid", x1: toX(value), x2: toX(value), y1: top, y2: bottom }),
+      draw("text", { class: "tick", x: toX(value), y: bottom + 16, "text-anchor": "middle" }, short(value)),
+    );
+  }
+  for (const value of ticks(y.domain, y.log, Math.max(3, Math.floor((bottom - top) / 45)))) {
+    parts.push(
+      draw("line", { class: "grid", x1: left, x2: right, y1: toY(value), y2: toY(value) }),
+      draw("text", { class: "tick", x: left - 6, y: toY(value) + 4, "text-anchor": "end" }, short(value)),
+    );
+  }
+  const middle = (top + bottom) / 2;
+  parts.push(
+    draw("text", { class: "label", x: (left + right) / 2, y: height - 8, "text-anchor": "middle" }, x.label),
+    draw("text", { class: "label", x: 13, y: middle, "text-anchor": "middle", transform: `rotate(-90 13 ${middle})` }, y.label),
+  );
+  const inside = draw("g", { "clip-path": `url(#${clip})` });
+  svg.replaceChildren(...parts, inside);
+  const invert = (px, py) => {
+    const [u, v] = [(px - left) / (right - left), (bottom - py) / (bottom - top)];
+    const back = ({ domain: [low, high], log }, t) => (log ? low * (high / low) ** t : low + t * (high - low));
+    return [back(x, u), back(y, v)];
+  };
+  return { x: toX, y: toY, inside, invert, left, right, top, bottom };
+}
+
+/** A line through points whose places are finite. */
+export function line(place, xs, ys, attributes) {
+  let path = "";
+  let pen = "M";
+  xs.forEach((value, i) => {
+    const [x, y] = [place.x(value), place.y(ys[i])];
+    if (!Number.isFinite(x) || !Number.isFinite(y)) {
+      pen = "M";
+      return;
+    }
+    path += `${pen}${x.toFixed(1)} ${Math.min(Math.max(y, -1e5), 1e5).toFixed(1)}`;
+    pen = "L";
+  });
+  const element = draw("path", { d: path, ...attributes });
+  place.inside.append(element);
+  return element;
+}
+
+/** A table of columns [{head, values}] as text. */
+export function table(caption, columns) {
+  const made = document.createElement("table");
+  const words = document.createElement("caption");
+  words.textContent = caption;
+  const head = made.createTHead().insertRow();
+  for (const column of columns) {
+    const cell = document.createElement("th");
+    cell.scope = "col";
+    cell.textContent = column.head;
+    head.append(cell);
+  }
+  const body = made.createTBody();
+  columns[0].values.forEach((_, i) => {
+    const row = body.insertRow();
+    for (const column of columns) row.insertCell().textContent = short(column.values[i]);
+  });
+  made.prepend(words);
+  return made;
+}

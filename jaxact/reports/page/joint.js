@@ -1,0 +1,171 @@
+// The report of a joint: everything on the page follows the point and the sliders.
+
+import { boundary } from "./boundary.js";
+import { controls } from "./controls.js";
+import * as views from "./curve_views.js";
+import { frequencyGrid, responses } from "./frequencies.js";
+import { continuousLoop, sampledLoop } from "./loops.js";
+import { drawMap, mapLayers, mapTable, movable } from "./map_view.js";
+import { margins } from "./margins.js";
+import { showMargins } from "./margins_table.js";
+import { rightmostRoot } from "./roots.js";
+import { stepResponse } from "./step_response.js";
+import { command, toml, verdict } from "./words.js";
+
+const SPEAK_AFTER = 500;
+const MOST_TICKS = 2000;
+const MAKE = { continuous: continuousLoop, sampled: sampledLoop };
+
+const by = (id) => document.getElementById(id);
+
+/** Start the page with the data that is embedded in it. */
+export function start(data) {
+  const { window, unit, loops } = data;
+  const first = loops[data.start];
+  const state = { parameters: { ...first.parameters }, kp: first.parameters.kp, kd: first.parameters.kd };
+  let plants = null;
+  let layers = null;
+  let place = null;
+  let asked = 0;
+  let speaking = 0;
+
+  const kind = () => document.querySelector("input[name=kind]:checked").value;
+
+  /** What depends on the plant alone is kept until a slider moves. */
+  function plantOf(which) {
+    if (!plants[which]) {
+      const loop = MAKE[which](state.parameters);
+      const grid = frequencyGrid(loop, window);
+      const cached = responses(loop, grid);
+      plants[which] = { loop, grid, cached, edges: boundary(loop, cached, window) };
+    }
+    return plants[which];
+  }
+
+  function found(which) {
+    const { loop, grid, cached } = plantOf(which);
+    const own = margins(loop, cached, state.kp, state.kd);
+    return { margins: own, root: rightmostRoot(loop, state.kp, state.kd, grid), loop };
+  }
+
+  function redraw() {
+    asked = 0;
+    const began = performance.now();
+    plants ??= {};
+    const chosen = plantOf(kind());
+    layers ??= mapLayers(chosen.loop, chosen.cached, window, by("quantity").value);
+    const point = { kp: state.kp, kd: state.kd };
+    place = drawMap(by("map"), { window, unit, layers, edges: chosen.edges, points: data.points, point });
+    const both = { continuous: found("continuous"), sampled: found("sampled") };
+    showMargins(by("margins"), both);
+    say(both);
+    pictures(both, chosen.edges);
+    performance.measure("redraw", { start: began, end: performance.now() });
+  }
+
+  function say(both) {
+    const which = kind();
+    const { margins: own, root } = both[which];
+    const words = verdict({ ...state, unit, margins: own, root, sampled: which === "sampled" });
+    by("verdict").textContent = words;
+    by("verdict").dataset.stable = own.stable;
+    clearTimeout(speaking);
+    speaking = setTimeout(() => (by("spoken").textContent = words), SPEAK_AFTER);
+    by("toml").value = toml(state.parameters, state.kp, state.kd, unit);
+    by("command").value = command(state.parameters, state.kp, state.kd, unit);
+  }
+
+  function pictures(both, edges) {
+    const lines = {};
+    for (const which of ["continuous", "sampled"]) {
+      lines[which] = views.curves(both[which].loop, state.kp, state.kd, both[which].margins);
+    }
+    const { margins: own, root } = both[kind()];
+    views.drawBode(by("gain"), by("phase"), lines);
+    views.drawNyquist(by("nyquist"), lines, own.stable ? own.sensitivity_peak : 0);
+    views.drawSensitivity(by("sensitivity"), lines);
+    const step = stepResponse(state.parameters, state.kp, state.kd, ticksOf(root));
+    views.drawStep(by("step"), step);
+    fill("map-data", () => [mapTable(edges, unit)]);
+    fill("loop-data", () => Object.entries(lines).map(([name, one]) => views.curveTable(name, one)));
+    fill("step-data", () => [views.stepTable(step)]);
+  }
+
+  /** Long enough for the slowest motion to decay, in control periods. */
+  function ticksOf(root) {
+    const rate = state.parameters.control_rate;
+    const period = root.im > 0 ? (2 * Math.PI) / root.im : 0;
+    const time = Math.max(root.re < 0 ? 6 / -root.re : 0, 4 * period, 20 / rate);
+    return Math.min(Math.ceil(time * rate), MOST_TICKS);
+  }
+
+  function fill(id, tables) {
+    const details = by(id);
+    const content = details.querySelector("div");
+    details.refill = () => content.replaceChildren(...tables());
+    if (details.open) details.refill();
+  }
+
+  const later = () => (asked ||= requestAnimationFrame(redraw));
+
+  function changed(name, value) {
+    if (name === "kp" || name === "kd") state[name] = value;
+    else {
+      state.parameters[name] = value;
+      plants = layers = null;
+    }
+    show({ ...state.parameters, kp: state.kp, kd: state.kd });
+    later();
+  }
+
+  function take(index) {
+    const { parameters } = loops[index];
+    Object.assign(state, { parameters: { ...parameters }, kp: parameters.kp, kd: parameters.kd });
+    plants = layers = null;
+    show(parameters);
+    later();
+  }
+
+  const show = controls(by("controls"), first.parameters, window, unit, changed);
+  movable(by("pad"), by("map"), window, () => place, () => state, (kp, kd) => {
+    Object.assign(state, { kp, kd });
+    show({ ...state.parameters, kp, kd });
+    later();
+  });
+  loops.forEach(({ name }, i) => by("loop").append(new Option(name, i, i === data.start, i === data.start)));
+  by("loop").addEventListener("change", () => take(Number(by("loop").value)));
+  by("again").addEventListener("click", () => take(Number(by("loop").value)));
+  for (const { name, kp, kd } of data.points) {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.textContent = `go to ${name}`;
+    button.addEventListener("click", () => {
+      Object.assign(state, { kp, kd });
+      show({ ...state.parameters, kp, kd });
+      later();
+    });
+    by("points").append(button);
+  }
+  for (const input of document.querySelectorAll("input[name=kind], #quantity")) {
+    input.addEventListener("change", () => {
+      layers = null;
+      later();
+    });
+  }
+  for (const details of document.querySelectorAll("details.data")) {
+    details.addEventListener("toggle", () => details.open && details.refill?.());
+  }
+  for (const button of document.querySelectorAll("button.copy")) {
+    button.addEventListener("click", () => copy(by(button.dataset.of), button));
+  }
+  new ResizeObserver(later).observe(by("pad"));
+  show(first.parameters);
+  redraw();
+}
+
+/** Copy a text, where the browser lets the page; else select it. */
+async function copy(area, button) {
+  area.select();
+  const done = await navigator.clipboard?.writeText(area.value).then(() => true, () => false);
+  button.textContent = done ? "copied" : "selected: press Ctrl+C";
+}

@@ -1,0 +1,114 @@
+// The stability map over the gains: the exact boundary, level lines, and the point that one moves.
+
+import { draw, frame, line, table } from "./chart.js";
+import { fields, levelLine, QUANTITIES, regionAbove } from "./levels.js";
+import { gainUnits } from "./words.js";
+
+const COUNT = 48;
+const HEIGHT = 430;
+const STEP = 0.01;
+
+/** What of the map does not depend on the point: level lines and the stable region, in cells. */
+export function mapLayers(loop, cached, window, quantity) {
+  const { values, distance } = fields(loop, cached, window, quantity, COUNT);
+  const { levels, text, field } = QUANTITIES[quantity];
+  const lines = levels
+    .map((level) => ({ text: text(level), segments: levelLine(values, COUNT, field(level)) }))
+    .filter(({ segments }) => segments.length > 0);
+  return { lines, region: regionAbove(distance, COUNT) };
+}
+
+const along = ([low, high], cell) => low * (high / low) ** (cell / (COUNT - 1));
+
+/** Draw the map. `edges` of `boundary`, `points` [{name, kp, kd}], `point` {kp, kd}. */
+export function drawMap(svg, { window, unit, layers, edges, points, point }) {
+  const [stiff, damping] = gainUnits(unit);
+  const place = frame(svg, {
+    x: { domain: window.kp, log: true, label: `kp, stiffness [${stiff}]` },
+    y: { domain: window.kd, log: true, label: `kd, damping [${damping}]` },
+    height: HEIGHT,
+  });
+  const at = (x, y) =>
+    `${place.x(along(window.kp, x)).toFixed(1)} ${place.y(along(window.kd, y)).toFixed(1)}`;
+  const filled = layers.region.map((cell) => {
+    let path = "";
+    for (let i = 0; i < cell.length; i += 2) path += `${i ? "L" : "M"}${at(cell[i], cell[i + 1])}`;
+    return `${path}Z`;
+  });
+  place.inside.append(draw("path", { class: "stable", d: filled.join("") }));
+  for (const { text, segments } of layers.lines) {
+    const path = segments.map(([x0, y0, x1, y1]) => `M${at(x0, y0)}L${at(x1, y1)}`).join("");
+    place.inside.append(draw("path", { class: "level", d: path }), label(place, at, segments, text));
+  }
+  for (const { kp, kd, separates } of edges) {
+    line(place, kp, kd, { class: separates ? "boundary" : "inner" });
+  }
+  for (const { name, kp, kd } of points) place.inside.append(...star(place, name, kp, kd));
+  const [x, y] = [place.x(point.kp), place.y(point.kd)];
+  place.inside.append(
+    draw("line", { class: "hair", x1: x, x2: x, y1: place.top, y2: place.bottom }),
+    draw("line", { class: "hair", x1: place.left, x2: place.right, y1: y, y2: y }),
+    draw("circle", { class: "point", cx: x, cy: y, r: 7 }),
+  );
+  return place;
+}
+
+/** The level beside the topmost end of its line. */
+function label(place, at, segments, text) {
+  const inside = segments.filter(([x, y]) => x > 1 && x < COUNT - 4 && y < COUNT - 3);
+  const [x, y] = (inside.length ? inside : segments).reduce((a, b) => (b[1] > a[1] ? b : a));
+  const [px, py] = at(x, y).split(" ");
+  return draw("text", { class: "level-label", x: px, y: py, dx: 3, dy: -3 }, text);
+}
+
+function star(place, name, kp, kd) {
+  const [x, y] = [place.x(kp), place.y(kd)];
+  return [
+    draw("path", { class: "mark", d: `M${x - 6} ${y}L${x} ${y - 6}L${x + 6} ${y}L${x} ${y + 6}Z` }),
+    draw("text", { class: "mark-label", x: x + 9, y: y - 7 }, name),
+  ];
+}
+
+/** The boundary as a table, at most 60 rows. */
+export function mapTable(edges, unit) {
+  const [stiff, damping] = gainUnits(unit);
+  const rows = edges
+    .filter(({ separates }) => separates)
+    .flatMap(({ kp, kd, w }) => kp.map((value, i) => [value, kd[i], w[i]]));
+  const stride = Math.max(1, Math.ceil(rows.length / 60));
+  const kept = rows.filter((_, i) => i % stride === 0);
+  const columns = [`kp [${stiff}]`, `kd [${damping}]`, "frequency of the marginal root [rad/s]"];
+  return table(
+    "The exact stability boundary",
+    columns.map((head, i) => ({ head, values: kept.map((row) => row[i]) })),
+  );
+}
+
+/** Let the point follow pointer and arrow keys; `moved(kp, kd)` is called with gains inside. */
+export function movable(pad, svg, window, place, point, moved) {
+  const clamp = (value, [low, high]) => Math.min(Math.max(value, low), high);
+  const go = (kp, kd) => moved(clamp(kp, window.kp), clamp(kd, window.kd));
+  const follow = (event) => {
+    const box = svg.getBoundingClientRect();
+    const scale = svg.viewBox.baseVal.width / box.width;
+    go(...place().invert((event.clientX - box.left) * scale, (event.clientY - box.top) * scale));
+  };
+  svg.addEventListener("pointerdown", (event) => {
+    svg.setPointerCapture(event.pointerId);
+    pad.focus({ preventScroll: true });
+    follow(event);
+  });
+  svg.addEventListener("pointermove", (event) => {
+    if (svg.hasPointerCapture(event.pointerId)) follow(event);
+  });
+  pad.addEventListener("keydown", (event) => {
+    const directions = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowDown: [0, -1], ArrowUp: [0, 1] };
+    const direction = directions[event.key];
+    if (!direction) return;
+    event.preventDefault();
+    const by = STEP * (event.shiftKey ? 10 : 1);
+    const { kp, kd } = point();
+    const step = (value, [low, high], sign) => value * (high / low) ** (sign * by);
+    go(step(kp, window.kp, direction[0]), step(kd, window.kd, direction[1]));
+  });
+}

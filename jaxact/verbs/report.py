@@ -1,0 +1,191 @@
+"""`jaxact.report`: a loop, a sweep or a tuning as one HTML file that one can click."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from jaxact import __version__, files
+from jaxact.errors import UserError
+from jaxact.loops import listed, reading
+from jaxact.loops.axes import NO_AXIS
+from jaxact.loops.building import loop_of
+from jaxact.loops.control_loop import ControlLoop
+from jaxact.loops.specification import Specification
+from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, LINEAR, SETPOINT_DELAY
+from jaxact.reports import page
+from jaxact.sweeping import opening
+from jaxact.tuning.result import Tuned
+from jaxact.verbs import naming
+from jaxact.verbs.margins import BothMargins, LoopMargins
+
+# A window where no sweep has one: so far around the gains, to either side.
+_AROUND = 30.0
+_MOST_LOOPS = 200
+_OF_LOOP = (*LINEAR, SETPOINT_DELAY, CONTROL_RATE)
+
+Window = tuple[float, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Subject:
+    """What a report is of.
+
+    Attributes:
+        loop: the joint's loops to choose from.
+        title: above the page.
+        specification: that described them, as text.
+        window: ranges of kp and kd of the map, none for those around the gains.
+        points: gains to mark, by name.
+    """
+
+    loop: ControlLoop
+    title: str = ""
+    specification: str = ""
+    window: Mapping[str, Window] = dataclasses.field(default_factory=dict)
+    points: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+
+
+def report(
+    subject: Any, out: str | os.PathLike[str] = "report.html", *, title: str = "",
+    command: str = "",
+) -> Path:  # fmt: skip
+    """Write a report of a joint: a stability map that one can click, and all that follows from it.
+
+        jaxact.report(jaxact.joint(actuator="starleth", delay=5e-3), "joint.html")
+
+    The file needs nothing else, and no network: the exact boundary, margins, growth rates,
+    frequency and step responses are computed in the page, for any gains, actuator, delay and rate.
+
+    Args:
+        subject: a joint's loop or loops, their margins, a sweep or a tuned result; or the path of
+            the results of a sweep, or of a TOML file that describes or lists loops.
+        out: HTML file to write; one that is there is replaced.
+        title: above the page, "" for what the specification says.
+        command: that made it, to be shown.
+
+    Returns:
+        Where it is.
+
+    Raises:
+        UserError: a robot, too many loops, or a place that cannot be read or written.
+    """
+    path = Path(out)
+    check_output(path)
+    found = _subject(subject)
+    if found.loop.kind.plant is not None:
+        raise UserError("a report is of a joint; `jaxact.margins` of a robot can be drawn")
+    if max(found.loop.shape, default=1) and np.prod(found.loop.shape, initial=1) > _MOST_LOOPS:
+        raise UserError(f"a report is of at most {_MOST_LOOPS} loops; vary less, or select some")
+    text = _html(found, title, command)
+    with files.output(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+    return path
+
+
+def check_output(path: Path) -> None:
+    """Raise UserError if a report cannot be written there."""
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise UserError(f"output {path}: a report is an .html file")
+    files.check_output(path)
+
+
+def _html(found: _Subject, title: str, command: str) -> str:
+    named = naming.named(found.loop)
+    rows = [
+        {"name": label, "parameters": _parameters(named.one(index), found.loop.kind.velocity)}
+        for index, label in enumerate(named.labels)
+    ]
+    if any(row["parameters"][KP] <= 0.0 or row["parameters"][KD] <= 0.0 for row in rows):
+        raise UserError("`kp` and `kd`: a report is over their logarithms; give positive ones")
+    gains = [(row["parameters"][KP], row["parameters"][KD]) for row in rows]
+    points = dict(found.points) or {"nominal": gains[0]}
+    both = np.array([*gains, *points.values()])
+    window = found.window or {
+        name: (float(column.min()) / _AROUND, float(column.max()) * _AROUND)
+        for name, column in zip((KP, KD), both.T, strict=True)
+    }
+    data = {
+        "loops": rows,
+        "start": 0,
+        "unit": found.loop.kind.unit,
+        "window": {name: list(ends) for name, ends in window.items()},
+        "points": [{"name": name, KP: kp, KD: kd} for name, (kp, kd) in points.items()],
+    }
+    made = {"Versions": _versions()}
+    if command:
+        made = {"Command": command} | made
+    if found.specification:
+        made["Specification"] = found.specification
+    head = title or found.title or f"Joint: {named.labels[0]}"
+    return page.document(title=head, description=naming.in_common(found.loop), data=data, made=made)
+
+
+def _parameters(values: Mapping[str, float], velocity: str) -> dict[str, Any]:
+    """What the page needs of a loop, by short name; gains with their common factor."""
+    scale = values[GAIN_SCALE]
+    own: dict[str, Any] = {name: values[name] for name in _OF_LOOP}
+    return own | {KP: scale * values[KP], KD: scale * values[KD], "velocity": velocity}
+
+
+def _versions() -> str:
+    known = {"jaxact": __version__, "jax": version("jax"), "Python": platform.python_version()}
+    return ", ".join(f"{name} {number}" for name, number in known.items())
+
+
+def _subject(subject: Any) -> _Subject:
+    """The loops of whatever a report can be of."""
+    if isinstance(subject, ControlLoop):
+        return _Subject(subject)
+    if isinstance(subject, LoopMargins | BothMargins):
+        return _Subject(subject.loop)
+    if isinstance(subject, Tuned):
+        return _of_tuned(subject)
+    if isinstance(subject, xr.Dataset):
+        return _of_sweep(subject)
+    if isinstance(subject, str | os.PathLike):
+        path = Path(subject)
+        if path.suffix != ".toml":
+            return _of_sweep(opening.open_result(subject, unfinished=True))
+        if listed.rows(path) is not None:
+            return _Subject(loop_of(path), specification=path.read_text(encoding="utf-8"))
+        return _of_specification(reading.load(path))
+    raise UserError(f"a report cannot be of a {type(subject).__name__}; give a loop or a result")
+
+
+def _of_tuned(tuned: Tuned) -> _Subject:
+    if tuned.loop is None or tuned.robot is not None:
+        raise UserError("a report is of a joint's tuning; this is of a robot, or of no loop")
+    points = {"tuned": (float(tuned.kp), float(tuned.kd))}
+    if tuned.before is not None:
+        points = {"before": (float(tuned.before[0]), float(tuned.before[1]))} | points
+    return _Subject(tuned.loop, title=f"Tuned: {tuned.verdict}", points=points)
+
+
+def _of_sweep(results: xr.Dataset) -> _Subject:
+    text = results.attrs.get("specification_toml")
+    if text is None:
+        raise UserError("these results are not of a sweep: they do not say how they were made")
+    return _of_specification(reading.parse(text))
+
+
+def _of_specification(specification: Specification) -> _Subject:
+    """The loops beside the gains that are swept, whose ranges are the map's."""
+    window = {axis.name: axis.ends for axis in specification.axes if axis.name in (KP, KD)}
+    if any(low <= 0.0 or low >= high for low, high in window.values()) or len(window) < 2:
+        window = {}
+    kept = () if specification.sampling else specification.axes
+    others = tuple(axis for axis in kept if axis.name not in (KP, KD))
+    alone = dataclasses.replace(specification, axes=others or (NO_AXIS,), sampling=None)
+    loop = loop_of(alone)
+    nominal = specification.nominal
+    points = {"nominal": (float(nominal[KP]), float(nominal[KD]))}
+    return _Subject(loop, specification.description, specification.text, window, points)

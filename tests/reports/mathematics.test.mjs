@@ -1,0 +1,181 @@
+// The page's mathematics against the oracle, and against loops that Python has looked at.
+//
+//   node --test tests/reports/
+//
+// pytest writes Python's loops to a file and names it in JAXACT_LOOPS.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { test } from "node:test";
+
+import { boundary, marginalGains } from "../../jaxact/reports/page/boundary.js";
+import { frequencyGrid, responses } from "../../jaxact/reports/page/frequencies.js";
+import { fields, levelLine, QUANTITIES } from "../../jaxact/reports/page/levels.js";
+import { continuousLoop, sampledLoop } from "../../jaxact/reports/page/loops.js";
+import { margins } from "../../jaxact/reports/page/margins.js";
+import { rightmostRoot, unstableRoots } from "../../jaxact/reports/page/roots.js";
+import { stepResponse } from "../../jaxact/reports/page/step_response.js";
+import { exponentialLessOne } from "../../jaxact/reports/page/transition.js";
+
+const TOLERANCE = 1e-6;
+const oracle = JSON.parse(readFileSync(new URL("../data/paper_loop.json", import.meta.url)));
+const BARE = {
+  mass: 0.7, wn: Infinity, zeta: 1, delay: 0, measurement_delay: 0, output_delay: 0,
+  setpoint_delay: 0, control_rate: 1000, velocity_filter: Infinity, joint_damping: 0,
+  joint_stiffness: 0, velocity: "sampled",
+};
+
+const number = (x) => (x === "inf" ? Infinity : x);
+
+function near(own, other, words, absolute = 0) {
+  if (own === other) return;
+  const far = Math.abs(own - other);
+  assert.ok(far <= absolute + TOLERANCE * Math.abs(other), `${words}: ${own}, not ${other}`);
+}
+
+function prepared(make, p, kp, kd, factor = 10) {
+  const loop = make(p);
+  const window = { kp: [kp / factor, kp * factor], kd: [kd / factor, kd * factor] };
+  const grid = frequencyGrid(loop, window);
+  return { loop, window, grid, cached: responses(loop, grid) };
+}
+
+function all(make, p, kp, kd) {
+  const { loop, grid, cached } = prepared(make, p, kp, kd);
+  const root = rightmostRoot(loop, kp, kd, grid);
+  return { ...margins(loop, cached, kp, kd), spectral_abscissa: root.re };
+}
+
+function ofCase(one) {
+  const { mass, delay, natural_frequency: wn, damping_ratio: zeta } = one;
+  return { ...BARE, mass, delay, wn: wn ?? Infinity, zeta: zeta ?? 1 };
+}
+
+for (const one of [...oracle.paper_cases, ...oracle.frequency_sweep]) {
+  test(`oracle: ${one.name ?? `wn ${one.natural_frequency}, zeta ${one.damping_ratio}`}`, () => {
+    const found = all(continuousLoop, ofCase(one), one.kp, one.kd);
+    assert.equal(found.unstable_roots, one.unstable_roots);
+    near(found.spectral_abscissa, one.spectral_abscissa, "spectral_abscissa");
+    if (one.unstable_roots > 0) return;
+    // The oracle found the gain margin by bisection.
+    assert.ok(Math.abs(Math.log(found.gain_margin / number(one.gain_margin))) < 1e-4 ||
+      found.gain_margin === number(one.gain_margin));
+    near((found.phase_margin * 180) / Math.PI, one.phase_margin_deg, "phase_margin");
+    near(found.delay_margin, number(one.delay_margin), "delay_margin");
+    near(found.sensitivity_peak, one.sensitivity_peak, "sensitivity_peak");
+    near(found.complementary_peak, one.complementary_peak, "complementary_peak");
+    near(found.disk_margin, one.disk_margin_balanced, "disk_margin");
+  });
+}
+
+test("sampled loops of the oracle", () => {
+  oracle.sampled_1khz.forEach((one, i) => {
+    const { kp, kd } = oracle.paper_cases[i];
+    const kinds = { velocity_sampled: "sampled", velocity_backward_difference: "differenced" };
+    for (const [name, velocity] of Object.entries(kinds)) {
+      const found = all(sampledLoop, { ...ofCase(oracle.paper_cases[i]), velocity }, kp, kd);
+      near(Math.exp(found.spectral_abscissa / 1000), one[name].rho, `${one.name}: rho`);
+      assert.equal(found.stable, one[name].stable);
+      // found on a grid there
+      assert.ok(Math.abs(found.sensitivity_peak / one[name].Ms - 1) < 1e-4);
+    }
+  });
+});
+
+test("exp(A) - 1 of a rotation, however large and small", () => {
+  for (const x of [1e-9, 0.3, 7, 40]) {
+    const [[a, b]] = exponentialLessOne([[0, x], [-x, 0]]);
+    near(a, -2 * Math.sin(x / 2) ** 2, "cos - 1", 1e-12);
+    near(b, Math.sin(x), "sin", 1e-12);
+  }
+});
+
+test("the ideal joint answers a step as its closed form", () => {
+  // Sampled finely, m q'' + kd q' + kp q = kp.
+  const p = { ...BARE, mass: 1, control_rate: 1e5 };
+  const { time, position } = stepResponse(p, 100, 20, 20_000);
+  time.forEach((t, i) => {
+    if (i % 1000 === 0) assert.ok(Math.abs(position[i] - (1 - (1 + 10 * t) * Math.exp(-10 * t))) < 1e-4);
+  });
+});
+
+test("beside the boundary one side is stable", () => {
+  const p = { ...BARE, wn: 110, zeta: 0.9, delay: 0.005 };
+  const { loop, window, cached } = prepared(sampledLoop, p, 400, 20, 100);
+  const edges = boundary(loop, cached, window).filter(({ separates }) => separates);
+  assert.ok(edges.length > 0);
+  for (const { kp, kd, w } of edges) {
+    kp.forEach((value, i) => {
+      if (w[i] > 0 && w[i] < loop.end) near(marginalGains(loop, w[i])[0], value, "kp");
+    });
+    const i = kp.length >> 1;
+    const counts = [0.99, 1.01].map((f) => unstableRoots(loop, cached, f * kp[i], kd[i]) > 0);
+    assert.notEqual(counts[0], counts[1]);
+  }
+});
+
+test("level lines pass where the margin has the level", () => {
+  const p = { ...BARE, wn: 110, zeta: 0.9, delay: 0.001 };
+  const { loop, window, cached } = prepared(continuousLoop, p, 400, 20, 5);
+  const count = 60;
+  const gains = ([low, high], at) => low * (high / low) ** (at / (count - 1));
+  const levels = { sensitivity_peak: 2, gain_margin: 3, phase_margin: 30, delay_margin: 5 };
+  const units = { phase_margin: 180 / Math.PI, delay_margin: 1000 };
+  for (const [name, level] of Object.entries(levels)) {
+    const { values } = fields(loop, cached, window, name, count);
+    const line = levelLine(values, count, QUANTITIES[name].field(level));
+    assert.ok(line.length > 5, name);
+    for (const [x, y] of line) {
+      const there = margins(loop, cached, gains(window.kp, x), gains(window.kd, y))[name];
+      assert.ok(Math.abs((there * (units[name] ?? 1)) / level - 1) < 0.05, `${name}: ${there}`);
+    }
+  }
+});
+
+const given = process.env.JAXACT_LOOPS;
+const rows = given ? JSON.parse(readFileSync(given)) : [];
+const SKIPPED = new Set(["stable", "more_crossovers", "log_gain_to_boundary", "spectral_radius"]);
+
+test("random loops have Python's margins", { skip: !given && "run by pytest" }, () => {
+  assert.ok(rows.length >= 100);
+  for (const { loop: raw, continuous, sampled } of rows) {
+    const p = Object.fromEntries(Object.entries(raw).map(([name, x]) => [name, number(x)]));
+    for (const [make, theirs] of [[continuousLoop, continuous], [sampledLoop, sampled]]) {
+      const own = all(make, p, p.kp, p.kd);
+      own.phase_margin *= 180 / Math.PI;
+      for (const [name, value] of Object.entries(theirs)) {
+        if (SKIPPED.has(name) || value === null) continue; // null: means nothing there
+        // The undamped resonance of a spring leaves 1e-7 there, rounding, for 0.
+        const absolute = name === "gain_reduction_margin" ? TOLERANCE : 0;
+        near(own[name], number(value), `${name} of ${JSON.stringify(raw)}`, absolute);
+      }
+    }
+  }
+});
+
+test("random loops have Python's boundary", { skip: !given && "run by pytest" }, () => {
+  let compared = 0;
+  for (const { loop: raw, boundaries } of rows.filter((row) => row.boundaries?.length)) {
+    const p = Object.fromEntries(Object.entries(raw).map(([name, x]) => [name, number(x)]));
+    for (const [make, points] of [[continuousLoop, boundaries[0]], [sampledLoop, boundaries[1]]]) {
+      compared += points.length;
+      for (const [w, kp, kd] of points) {
+        const own = marginalGains(make(p), w);
+        near(own[0], kp, "kp", 1e-9 * p.kp);
+        near(own[1], kd, "kd", 1e-9 * p.kd);
+      }
+    }
+  }
+  assert.ok(compared > 50);
+});
+
+test("random loops step as the simulated ones", { skip: !given && "run by pytest" }, () => {
+  const stepped = rows.filter((row) => row.step);
+  assert.ok(stepped.length > 3);
+  for (const { loop: raw, step } of stepped) {
+    const p = Object.fromEntries(Object.entries(raw).map(([name, x]) => [name, number(x)]));
+    const { position } = stepResponse(p, p.kp, p.kd, step.length - 1);
+    const largest = Math.max(...step.map(Math.abs));
+    step.forEach((value, i) => near(position[i], value, `tick ${i}`, TOLERANCE * largest));
+  }
+});
