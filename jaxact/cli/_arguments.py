@@ -104,8 +104,8 @@ Gains = Annotated[
     option(
         "FILE",
         "Robots only: file of gains instead of the model's: jaxact's TOML, MJCF, a deployment's"
-        " YAML, a configuration of legged_gym, Isaac Lab or mjlab (.py, env.yaml); joints are"
-        " matched by name. FILE.py:NAME where it has several.",
+        " YAML, a configuration of legged_gym, Isaac Lab or mjlab (.py, env.yaml), an ONNX policy"
+        " of mjlab; joints are matched by name. FILE.py:NAME where it has several.",
         "the model's own",
     ),
 ]

@@ -26,7 +26,7 @@ def unitree(path: Path, document: Mapping[str, Any]) -> GainFile | None:
         return None
     kp, kd = (numbers(path, key, document[key]) for key in ("stiffness", "damping"))
     _same_length(path, {"stiffness": kp, "damping": kd})
-    notes = _unused(document, ("default_joint_pos", "step_dt"))
+    notes = unused(document, ("default_joint_pos", "step_dt"))
     ids = document.get("joint_ids_map")
     names = document.get("joint_names")
     if isinstance(ids, list) and ids and all(isinstance(one, str) for one in ids):
@@ -48,11 +48,9 @@ def rl_gym(path: Path, document: Mapping[str, Any]) -> GainFile | None:
         return None
     kp, kd = (numbers(path, key, document[key]) for key in ("kps", "kds"))
     _same_length(path, {"kps": kp, "kds": kd})
-    notes = _unused(document, ("default_angles", "simulation_dt", "control_dt"))
+    notes = unused(document, ("default_angles", "simulation_dt", "control_dt"))
     if "joint_names" in document:
-        listed = _names(path, document["joint_names"])
-        _same_length(path, {"kps": kp, "joint_names": listed})
-        return _file(path, "rl-gym", list(zip(listed, kp, kd, strict=True)), "name", notes)
+        return named_file(path, "rl-gym", document["joint_names"], {"kps": kp, "kds": kd}, notes)
     ids = document.get("leg_joint2motor_idx", document.get("joint2motor_idx"))
     if not isinstance(ids, list) or len(ids) != len(kp):
         rows = list(zip(range(len(kp)), kp, kd, strict=True))
@@ -99,7 +97,7 @@ def _rl_sar(path: Path, table: Mapping[str, Any], kind: str) -> GainFile:
         for key, values in given.items()
         for name, value in zip(listed, values, strict=True)
     )
-    notes = _unused(table, ("default_dof_pos", "dt", "decimation"))
+    notes = unused(table, ("default_dof_pos", "dt", "decimation"))
     if kind == "fixed":
         notes = ("its gains are those that it stands up with; it has no rl_kp", *notes)
     return GainFile(path, "rl-sar", entries, "name", notes)
@@ -177,6 +175,20 @@ def _same_length(path: Path, lists: Mapping[str, Sequence[Any]]) -> None:
             )
 
 
-def _unused(document: Mapping[str, Any], keys: Sequence[str]) -> tuple[str, ...]:
+def named_file(
+    path: Path, kind: str, names: Any, lists: Mapping[str, list[float]], notes: Sequence[str]
+) -> GainFile:
+    """A file of names and two lists, stiffness and damping, in their order.
+
+    Raises:
+        UserError: a name is there twice, or the lists are not equally long.
+    """
+    listed = _names(path, names)
+    _same_length(path, {"joint_names": listed, **lists})
+    return _file(path, kind, list(zip(listed, *lists.values(), strict=True)), "name", notes)
+
+
+def unused(document: Mapping[str, Any], keys: Sequence[str]) -> tuple[str, ...]:
+    """What of a file gains do not carry, as a note."""
     found = [key for key in keys if key in document]
     return (f"not taken from it: {', '.join(found)}",) if found else ()

@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from jaxact.errors import UserError, nearest
-from jaxact.gains import configurations, deployment, own, python_source, simulator_dump
+from jaxact.gains import (
+    configurations,
+    deployment,
+    onnx_metadata,
+    own,
+    python_source,
+    simulator_dump,
+)
 from jaxact.gains.table import GainFile
 
 # Name of a format -> what a file of it looks like.
@@ -19,6 +26,7 @@ FORMATS = {
     "rl-sar": "rl_sar's: rl_kp, rl_kd, joint_names",
     "legged-gym": "legged_gym's: class control with stiffness = {...}, damping = {...}",
     "isaaclab": "Isaac Lab's: actuator configurations with joint_names_expr, .py or env.yaml",
+    "onnx": "the metadata of an ONNX policy of mjlab: joint_names, joint_stiffness, joint_damping",
     "mjlab": "mjlab's: actuator configurations with target_names_expr, .py or env.yaml",
 }
 _MOST_BYTES = 20_000_000
@@ -41,12 +49,15 @@ def read(file: str | Path) -> GainFile:
     """
     path, name = _split(file)
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        policy = path.suffix == ".onnx"
+        if path.stat().st_size > _MOST_BYTES * (25 if policy else 1):
             raise UserError(f"{path}: has more than 20 MB; gains are given in a small text file")
         raw = path.read_bytes()
     except OSError as error:
         raise UserError(f"{path}: {error.strerror or error}; give a file of gains") from None
-    if path.suffix in {".pt", ".pth", ".pkl", ".onnx", ".npz"} or b"\0" in raw[:4096]:
+    if policy:
+        return onnx_metadata.read(path, raw)
+    if path.suffix in {".pt", ".pth", ".pkl", ".npz"} or b"\0" in raw[:4096]:
         raise UserError(
             f"{path}: is not a text file; give the YAML, TOML, MJCF or Python file beside it that"
             " has the gains"

@@ -323,7 +323,8 @@ BAD = {
     "text.toml": ('[kp]\nneck = "1"\n[kd]\nneck = 1\n', "give a number"),
     "urdf.xml": ("<robot/>", "not MJCF"),
     "bare.xml": ("<mujoco><actuator/></mujoco>", "no position actuators"),
-    "policy.onnx": ("x\0y", "not a text file"),
+    "policy.onnx": ("x\0y", "not an ONNX file"),
+    "policy.pt": ("x\0y", "not a text file"),
 }
 
 
@@ -335,6 +336,76 @@ def test_what_cannot_be_read_is_said_in_a_line(model, tmp_path, name):
     with pytest.raises(UserError, match=re.escape(words)) as caught:
         gains_of(model, file)
     assert "\n" not in str(caught.value)
+
+
+WRONG = ("-1.5", "1e999", "many", "", "[1, 2]", '"', "nan")
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_malformed_files_are_refused_in_a_line_by_the_command_line(model, tmp_path, name):
+    """Each stiffness made negative, infinite, a word, nothing, a list, a quote, not a number: more
+    than 200 files in all."""
+    text = FILES[name][1]
+    for number in ("10.5", "20.5", "30.5", "40.5"):
+        for wrong in WRONG if number in text else ():
+            file = tmp_path / name
+            file.write_text(text.replace(number, wrong))
+            ran = jaxact("check", model, "--gains", file)
+            assert ran.returncode == 2 and ran.stderr.startswith("jaxact: "), (number, wrong)
+            assert ran.stderr.count("\n") == 1 and not ran.stdout, (number, wrong)
+
+
+def onnx(**metadata):
+    """A policy, as Protocol Buffers encode it: some fields of each kind, and the metadata."""
+
+    def message(field, content):
+        assert len(content) < 2**14
+        size = len(content)
+        length = bytes([size]) if size < 128 else bytes([size & 127 | 128, size >> 7])
+        return bytes([field << 3 | 2]) + length + content
+
+    graph = message(2, b"main") + message(5, b"\x00" * 300) + b"\x0d\x01\x02\x03\x04"
+    parts = [b"\x08\x0a", message(2, b"pytorch"), message(7, graph)]
+    for key, value in metadata.items():
+        parts.append(message(14, message(1, key.encode()) + message(2, value.encode())))
+    return b"".join(parts)
+
+
+POLICY = {
+    "joint_names": ",".join(reversed(NAMES)), "joint_stiffness": "40.500,30.500,20.500,10.500",
+    "joint_damping": "4.000,3.000,2.000,1.000", "default_joint_pos": "0,0,0,0",
+}  # fmt: skip
+
+
+def test_gains_of_a_policy_are_read_from_its_metadata(model, tmp_path):
+    file = tmp_path / "policy.onnx"
+    file.write_bytes(onnx(**POLICY))
+    assert gains_of(model, file) == EXPECTED and reading.read(file).format == "onnx"
+    assert "default_joint_pos" in reading.read(file).notes[0]
+    for change, words in (
+        ({"joint_damping": "4,3,2"}, "4 entries"), ({"joint_stiffness": "1,2,x,4"}, "give numbers"),
+        ({"joint_names": "a,a,b,c"}, "twice"), ({"joint_stiffness": "1,2,-3,4"}, "-3"),
+    ):  # fmt: skip
+        file.write_bytes(onnx(**POLICY | change))
+        with pytest.raises(UserError, match=words):
+            gains_of(model, file)
+    file.write_bytes(onnx(joint_names="a"))
+    with pytest.raises(UserError, match="no joint_stiffness"):
+        gains_of(model, file)
+
+
+@settings(max_examples=300)
+@given(st.integers(0, 10_000), st.binary(min_size=1, max_size=4))
+def test_damaged_policies_are_read_or_refused(tmp_path_factory, place, new):
+    raw = bytearray(onnx(**POLICY))
+    at = place % len(raw)
+    raw[at : at + len(new)] = new
+    file = tmp_path_factory.getbasetemp() / "damaged.onnx"
+    file.write_bytes(bytes(raw))
+    try:
+        matched(reading.read(file), PAIRS)
+    except UserError as error:
+        assert "\n" not in str(error)
 
 
 def test_several_configurations_of_a_source_have_names(model, tmp_path):
