@@ -20,8 +20,8 @@ def main(
         Positional[str],
         arg(
             metavar="RESULT",
-            help="Results of a sweep, or a TOML file that describes or lists loops; none: the loop"
-            " of the options.",
+            help="Results of a sweep or of a tuning, or a TOML file that describes or lists loops;"
+            " none: the loop of the options.",
         ),
     ] = "",
     *,
@@ -43,6 +43,7 @@ def main(
       jaxact report --actuator starleth --delay 0.005 --out joint.html
       jaxact report results/paper_gain_map --out map.html
       jaxact report experiments/paper_gain_map.toml
+      jaxact tune --actuator hyq --delay 1e-3 --out tuned && jaxact report tuned
       jaxact report --actuator hyq starleth --delay 0 0.001 0.005 --title "Two actuators"
     """
     given = _arguments.given(parameters)

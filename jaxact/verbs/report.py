@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import platform
+import tomllib
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -15,14 +16,15 @@ import xarray as xr
 
 from jaxact import __version__, files
 from jaxact.errors import UserError
-from jaxact.loops import listed, reading
+from jaxact.loops import listed, reading, toml
 from jaxact.loops.axes import NO_AXIS
-from jaxact.loops.building import loop_of
+from jaxact.loops.building import joint, loop_of
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.loops.specification import Specification
-from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, LINEAR, SETPOINT_DELAY
+from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, LINEAR, SETPOINT_DELAY, canonical
 from jaxact.reports import page
 from jaxact.sweeping import opening
+from jaxact.tuning import report as tuning_report
 from jaxact.tuning.result import Tuned
 from jaxact.verbs import naming
 from jaxact.verbs.margins import BothMargins, LoopMargins
@@ -30,6 +32,7 @@ from jaxact.verbs.margins import BothMargins, LoopMargins
 # A window where no sweep has one: so far around the gains, to either side.
 _AROUND = 30.0
 _MOST_LOOPS = 200
+_GAINS = "gains.toml"  # in a folder of `jaxact tune`
 _OF_LOOP = (*LINEAR, SETPOINT_DELAY, CONTROL_RATE)
 
 Window = tuple[float, float]
@@ -67,7 +70,7 @@ def report(
 
     Args:
         subject: a joint's loop or loops, their margins, a sweep or a tuned result; or the path of
-            the results of a sweep, or of a TOML file that describes or lists loops.
+            the results of a sweep or a tuning, or of a TOML file that describes or lists loops.
         out: HTML file to write; one that is there is replaced.
         title: above the page, "" for what the specification says.
         command: that made it, to be shown.
@@ -82,8 +85,8 @@ def report(
     check_output(path)
     found = _subject(subject)
     if found.loop.kind.plant is not None:
-        raise UserError("a report is of a joint; `jaxact.margins` of a robot can be drawn")
-    if max(found.loop.shape, default=1) and np.prod(found.loop.shape, initial=1) > _MOST_LOOPS:
+        raise UserError("a report is of a joint, and this is a robot; see its margins instead")
+    if np.prod(found.loop.shape, initial=1) > _MOST_LOOPS:
         raise UserError(f"a report is of at most {_MOST_LOOPS} loops; vary less, or select some")
     text = _html(found, title, command)
     with files.output(path) as partial:
@@ -153,6 +156,8 @@ def _subject(subject: Any) -> _Subject:
         return _of_sweep(subject)
     if isinstance(subject, str | os.PathLike):
         path = Path(subject)
+        if (path / _GAINS).is_file():
+            return _of_gains(tomllib.loads((path / _GAINS).read_text(encoding="utf-8")))
         if path.suffix != ".toml":
             return _of_sweep(opening.open_result(subject, unfinished=True))
         if listed.rows(path) is not None:
@@ -162,12 +167,38 @@ def _subject(subject: Any) -> _Subject:
 
 
 def _of_tuned(tuned: Tuned) -> _Subject:
-    if tuned.loop is None or tuned.robot is not None:
-        raise UserError("a report is of a joint's tuning; this is of a robot, or of no loop")
-    points = {"tuned": (float(tuned.kp), float(tuned.kd))}
-    if tuned.before is not None:
-        points = {"before": (float(tuned.before[0]), float(tuned.before[1]))} | points
-    return _Subject(tuned.loop, title=f"Tuned: {tuned.verdict}", points=points)
+    if tuned.robot is not None:
+        raise UserError("a report is of a joint, and this is a robot; see its margins instead")
+    found = _of_gains(tuning_report.document(tuned))
+    if tuned.before is None:
+        return found
+    before = {"before": (float(tuned.before[0]), float(tuned.before[1]))}
+    return dataclasses.replace(found, points=before | dict(found.points))
+
+
+def _of_gains(document: Mapping[str, Any]) -> _Subject:
+    """Tuned gains as `gains.toml` has them: the ends of what was assumed are loops to choose from.
+
+    Raises:
+        UserError: a robot's, or no such document.
+    """
+    gains, assumed = document.get("gains"), document.get("assumed", {})
+    if not isinstance(gains, Mapping) or not {KP, KD} <= gains.keys():
+        raise UserError("these are not a joint's tuned gains: there is no [gains] with kp and kd")
+    known = [name for name in assumed if canonical(name) in _OF_LOOP]
+    ends = [np.atleast_1d(np.asarray(assumed[name], float)) for name in known]
+    own = dict(zip(known, np.ix_(*ends), strict=True))
+    own = {name: array if array.size > 1 else float(array.item()) for name, array in own.items()}
+    if "control_period" in assumed:
+        own[CONTROL_RATE] = 1.0 / assumed["control_period"]
+    loop = joint(
+        kp=gains[KP], kd=gains[KD], unit=assumed.get("unit"),
+        velocity=assumed.get("velocity", "sampled"), **own,
+    )  # fmt: skip
+    points = {"tuned": (float(gains[KP]), float(gains[KD]))}
+    verdict = document.get("guaranteed", {}).get("verdict", "")
+    text = toml.dumps(document)
+    return _Subject(loop, f"Tuned: {verdict}" if verdict else "", text, points=points)
 
 
 def _of_sweep(results: xr.Dataset) -> _Subject:

@@ -1,7 +1,7 @@
 // Pictures as SVG: a frame with axes, lines and points in it. No style is set here but by classes.
 
 const SPACE = "http://www.w3.org/2000/svg";
-const MARGIN = { left: 62, right: 14, top: 10, bottom: 44 };
+const MARGIN = { left: 62, right: 22, top: 10, bottom: 44 };
 
 /** An SVG element with attributes and children. */
 export function draw(name, attributes = {}, ...children) {
@@ -31,7 +31,7 @@ const superscript = (power) =>
 function ticks([low, high], log, most) {
   if (log) {
     const [from, to] = [Math.floor(Math.log10(low)), Math.ceil(Math.log10(high))];
-    const heads = to - from <= 2 ? [1, 2, 5] : [1];
+    const heads = high / low < 500 ? [1, 2, 5] : [1];
     const stride = Math.max(1, Math.ceil((to - from) / most));
     const found = [];
     for (let power = from; power <= to; power++) {
@@ -68,7 +68,7 @@ export function frame(svg, { x, y, height }) {
     draw("clipPath", { id: clip }, draw("rect", { x: left, y: top, width: right - left, height: bottom - top })),
     draw("rect", { class: "ground", x: left, y: top, width: right - left, height: bottom - top }),
   ];
-  for (const value of ticks(x.domain, x.log, Math.max(3, Math.floor((right - left) / 80)))) {
+  for (const value of ticks(x.domain, x.log, Math.max(4, Math.floor((right - left) / 80)))) {
     parts.push(
       draw("line", { class: "grid", x1: toX(value), x2: toX(value), y1: top, y2: bottom }),
       draw("text", { class: "tick", x: toX(value), y: bottom + 16, "text-anchor": "middle" }, short(value)),

@@ -36,9 +36,16 @@ export function drawMap(svg, { window, unit, layers, edges, points, point }) {
     return `${path}Z`;
   });
   place.inside.append(draw("path", { class: "stable", d: filled.join("") }));
+  const labels = [];
   for (const { text, segments } of layers.lines) {
     const path = segments.map(([x0, y0, x1, y1]) => `M${at(x0, y0)}L${at(x1, y1)}`).join("");
-    place.inside.append(draw("path", { class: "level", d: path }), label(place, at, segments, text));
+    place.inside.append(draw("path", { class: "level", d: path }));
+    const [column, row] = labelled(segments);
+    const [x, y] = [place.x(along(window.kp, column)), place.y(along(window.kd, row))];
+    // No label over another.
+    if (labels.some((one) => Math.abs(one.y - y) < 13 && Math.abs(one.x - x) < 45)) continue;
+    labels.push({ x, y });
+    place.inside.append(draw("text", { class: "level-label", x: x + 3, y: y - 3 }, text));
   }
   for (const { kp, kd, separates } of edges) {
     line(place, kp, kd, { class: separates ? "boundary" : "inner" });
@@ -53,12 +60,10 @@ export function drawMap(svg, { window, unit, layers, edges, points, point }) {
   return place;
 }
 
-/** The level beside the topmost end of its line. */
-function label(place, at, segments, text) {
+/** The topmost end of a level line, away from the edges of the map. */
+function labelled(segments) {
   const inside = segments.filter(([x, y]) => x > 1 && x < COUNT - 4 && y < COUNT - 3);
-  const [x, y] = (inside.length ? inside : segments).reduce((a, b) => (b[1] > a[1] ? b : a));
-  const [px, py] = at(x, y).split(" ");
-  return draw("text", { class: "level-label", x: px, y: py, dx: 3, dy: -3 }, text);
+  return (inside.length ? inside : segments).reduce((a, b) => (b[1] > a[1] ? b : a)).slice(0, 2);
 }
 
 function star(place, name, kp, kd) {

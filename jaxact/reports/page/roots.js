@@ -68,26 +68,34 @@ function left(loop, sigma, w, value) {
   return rest + angle(value, A);
 }
 
-/** Number of unstable roots at given gains from the cached A, B and C alone. */
+/**
+ * Number of unstable roots at given gains from the cached A, B and C alone.
+ *
+ * As `rootsRightOf` at 0; small turns are told by the signs of Delta: the whole turn is the angle at
+ * the end and a full turn for every passage of the negative real axis.
+ */
 export function unstableRoots(loop, cached, kp, kd) {
   const { w, ar, ai, br, bi, cr, ci } = cached;
   const at = (frequency) => characteristic(loop, kp, kd, 0, frequency);
   const origin = at(0);
   let [re, im] = [origin.re, origin.im];
-  let total = 0;
+  let turns = 0;
   for (let i = 0; i < w.length; i++) {
     const nextRe = ar[i] + kp * br[i] + kd * cr[i];
     const nextIm = ai[i] + kp * bi[i] + kd * ci[i];
-    const turn = Math.atan2(re * nextIm - im * nextRe, re * nextRe + im * nextIm);
-    total +=
-      Math.abs(turn) < FINE
-        ? turn
-        : turned(at, i ? w[i - 1] : 0, { re, im }, w[i], { re: nextRe, im: nextIm });
+    const across = re * nextIm - im * nextRe;
+    const along = re * nextRe + im * nextIm;
+    if (Math.abs(across) < along) {
+      if (re < 0 && im >= 0 !== nextIm >= 0) turns += im >= 0 ? 1 : -1;
+    } else {
+      const turn = turned(at, i ? w[i - 1] : 0, { re, im }, w[i], { re: nextRe, im: nextIm });
+      turns += Math.round((turn - Math.atan2(nextIm, nextRe) + Math.atan2(im, re)) / (2 * Math.PI));
+    }
     [re, im] = [nextRe, nextIm];
   }
+  const total = 2 * Math.PI * turns + Math.atan2(im, re) - Math.atan2(origin.im, origin.re);
   if (loop.sampled) return whole(-total / Math.PI);
-  const last = { re, im };
-  return whole(loop.degree / 2 - (total + left(loop, 0, w[w.length - 1], last)) / Math.PI);
+  return whole(loop.degree / 2 - (total + left(loop, 0, w[w.length - 1], { re, im })) / Math.PI);
 }
 
 /**
