@@ -48,6 +48,7 @@ class _Subject:
         specification: that described them, as text.
         window: ranges of kp and kd of the map, none for those around the gains.
         points: gains to mark, by name.
+        simulated: it is of a sweep, whose loops are sampled; else those with a control rate are.
     """
 
     loop: ControlLoop
@@ -55,6 +56,7 @@ class _Subject:
     specification: str = ""
     window: Mapping[str, Window] = dataclasses.field(default_factory=dict)
     points: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    simulated: bool = False
 
 
 def report(
@@ -119,6 +121,7 @@ def _html(found: _Subject, title: str, command: str) -> str:
     data = {
         "loops": rows,
         "start": 0,
+        "sampled": found.simulated or CONTROL_RATE in found.loop.values,
         "unit": found.loop.kind.unit,
         "window": {name: list(ends) for name, ends in window.items()},
         "points": [{"name": name, KP: kp, KD: kd} for name, (kp, kd) in points.items()],
@@ -219,4 +222,5 @@ def _of_specification(specification: Specification) -> _Subject:
     loop = loop_of(alone)
     nominal = specification.nominal
     points = {"nominal": (float(nominal[KP]), float(nominal[KD]))}
-    return _Subject(loop, specification.description, specification.text, window, points)
+    text = specification.text
+    return _Subject(loop, specification.description, text, window, points, simulated=True)

@@ -37,6 +37,7 @@ def test_a_sweep_has_its_ranges_and_its_other_axes_as_loops(tmp_path):
     assert data["window"] == {"kp": [10.0, 1e4], "kd": [0.5, 50.0]}
     assert [one["parameters"]["wn"] for one in data["loops"]] == [800.0, 110.0]
     assert data["points"] == [{"name": "nominal", "kp": 400.0, "kd": 20.0}]
+    assert data["sampled"]
     assert "alert(1)" in text and "<script>alert" not in text
     results = xr.Dataset(attrs={"specification_toml": SWEEP})
     assert data_of(jx.report(results, tmp_path / "again.html")) == data
@@ -45,7 +46,7 @@ def test_a_sweep_has_its_ranges_and_its_other_axes_as_loops(tmp_path):
 def test_gains_have_their_common_factor_and_rotary_joints_their_units(tmp_path):
     loop = jx.joint(inertia=0.02, kp=80, kd=1.5, gain_scale=2)
     data = data_of(jx.report(jx.margins(loop), tmp_path / "joint.html"))
-    assert data["unit"] == "rad"
+    assert data["unit"] == "rad" and not data["sampled"]
     assert (data["loops"][0]["parameters"]["kp"], data["loops"][0]["parameters"]["kd"]) == (160, 3)
     assert data["loops"][0]["parameters"]["wn"] == "inf"
 

@@ -126,6 +126,7 @@ export function start(data) {
     later();
   }
 
+  document.querySelector(`input[name=kind][value=${data.sampled ? "sampled" : "continuous"}]`).checked = true;
   const show = controls(by("controls"), first.parameters, window, unit, changed);
   movable(by("pad"), by("map"), window, () => place, () => state, (kp, kd) => {
     Object.assign(state, { kp, kd });
