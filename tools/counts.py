@@ -69,7 +69,7 @@ def main() -> int:
         (f"parameters whose name is a string in more than {MOST_FILES_WITH_A_NAME} files", wide),
     ):
         print(f"{words}: {len(found)}{': ' if found else ''}{', '.join(found)}")
-    return int(bool(long_files or long_functions or mixed) or root > MOST_AT_THE_ROOT)
+    return int(bool(long_files or long_functions or mixed or wide) or root > MOST_AT_THE_ROOT)
 
 
 if __name__ == "__main__":

@@ -198,7 +198,7 @@ def response(
         damping_ratio: [-], shape (joints,).
         step: length h of the step [s], shape (joints,), > 0.
         older_for: [s], shape (joints,), between 0 and h.
-        joint: that the force moves, if it is no bare mass and no model.
+        joint: that the force moves, if it is neither a bare mass nor a model.
 
     Returns:
         The coefficients of one step.

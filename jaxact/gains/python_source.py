@@ -192,7 +192,7 @@ def _value(node: ast.expr, known: dict[str, ast.expr], depth: int = 0) -> Any:
         if any(key is None for key in node.keys):
             raise _UnknownError(node)
         if not all(isinstance(key, ast.Constant | ast.Name) for key in node.keys):
-            raise _UnknownError(node)  # a key that is no name, such as a list
+            raise _UnknownError(node)  # a key that is not a name, such as a list
         return {
             str(_value(key, known, inner)): _value(value, known, inner)
             for key, value in zip(node.keys, node.values, strict=True)

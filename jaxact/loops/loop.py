@@ -44,7 +44,7 @@ class Prepared:
 
     @property
     def joint(self) -> Joint | None:
-        """The joint, where it has damping or stiffness of its own and is no model; else None."""
+        """The joint, where it has damping or stiffness of its own and is not a model; else None."""
         return getattr(self.plant, "joint", None)
 
 

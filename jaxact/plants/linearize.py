@@ -149,7 +149,7 @@ def linearise(plant: MjxPlant, force: np.ndarray, step: float) -> Linearisation 
         step: physics step [s].
 
     Returns:
-        The linear plant without its neutral directions, and how far the posture is from rest; None
+        The linear plant, rigid-body modes removed, and how far the posture is from rest; None
         where the derivatives of MJX are not numbers, as at some contacts of meshes.
     """
     with jax.enable_x64(True):

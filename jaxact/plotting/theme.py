@@ -71,8 +71,8 @@ def applied() -> Iterator[None]:
 def diverging() -> Colormap:
     """The map of the growth rate: blue (decays) through white (zero) to brown-red (grows).
 
-    Lightness falls evenly to both sides, and further on the growing side, so that the two ends
-    stay apart in grey as well.
+    Lightness falls evenly in either direction, and further on the growing side, so that the two
+    ends stay apart in grey as well.
     """
     stops = [
         (0.00, "#0B3C7D"), (0.15, "#2A6BB0"), (0.32, "#6FA8D6"), (0.45, "#C6DEEF"),

@@ -165,7 +165,7 @@ def test_rollouts_carry_the_same_payloads(laden):
     held = rollouts(tuned, 1.0)
     assert held.stable[0] == held.stable[1] == len(tuned.members)
     found = held.after["home"]
-    # The heavier, the further it hangs from its posture: the drives are told nothing of it.
+    # The heavier, the further it hangs from its posture: the controllers use the nominal model.
     payload = one.columns(tuned.members.fraction)["payload"]
     order = np.argsort(payload)
     sag = found.excursion[0].max(axis=1)[order]

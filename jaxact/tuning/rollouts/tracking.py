@@ -4,8 +4,8 @@
 
 over ticks, joints, members and situations, in nonlinear rollouts in MJX after a push, with the
 drive's delays, noise and limits, and contacts. The weight says how many per cent of the objective
-one per cent less of the error is worth; the constraints stay what they are. It is no objective of
-its own: for a sluggish actuator the error is smaller at gains that are nearly unstable.
+one per cent less of the error is worth; the constraints stay what they are. It is not an objective
+of its own: for a sluggish actuator the error is smaller at gains that are nearly unstable.
 
 The error is a function of the log-gains of g groups, x = (ln kp_1 ... ln kp_g, ln kd_1 ...), and
 differentiable forwards and backwards (`jaxact.plants.mjx.smooth`); quantisation, which has no
