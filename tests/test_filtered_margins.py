@@ -86,6 +86,7 @@ def test_roots_without_delay_are_those_of_the_polynomial():
     assert np.max(np.abs(root.real[clear] - rightmost[clear]) / scale) < 1e-5
 
 
+@pytest.mark.exhaustive
 def test_the_count_changes_exactly_at_the_margins():
     values, cutoff, (figures, _, _) = found(delay=True)
     stable = figures.stable

@@ -37,6 +37,7 @@ def _in_order(cases):
     return lambda values: np.array(values, float).reshape((3, 3))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("ours", "theirs", "unit"),
     [
@@ -62,6 +63,7 @@ def test_continuous_margins_are_the_oracles(found, ours, theirs, unit):
     assert compared == 30
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("ours", "theirs", "unit"),
     [
@@ -78,6 +80,7 @@ def test_sampled_margins_are_the_oracles(found, ours, theirs, unit):
     np.testing.assert_allclose(found.robots["sampled"][ours], want, rtol=tolerance)
 
 
+@pytest.mark.exhaustive
 def test_bisected_margins_are_the_oracles(found):
     order = _in_order(SAMPLED)
     want = {
@@ -91,6 +94,7 @@ def test_bisected_margins_are_the_oracles(found):
     np.testing.assert_allclose(found.growth_rate["nominal"], rates, rtol=1e-3)
 
 
+@pytest.mark.exhaustive
 def test_simulated_marks_lie_on_the_exact_curves(found):
     for name, atol in (("gain_margin", 0.0), ("delay_margin", 5e-6)):
         exact = found.curves["sampled"][name][..., found.marked]
@@ -98,6 +102,7 @@ def test_simulated_marks_lie_on_the_exact_curves(found):
     np.testing.assert_allclose(found.measured_sensitivity, found.measured_reference, rtol=1e-5)
 
 
+@pytest.mark.exhaustive
 def test_sensitivity_curves_follow_the_definition(found):
     for z, zeta in enumerate(study.DAMPING_RATIOS):
         for d, delay in enumerate(study.DELAYS):
@@ -107,6 +112,7 @@ def test_sensitivity_curves_follow_the_definition(found):
                 np.testing.assert_allclose(found.sensitivity["continuous"][z, d, s], want, 1e-9)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "factor"), [("boundary", 1.0), ("tripled_boundary", 3.0)])
 def test_slowest_stable_actuators_solve_the_characteristic_equation(found, name, factor):
     for z, zeta in enumerate(study.DAMPING_RATIOS):
@@ -129,6 +135,7 @@ def test_slowest_stable_actuators_solve_the_characteristic_equation(found, name,
                 assert got == pytest.approx(wn, rel=1e-3)
 
 
+@pytest.mark.exhaustive
 def test_every_curve_covers_the_studys_range(found):
     assert found.natural_frequency[[0, -1]] == pytest.approx([50.0, 800.0])
     assert set(study.DAMPING_RATIOS) == {0.45, 0.9} and study.DELAYS == (0.0, 1e-3, 5e-3)
@@ -142,6 +149,7 @@ def test_pade_margins_converge_to_the_oracles():
         np.testing.assert_allclose(pade.gain_margins(study.robots(), order), want, tolerance)
 
 
+@pytest.mark.exhaustive
 def test_sampled_gain_margins_at_other_rates_have_a_closed_form(found):
     """z^2 + (k (a + b) - 2) z + 1 + k (a - b) has a root at -1 where k b = 2, b = kd T/m."""
     want = 2.0 * study.MASS * np.array(results.CONTROL_RATES) / study.KD
@@ -150,6 +158,7 @@ def test_sampled_gain_margins_at_other_rates_have_a_closed_form(found):
     np.testing.assert_allclose(found.rates[..., 2], here, rtol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_margins_at_tripled_gains_follow_the_definition(found):
     robots = study.robots()
     for place in np.ndindex(robots.shape):
@@ -165,6 +174,7 @@ def test_margins_at_tripled_gains_follow_the_definition(found):
             assert got == pytest.approx(late, abs=1e-5)
 
 
+@pytest.mark.exhaustive
 def test_a_faster_joint_peaks_at_a_higher_frequency_in_proportion(found):
     base = found.robots["continuous"]["sensitivity_peak_frequency"][0, 0]
     np.testing.assert_allclose(found.speeds[0, 0], base * results.SPEEDS, rtol=1e-6)
@@ -178,6 +188,7 @@ def test_the_actuators_step_and_rise_time_are_scipys(zeta):
     assert motion.rise_time(110.0, zeta) == pytest.approx(rise, rel=1e-2)
 
 
+@pytest.mark.exhaustive
 def test_joints_steps_are_the_continuous_loops_where_sampling_hardly_matters(found):
     """Without actuator dynamics and delay: (kd s + kp)/(m s^2 + kd s + kp) without its kd s."""
     t = np.arange(found.robot_steps.shape[-1]) / study.CONTROL_RATE
@@ -186,6 +197,7 @@ def test_joints_steps_are_the_continuous_loops_where_sampling_hardly_matters(fou
     np.testing.assert_allclose(found.robot_steps[0, 0], want, atol=0.01)
 
 
+@pytest.mark.exhaustive
 def test_claims_are_judged_as_they_are_known_to_be(found):
     judged = claims(found)
 
@@ -204,12 +216,14 @@ def test_claims_are_judged_as_they_are_known_to_be(found):
     assert sum(claim.verdict.startswith("Cannot be judged: ") for claim in judged) == 3
 
 
+@pytest.mark.exhaustive
 def test_quotes_are_short_and_every_judged_claim_has_cases(found):
     for claim in claims(found):
         assert len(claim.quote.split()) <= 25
         assert bool(claim.cases) != bool(claim.unjudged)
 
 
+@pytest.mark.exhaustive
 def test_claims_follow_the_numbers(found):
     """Nothing is typed in: other numbers give other verdicts."""
     robots = {kind: dict(found.robots[kind]) for kind in found.robots}
@@ -234,6 +248,7 @@ def test_claims_follow_the_numbers(found):
         assert any(words in quote for quote in changed), words
 
 
+@pytest.mark.exhaustive
 def test_report_says_first_whether_a_claim_holds(found):
     text = report(found)
     rows = [line for line in text.splitlines() if line.startswith("| ")]
@@ -250,6 +265,7 @@ def test_report_says_first_whether_a_claim_holds(found):
         assert line in text
 
 
+@pytest.mark.exhaustive
 def test_pictures_show_the_families(found):
     for name, picture in pictures.PICTURES.items():
         figure = picture(found)
@@ -268,6 +284,7 @@ def test_pictures_show_the_families(found):
     assert starts == pytest.approx([1.008, 1, 1, 1, 1, 1])
 
 
+@pytest.mark.exhaustive
 def test_the_experiment_writes_everything(found, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(run, "compute", lambda: found)
     out = tmp_path / "new" / "paper"
@@ -278,6 +295,7 @@ def test_the_experiment_writes_everything(found, tmp_path, monkeypatch, capsys):
     assert (out / "claims.md").read_text(encoding="utf-8") == report(found)
 
 
+@pytest.mark.exhaustive
 def test_the_committed_claims_are_what_the_command_writes(found):
     committed = Path(__file__).parent.parent / "results" / "paper" / run.CLAIMS
     assert committed.is_file()

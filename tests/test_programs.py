@@ -248,6 +248,7 @@ def test_changed_source_and_static_arguments_make_another_program(compute, tmp_p
     assert len(list((tmp_path / "programs").iterdir())) == 3
 
 
+@pytest.mark.exhaustive
 def test_what_comes_from_jaxs_own_cache_is_not_kept(compute, tmp_path):
     """XLA could load it once more, but not run it."""
     own = {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "kernels"), "TF_CPP_MIN_LOG_LEVEL": "3"}

@@ -156,6 +156,7 @@ FLOATING = """<mujoco><option timestep="0.001" gravity="0 0 {gravity}"/><worldbo
 </worldbody><actuator><motor joint="hip"/><motor joint="knee"/></actuator></mujoco>"""
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("gravity", [0.0, -9.81])
 def test_a_base_that_drifts_in_the_air_neither_shakes_nor_topples(tmp_path, gravity):
     """Its twelve roots are at 1, in Jordan blocks, which rounding parts."""

@@ -205,6 +205,7 @@ def test_sampled_margins_end_where_the_radius_is_one():
     assert down > 50
 
 
+@pytest.mark.exhaustive
 def test_no_damping_and_no_stiffness_are_the_bare_mass():
     bare = [np.full(4, v) for v in (400.0, 20.0, 0.7, 110.0, 0.9)]
     delay = np.array([0.0, 1e-3, 5e-3, 3e-2])
@@ -221,6 +222,7 @@ def test_no_damping_and_no_stiffness_are_the_bare_mass():
             )
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("stiffness", [-60.0, 900.0])
 def test_derivatives_by_damping_and_stiffness_are_those_of_differences(stiffness):
     def figures(c, k):
@@ -242,6 +244,7 @@ def test_derivatives_by_damping_and_stiffness_are_those_of_differences(stiffness
         np.testing.assert_allclose(exact[number], (ends[0] - ends[1]) / (2 * step), rtol=1e-5)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("stiffness", [-300.0, 300.0])
 def test_boundaries_are_made_of_marginal_gains(stiffness):
     own = {"joint_damping": 4.0, "joint_stiffness": stiffness}

@@ -147,6 +147,7 @@ def _slow(most, fastest, seconds, *, kp=100.0, kd=20.0, setpoint=1.0):
     return np.array(positions)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("seconds", [2.0, 4.0])
 def test_a_motion_too_slow_to_turn_is_judged_by_where_it_goes(seconds):
     """A force limit lets a step arrive, be it after the rollout; a limit of its change loses it."""
@@ -304,6 +305,7 @@ def test_counts_are_felt_as_positions():
     np.testing.assert_allclose(verdicts.count(drive), [5e-3, 1e-2, 1e-4], rtol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_the_frequency_of_several_joints_is_that_of_the_largest_limit_cycle():
     def figures(verdict):
         given = {name: jnp.zeros((1, 3)) for name in Metrics.__dataclass_fields__}

@@ -243,6 +243,7 @@ def test_randomised_models_bring_their_own_gains():
         )
 
 
+@pytest.mark.exhaustive
 def test_forces_of_motors_are_delayed():
     env = playground(Leg(leg(actuator="motor")), delay=2.5 * STEP * SUBSTEPS)
     step = jax.jit(env.step)
@@ -266,6 +267,7 @@ def test_damping_moves_into_the_drive():
     assert not fields["dof_damping"].any()
 
 
+@pytest.mark.exhaustive
 def test_an_environment_of_playground_is_wrapped():
     env = registry.load("CartpoleBalance", config_overrides={"impl": "jax"})
     own = mjx_env.step

@@ -465,6 +465,7 @@ def test_the_command_line_takes_gains(model, tmp_path):
         assert ran.stderr.count("\n") == 1
 
 
+@pytest.mark.exhaustive
 def test_a_sweep_takes_gains(model, tmp_path):
     """Their file is named from here, the specification's model from its own folder."""
     (tmp_path / "gym.yaml").write_text(RL_GYM)

@@ -231,6 +231,7 @@ def test_pictures_on_the_callers_axes(starleth):
     pyplot.close("all")
 
 
+@pytest.mark.exhaustive
 def test_a_first_order_method_over_a_few_of_many_logs_ends_near_the_least_squares():
     logs = [_log(_prbs(seed), STARLETH, seed) for seed in range(20, 32)]
     with jax.enable_x64(True):

@@ -104,6 +104,7 @@ def test_the_links_do_what_inverse_dynamics_says(folder):
         assert inertia * data.qacc[at] + force == pytest.approx(data.qfrc_inverse[at], rel=1e-3)
 
 
+@pytest.mark.exhaustive
 def test_armature_friction_and_delay_are_found_through_the_links(found):
     (part,) = found.parts
     numbers = part.found.chosen.numbers
@@ -114,6 +115,7 @@ def test_armature_friction_and_delay_are_found_through_the_links(found):
     assert min(part.found.chosen.scores) > 99.0
 
 
+@pytest.mark.exhaustive
 def test_the_gain_of_a_drive_is_found_from_recorded_commands(folder):
     columns = folder / "commands.toml"
     columns.write_text(

@@ -101,6 +101,7 @@ def _loops(tree, b):
     }  # fmt: skip
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("function", [_everything, _moves, _loops])
 @pytest.mark.parametrize("size", [1, 3])
 def test_values_and_derivatives_are_the_functions(function, size):

@@ -93,6 +93,7 @@ def _workers(driver):
     return found
 
 
+@pytest.mark.exhaustive
 @needs_ray
 def test_lost_workers_cost_only_their_chunk_and_no_bit(start, tmp_path):
     with start(tmp_path / "local", "local") as process:

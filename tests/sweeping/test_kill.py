@@ -114,6 +114,7 @@ def _kill_at_a_random_moment(sweeps, out, chance):
     sweeps.kill()
 
 
+@pytest.mark.exhaustive
 def test_a_sweep_that_is_killed_25_times_ends_as_an_undisturbed_one(sweeps, tmp_path):
     calm, killed = tmp_path / "calm", tmp_path / "killed"
     sweeps.start(calm)

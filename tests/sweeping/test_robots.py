@@ -194,6 +194,7 @@ def _moved(folder, parameters, motion):
     return single.simulate(reading.parse(text, folder))
 
 
+@pytest.mark.exhaustive
 def test_a_robot_at_rest_stays_there_and_a_shaking_one_is_told(folder):
     axes = "gain_scale = [1.0, 60.0]"
     rows = _rows(_parsed(folder, HOME, DRIVE, axes, duration=0.5, engine="mujoco"))
@@ -325,6 +326,7 @@ def test_any_control_rate_suits_a_robot_without_a_step_of_its_own(folder):
         _parsed(folder, HOME, "control_rate = 333", duration=0.1, physics_step=0.002)
 
 
+@pytest.mark.exhaustive
 def test_loops_of_other_control_rates_are_what_they_are_alone(folder):
     """Above the model's own rate each control rate is another physics step."""
     slow = "pendulum_slow.xml"

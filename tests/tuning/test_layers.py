@@ -56,6 +56,7 @@ def test_slopes_of_exact_figures_are_those_of_central_differences(members):
             np.testing.assert_allclose(slope[:, column], numeric, rtol=2e-4, atol=1e-4)
 
 
+@pytest.mark.exhaustive
 def test_smooth_figures_become_the_exact_ones(members):
     log_kp, log_kd = _gains(members)
     names = ("sensitivity_peak", "complementary_peak", "disk_margin", "gain_margin",
@@ -75,6 +76,7 @@ def test_smooth_figures_become_the_exact_ones(members):
         np.testing.assert_allclose(smooth[name], found.log[name], atol=near, err_msg=name)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("period", [0.0, 2e-3])
 def test_the_winding_of_the_table_counts_as_the_roots_do(members, period):
     sampling = Sampling(period, "differenced", 300.0) if period else Sampling()
@@ -162,6 +164,7 @@ def _chain(steps):
     return optax.chain(optax.clip_by_global_norm(1.0), optax.rmsprop(rate, decay=0.95))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "how", [Descent(gradient="forward"), Descent(gradient="reverse"), Descent(chain=_chain)]
 )

@@ -102,6 +102,7 @@ def test_the_stored_optima_are_those_of_brute_force(number):
     assert (kp, kd) == pytest.approx(STORED["plants"][number], rel=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_ensembles_are_within_a_percent_of_brute_force(ensembles):
     best = np.array([kp for kp, _ in STORED["ensembles"]])
     ratio = np.array([tuned.kp for tuned in ensembles]) / best

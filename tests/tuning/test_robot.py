@@ -215,6 +215,7 @@ def test_an_unstable_start_is_rescued(arm):
     assert tuned.certified and tuned.improved and np.isnan(tuned.value_before)
 
 
+@pytest.mark.exhaustive
 def test_the_disk_margin_is_made_large(known):
     situations = known
     groups = group([], situations[0].names)

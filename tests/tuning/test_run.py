@@ -78,6 +78,7 @@ def test_gains_are_never_worse_than_the_start():
     assert kept.certificate.checks[0].value <= 2.97616
 
 
+@pytest.mark.exhaustive
 def test_every_constraint_binds_where_it_should():
     # Bounds that ask for next to nothing keep the three goals of one kind: compiled once.
     easy = {"max_peak": 2.5, "min_gain_margin": 1.01, "min_delay_margin": 1e-6}

@@ -30,6 +30,7 @@ def _stiffest(stiffness):
     return kp[np.asarray(found.stable) & (peak <= PEAK)].max()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("stiffness", [-300.0, 900.0])
 def test_gains_are_the_stiffest_there_are(stiffness):
     loop = jx.joint(**JOINT, joint_stiffness=stiffness)
@@ -52,6 +53,7 @@ def test_uncertain_stiffness_is_certified_at_its_worst():
     assert 2.9 < worst <= 3.0 * (1 + 1e-6)
 
 
+@pytest.mark.exhaustive
 def test_metrics_have_derivatives_by_damping_and_stiffness():
     plant = {"mass": 0.7, "natural_frequency": 110.0, "damping_ratio": 0.9, "delay": 1e-3}
     at, gains = np.array([3.0, -250.0]), np.log([500.0, 25.0])

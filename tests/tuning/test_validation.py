@@ -83,6 +83,7 @@ def test_both_engines_say_the_same(pendulum, members):
     np.testing.assert_allclose(one.excursion[:, :2], other.excursion[:, :2], rtol=0.02)
 
 
+@pytest.mark.exhaustive
 def test_a_robot_that_falls_is_not_stable(folder):
     push = Push("box", (0.0, 40.0, 0.0), 0.1, 0.05)
     asked = _asked(folder, "hopper", push=push, duration=2.0)

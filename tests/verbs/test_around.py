@@ -90,6 +90,7 @@ def test_it_can_be_mapped_and_differentiated_by_the_delay():
     assert float(jax.jacfwd(end)(0.0031)) == pytest.approx((ends[1] - ends[0]) / 2e-4, rel=0.02)
 
 
+@pytest.mark.exhaustive
 def test_joints_may_have_drives_of_their_own_and_noise_of_their_own():
     loop = jx.joint(kp=np.array([8.0, 4.0]), kd=0.4, position_noise=1e-3)
     drive = jx.drive_around(step, loop, measure=measure, physics_step=H, joints=2)

@@ -91,6 +91,7 @@ def tuned():
     return jx.tune(loop, max_peak=1.6, samples=2, front=2, steps=20, starts=1)
 
 
+@pytest.mark.exhaustive
 def test_the_plane_of_the_gains_has_the_bound_where_the_margins_have_it(tuned):
     ax = pyplot.figure().subplots()
     assert jx.plot.tuning_map(tuned, ax=ax) is ax
@@ -103,6 +104,7 @@ def test_the_plane_of_the_gains_has_the_bound_where_the_margins_have_it(tuned):
     assert stars[0].get_xydata()[0] == pytest.approx([tuned.kp, tuned.kd])
 
 
+@pytest.mark.exhaustive
 def test_responses_before_and_after_end_at_the_setpoint(tuned):
     ax = jx.plot.step_band(tuned, ax=pyplot.figure().subplots())
     curves = [line.get_ydata() for line in ax.lines if len(line.get_ydata()) > 100]
@@ -111,6 +113,7 @@ def test_responses_before_and_after_end_at_the_setpoint(tuned):
     assert [text.get_text()[:5] for text in upper.get_legend().get_texts()] == ["after", "befor"]
 
 
+@pytest.mark.exhaustive
 def test_convergence_and_the_front_are_the_results(tuned):
     upper, lower = jx.plot.convergence(tuned, axes=pyplot.figure().subplots(2, 1))
     assert "stiffness" in upper.get_ylabel() and lower.get_xlabel() == "step"
@@ -121,11 +124,13 @@ def test_convergence_and_the_front_are_the_results(tuned):
     assert list(lower.lines[0].get_ydata()) == [one.kd for one in tuned.front]
 
 
+@pytest.mark.exhaustive
 def test_pictures_of_a_tuning_say_what_they_are_of(tuned):
     with pytest.raises(UserError, match="of a robot's tuned gains"):
         jx.plot.robot_gains(tuned)
 
 
+@pytest.mark.exhaustive
 def test_curves_and_samples_of_a_sweep(loop, maps):
     ax = jx.plot.lines(maps.isel(kd=2), x="kp", y="delay", ax=pyplot.figure().subplots())
     expected = maps.growth_rate.isel(kd=2).sel(delay=0.005).values

@@ -69,6 +69,7 @@ def test_specifications_say_it_too_and_read_back(text):
         reading.parse('unit = "m"\n[parameters]\ninertia = 1.0\n[axes]\nkp = [1, 2]')
 
 
+@pytest.mark.exhaustive
 def test_datasets_have_its_units():
     loop = jx.joint(inertia=0.02, **MOTOR)
     run = jx.simulate(loop, setpoint=0.1, duration=0.05)

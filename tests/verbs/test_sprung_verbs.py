@@ -13,6 +13,7 @@ UPRIGHT = {"mass": 0.7, "actuator": "starleth", "joint_damping": 2.0, "joint_sti
 STIFFNESSES, DELAYS = np.array([-600.0, -390.0, 0.0, 300.0]), np.array([0.0, 3e-3, 0.15])
 
 
+@pytest.mark.exhaustive
 def test_growth_rates_over_stiffness_are_those_of_exact_theory_at_long_delays_too():
     maps = jx.sweep(
         jx.joint(**UPRIGHT, kp=400, kd=20), duration=0.2,
@@ -37,6 +38,7 @@ def test_verdicts_of_a_map_are_those_of_exact_theory():
     assert stable.any() and not stable[maps.kp.values < 300.0].any()
 
 
+@pytest.mark.exhaustive
 def test_margins_map_and_differentiate_by_stiffness():
     def margin(stiffness):
         own = UPRIGHT | {"joint_stiffness": stiffness}
@@ -55,6 +57,7 @@ def test_the_boundary_has_the_line_where_the_joint_topples():
     assert lines and all(np.all(curve.kp == 300.0) for curve in lines if curve.frequency[0] == 0)
 
 
+@pytest.mark.exhaustive
 def test_mjx_has_the_same_joint():
     gains = {"kp": np.array([100.0, 400.0, 2000.0]), "kd": 20.0}
     loop = jx.joint(**UPRIGHT, delay=1e-3)
@@ -71,6 +74,7 @@ def test_a_robot_has_the_springs_of_its_model():
         jx.joint(joint_damping=-1.0)
 
 
+@pytest.mark.exhaustive
 def test_a_limited_force_does_not_keep_a_toppling_joint_bounded():
     hit = {"kp": 900.0, "kd": 20.0, "force_limit": 30.0, "initial_velocity": [0.1, 20.0]}
     found = jx.simulate(jx.joint(**UPRIGHT, **hit), setpoint=0.0, duration=1.0)
