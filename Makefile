@@ -7,6 +7,7 @@
 # make identification  drives from real logs, and how simple their models may be
 # make test    the everyday tests
 # make test-all  all tests, the exhaustive ones too
+# make docs    the site of the documentation, all of whose code runs, to docs/_build/html/
 # make lint    style and types
 # make bench   benchmarks against rivals, to results/benchmarks/
 # make lock    pin all dependencies anew (needs Python 3.11, 3.12 and 3.13)
@@ -23,8 +24,9 @@ STUDY := paper_gain_map
 ROBOTS := .robots
 ENVIRONMENTS := .environments
 TORCH := .torch
+SITE := .site
 
-.PHONY: help demo paper quadruped tuning engines shipped identification test test-all lint bench lock clean
+.PHONY: help demo paper quadruped tuning engines shipped identification test test-all docs lint bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -58,6 +60,9 @@ test: $(STAMP) $(ENVIRONMENTS)/.complete $(TORCH)/.complete
 test-all: $(STAMP) $(ENVIRONMENTS)/.complete $(TORCH)/.complete
 	PYTHONPATH=$(ENVIRONMENTS) $(BIN)/python -m pytest -n auto
 
+docs: $(STAMP) $(SITE)/.complete $(ENVIRONMENTS)/.complete
+	PYTHONPATH=$(SITE):$(ENVIRONMENTS) $(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
+
 lint: $(STAMP)
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
@@ -70,7 +75,7 @@ lock:
 	@python=$$(tools/find_python.sh "$(PYTHON)") && "$$python" tools/lock.py
 
 clean:
-	rm -rf $(VENV) $(ROBOTS) $(ENVIRONMENTS) $(TORCH)
+	rm -rf $(VENV) $(ROBOTS) $(ENVIRONMENTS) $(TORCH) $(SITE)
 
 # Everything is pinned by the lock file, the build backend included, so nothing is resolved here;
 # the second step only adds what a platform needs beyond it (colorama on Windows).
@@ -104,4 +109,10 @@ $(TORCH)/.complete:
 		$(TORCH)/bin/python -m pip --disable-pip-version-check -qq install --no-deps --no-compile \
 		torch==2.13.0+cpu numpy==2.4.6 typing-extensions==4.16.0 || \
 		{ rm -rf $(TORCH)/bin; echo "no torch for Python 3.11: tests of it are skipped" >&2; }
+	@touch $@
+
+# Sphinx and what it needs, apart from .venv: nothing of it is used by anything but `make docs`.
+$(SITE)/.complete: $(STAMP) requirements-docs-lock.txt
+	@rm -rf $(SITE)
+	@$(PIP) install --no-deps --no-compile --target $(SITE) --requirement requirements-docs-lock.txt
 	@touch $@

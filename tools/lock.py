@@ -1,8 +1,9 @@
-"""Write requirements-lock.txt: every dependency exactly pinned, for all Pythons in one file.
+"""Write the lock files: every dependency exactly pinned, for all Pythons in one file.
 
-For each interpreter a fresh environment resolves `.[dev]` without installing it; where the
-interpreters agree a package gets one line, where they differ one line each with a marker.
-Only names, versions and markers are written, never where a package came from.
+`requirements-lock.txt` has what `.[dev]` needs, `requirements-docs-lock.txt` what the site of the
+documentation needs beside it (`.[docs]`). For each interpreter a fresh environment resolves them
+without installing; where the interpreters agree a package gets one line, where they differ one line
+each with a marker. Only names, versions and markers are written, never where a package came from.
 
     python tools/lock.py [python3.11 python3.12 python3.13]
 
@@ -23,9 +24,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 LOCK = ROOT / "requirements-lock.txt"
+DOCS_LOCK = ROOT / "requirements-docs-lock.txt"
 SUPPORTED = ("3.11", "3.12", "3.13")
 HEADER = """\
-# Every dependency of jaxact and of its development environment, exactly pinned.
+# Every dependency of {what}, exactly pinned.
 # Written by `make lock` from pyproject.toml; do not edit.
 """
 
@@ -44,8 +46,8 @@ def find(version: str) -> str:
     raise SystemExit(f"tools/lock.py: found no Python {version} that runs")
 
 
-def resolve(interpreter: str) -> tuple[str, dict[str, str]]:
-    """The interpreter's "major.minor" and the name -> version that pip chooses for `.[dev]`."""
+def resolve(interpreter: str, constraints: Path | None, extra: str) -> tuple[str, dict[str, str]]:
+    """The interpreter's "major.minor" and the name -> version that pip chooses for an extra."""
     ask = "import sys; print('%d.%d' % sys.version_info[:2])"
     version = subprocess.check_output([interpreter, "-c", ask], text=True).strip()
     with tempfile.TemporaryDirectory() as scratch:
@@ -55,7 +57,9 @@ def resolve(interpreter: str) -> tuple[str, dict[str, str]]:
         pip = [str(environment / "bin" / "python"), "-m", "pip", "--quiet", "install"]
         subprocess.run([*pip, "--upgrade", "pip"], check=True)
         choose = ["--dry-run", "--ignore-installed", "--report", str(report)]
-        subprocess.run([*pip, *choose, f"{ROOT}[dev]"], check=True)
+        if constraints is not None:
+            choose += ["--constraint", str(constraints)]
+        subprocess.run([*pip, *choose, f"{ROOT}[{extra}]"], check=True)
         chosen = json.loads(report.read_text())["install"]
     names = {
         re.sub(r"[-_.]+", "-", item["metadata"]["name"]).lower(): item["metadata"]["version"]
@@ -92,10 +96,22 @@ def lines(resolved: dict[str, dict[str, str]]) -> list[str]:
 
 
 def main(interpreters: list[str]) -> None:
-    """Resolve for every interpreter and replace the lock file."""
-    resolved = dict(resolve(each) for each in interpreters or map(find, SUPPORTED))
-    LOCK.write_text(HEADER + "\n".join(lines(resolved)) + "\n")
-    print(f"{LOCK.name}: {len(lines(resolved))} pins for Python {', '.join(resolved)}")
+    """Resolve for every interpreter and replace the lock files."""
+    chosen = interpreters or [find(version) for version in SUPPORTED]
+    resolved = dict(resolve(each, None, "dev") for each in chosen)
+    _write(LOCK, "jaxact and of its development environment", resolved)
+    with_site = dict(resolve(each, LOCK, "docs") for each in chosen)
+    beside = {
+        python: {name: pin for name, pin in names.items() if name not in resolved[python]}
+        for python, names in with_site.items()
+    }
+    _write(DOCS_LOCK, "the site of the documentation, beside the others", beside)
+
+
+def _write(target: Path, what: str, resolved: dict[str, dict[str, str]]) -> None:
+    pins = lines(resolved)
+    target.write_text(HEADER.format(what=what) + "\n".join(pins) + "\n")
+    print(f"{target.name}: {len(pins)} pins for Python {', '.join(resolved)}")
 
 
 if __name__ == "__main__":

@@ -61,7 +61,8 @@ def identify(
     numbers are identified.
 
     Args:
-        logs: to fit; files (CSV or NPZ) or `Log`s of one joint; of a robot files of all joints.
+        logs: to fit; files (CSV or NPZ), or objects `Log`, of one joint; of a robot files of all
+            joints.
         plant: what the drive moves: "none" where its force was measured, "mass" or "pendulum"; or
             the MJCF or URDF file of a robot, in the air or on a test bench.
         validate: logs to try the models on; without them the last 30 % of each log.

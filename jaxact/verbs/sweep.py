@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib.util
 import os
 import sys
 import tempfile
@@ -234,7 +235,9 @@ def _shown(progress: bool | Moved) -> Iterator[Moved]:
         yield progress
         return
     notebook = "ipykernel" in sys.modules
-    if not progress or not (notebook or sys.stderr.isatty()):
+    # In a notebook rich draws with ipywidgets, and warns where they are missing.
+    visible = importlib.util.find_spec("ipywidgets") if notebook else sys.stderr.isatty()
+    if not progress or not visible:
         yield lambda done, total: None
         return
     from rich.console import Console
