@@ -173,7 +173,7 @@ def test_every_verb_is_a_module_with_a_documented_main():
 PAGES = {
     str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
-    if "reference" not in path.parts  # written when the site is built
+    if not {"reference", "_build"}.intersection(path.parts)  # written when the site is built
 }
 README = PAGES["README.md"]
 LONGEST_README = 10_000  # characters; the rest is in docs/
