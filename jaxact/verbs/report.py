@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import html
 import os
 import platform
 import tomllib
@@ -32,6 +33,7 @@ from jaxact.verbs.margins import BothMargins, LoopMargins
 # A window where no sweep has one: so far around the gains, to either side.
 _AROUND = 30.0
 _MOST_LOOPS = 200
+_HEIGHT = 900  # of the page in a notebook [px]
 _GAINS = "gains.toml"  # in a folder of `jaxact tune`
 _OF_LOOP = (*LINEAR, SETPOINT_DELAY, CONTROL_RATE)
 
@@ -59,10 +61,34 @@ class _Subject:
     simulated: bool = False
 
 
+@dataclasses.dataclass(frozen=True)
+class Report:
+    """A report that was written; a path, and in a notebook the page itself.
+
+    Attributes:
+        path: of the file.
+        text: what is in it.
+    """
+
+    path: Path
+    text: str = dataclasses.field(repr=False)
+
+    def __fspath__(self) -> str:
+        """The path, for whatever opens files."""
+        return os.fspath(self.path)
+
+    def _repr_html_(self) -> str:
+        # A frame of its own, which may run its script and touch nothing of the notebook.
+        return (
+            f'<iframe sandbox="allow-scripts" title="{html.escape(self.path.name)}" width="100%"'
+            f' height="{_HEIGHT}" srcdoc="{html.escape(self.text)}"></iframe>'
+        )
+
+
 def report(
     subject: Any, out: str | os.PathLike[str] = "report.html", *, title: str = "",
     command: str = "",
-) -> Path:  # fmt: skip
+) -> Report:  # fmt: skip
     """Write a report of a joint: a stability map that one can click, and all that follows from it.
 
         jaxact.report(jaxact.joint(actuator="starleth", delay=5e-3), "joint.html")
@@ -78,7 +104,7 @@ def report(
         command: that made it, to be shown.
 
     Returns:
-        Where it is.
+        Where it is; as the last line of a notebook's cell, the page itself.
 
     Raises:
         UserError: a robot, too many loops, or a place that cannot be read or written.
@@ -93,7 +119,7 @@ def report(
     text = _html(found, title, command)
     with files.output(path) as partial:
         partial.write_text(text, encoding="utf-8")
-    return path
+    return Report(path, text)
 
 
 def check_output(path: Path) -> None:

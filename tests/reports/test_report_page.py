@@ -61,7 +61,8 @@ def page():
 
 @pytest.fixture(scope="module")
 def report(loop, tmp_path_factory):
-    return jx.report(loop, tmp_path_factory.mktemp("report") / "joint.html", title=HOSTILE)
+    path = tmp_path_factory.mktemp("report") / "joint.html"
+    return jx.report(loop, path, title=HOSTILE).path
 
 
 def test_it_asks_for_nothing_and_says_nothing(page, report):
@@ -180,3 +181,17 @@ def test_axe_finds_no_violation(page, report, width, dark):
     found = page.run("axe.run()")["violations"]
     violations = [(one["id"], [node["html"][:200] for node in one["nodes"]]) for one in found]
     assert violations == []
+
+
+def test_a_notebook_shows_the_page_in_a_frame(page, loop, tmp_path):
+    shown = jx.report(loop[0], tmp_path / "joint.html")._repr_html_()
+
+    def drawn(frame):
+        cell = tmp_path / "cell.html"
+        cell.write_text(f"<!doctype html><title>cell</title>{frame}", encoding="utf-8")
+        page.open(cell)
+        page.run("new Promise((done) => setTimeout(done, 2000))")
+        return len(page.picture())
+
+    # The same without leave to run its script has no map, no margins and no words.
+    assert drawn(shown) > 1.5 * drawn(shown.replace("allow-scripts", ""))

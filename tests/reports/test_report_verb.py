@@ -4,6 +4,7 @@ import base64
 import hashlib
 import json
 import re
+from pathlib import Path
 
 import pytest
 import xarray as xr
@@ -23,8 +24,8 @@ actuator = ["hyq", "starleth"]
 """
 
 
-def data_of(path):
-    text = path.read_text(encoding="utf-8")
+def data_of(report):
+    text = Path(report).read_text(encoding="utf-8")
     return json.loads(
         re.search(r'<script type="application/json" id="data">(.*?)</script>', text)[1]
     )
@@ -33,7 +34,7 @@ def data_of(path):
 def test_a_sweep_has_its_ranges_and_its_other_axes_as_loops(tmp_path):
     (tmp_path / "sweep.toml").write_text(SWEEP)
     path = jx.report(tmp_path / "sweep.toml", tmp_path / "sweep.html")
-    data, text = data_of(path), path.read_text()
+    data, text = data_of(path), path.text
     assert data["window"] == {"kp": [10.0, 1e4], "kd": [0.5, 50.0]}
     assert [one["parameters"]["wn"] for one in data["loops"]] == [800.0, 110.0]
     assert data["points"] == [{"name": "nominal", "kp": 400.0, "kd": 20.0}]
@@ -52,7 +53,7 @@ def test_gains_have_their_common_factor_and_rotary_joints_their_units(tmp_path):
 
 
 def test_the_policy_allows_the_script_and_the_style_that_are_there_and_no_others(tmp_path):
-    text = jx.report(jx.joint(), tmp_path / "joint.html").read_text(encoding="utf-8")
+    text = jx.report(jx.joint(), tmp_path / "joint.html").text
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)[1]
     assert policy.startswith("default-src 'none'") and "unsafe" not in policy
     script, style = (
