@@ -224,6 +224,11 @@ def test_every_page_is_linked_from_the_readme_or_the_sites_contents():
     assert [name for name in PAGES if name not in linked] == ["README.md"]
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_every_page_has_an_example_that_runs(page):
+    assert re.search(r"^```(python|sh)$", PAGES[page], flags=re.MULTILINE)
+
+
 def test_commands_of_the_pages_exist():
     made = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
     lines = [line for _, block in _blocks("sh") for line in block.splitlines()]
