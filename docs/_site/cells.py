@@ -62,7 +62,7 @@ def _cell(match: re.Match[str]) -> str:
     kind, code = match.groups()
     if re.search(r"^make ", code, flags=re.MULTILINE):
         return match[0]
-    head = "%%sh\nset -e\n" if kind == "sh" else ""
+    head = "%%sh -e\n" if kind == "sh" else ""
     return f"```{{code-cell}} ipython3\n{head}{code}```"
 
 
