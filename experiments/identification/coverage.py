@@ -25,6 +25,7 @@ from jaxact.identification.fitting import solve
 from jaxact.identification.identify import identify
 from jaxact.identification.log import Log
 from jaxact.identification.model import Family, of_rung
+from jaxact.identification.settling import settled
 
 OUT = Path(__file__).resolve().parent.parent.parent / "results" / "identification" / "coverage.md"
 FINE = 1e-4
@@ -129,7 +130,7 @@ def fixed(case: Case, logs: list[Log]) -> knowledge.Knowledge:
     with jax.enable_x64(True):
         family = family_of(case, logs)
         rung = next(one for one in family.rungs if one.name == case.rung)
-        return knowledge.of_fit(solve(of_rung(family, rung, logs)))
+        return knowledge.of_fit(settled(solve(of_rung(family, rung, logs))))
 
 
 def whole(case: Case, logs: list[Log], other: Log) -> knowledge.Knowledge | None:

@@ -13,6 +13,7 @@ from jaxact.identification.inspection import quantum
 from jaxact.identification.knowledge import Knowledge
 from jaxact.identification.log import Log
 from jaxact.identification.model import DYNAMICS, Family, Rung, of_rung, predicted
+from jaxact.identification.settling import settled
 from jaxact.parameters import DELAY, WN, ZETA
 
 # A simpler model is preferred where its error is within this share of the best one's.
@@ -127,8 +128,9 @@ def climb(
         found.append(_candidate(family, rung, fitted, held, (loss, method), found))
     found = [without_delay(one, found) for one in found]
     chosen = choose(found, floor)
-    final = replace(chosen, knowledge=_knowledge.of_fit(chosen.fit, bootstrap=bootstrap))
-    refined = without_delay(final, found)
+    best = settled(chosen.fit, loss=loss) if method == LEAST_SQUARES else chosen.fit
+    known = _knowledge.of_fit(best, bootstrap=bootstrap)
+    refined = without_delay(_tried(family, chosen.rung, best, known, held), found)
     ordered = sorted(found, key=lambda one: (one.size, one.rung.name))
     return Ladder(
         family,
@@ -216,7 +218,14 @@ def _candidate(
         near=min(others, key=lambda one: one.square_sum, default=None),
         enough=min((one.square_sum for one in contained), default=0.0),
     )
-    numbers = sought.model_values(fit.point)
+    return _tried(family, rung, fit, _knowledge.of_fit(fit, profile=False), held)
+
+
+def _tried(
+    family: Family, rung: Rung, fit: Fit, known: Knowledge, held: Sequence[Log]
+) -> Candidate:
+    """A fit, and its errors on logs that it has not seen."""
+    numbers = fit.problem.model_values(fit.point)
     errors, scores = [], []
     for log in held:
         measured = family.measured(log)
@@ -224,9 +233,7 @@ def _candidate(
         errors.append(float(np.sqrt(np.mean(rest**2))))
         spread = float(np.std(measured))
         scores.append(100.0 * (1.0 - errors[-1] / max(spread, 1e-300)))
-    return Candidate(
-        rung, fit, _knowledge.of_fit(fit, profile=False), tuple(errors), tuple(scores), numbers
-    )
+    return Candidate(rung, fit, known, tuple(errors), tuple(scores), numbers)
 
 
 def choose(candidates: Sequence[Candidate], floor: float = 0.0) -> Candidate:

@@ -5,9 +5,12 @@ With slopes J and residuals r of a fit, the scores s_t = J_t r_t, and A = J^T J,
     naive       cov = s^2 A^-1                           right for independent residuals only
     one log     cov = sum_k w_k Gamma_k                  of A^-1 s_t; w: quadratic-spectral kernel
     many logs   cov = A^-1 (sum_l S_l S_l^T) A^-1        S_l: the sum of the scores of one log
+    noise alone cov = A^-1 J^T G J A^-1                  G_tu = gamma(t - u) of the residuals
 
 The bandwidth of the kernel is chosen by the series' own autocorrelation, after an autoregression
-has whitened them.
+has whitened them. Where few rows tell of an unknown, such as those at which a joint breaks loose,
+that estimate rests on few numbers and is often far too small; the last one, for which residuals
+hang together in the same way all along a log, rests on all rows. The larger deviation counts.
 
 Source: Andrews, "Heteroskedasticity and autocorrelation consistent covariance matrix estimation",
 Econometrica 59 (1991); Andrews, Monahan, Econometrica 60 (1992); Cameron, Miller, "A practitioner's
@@ -46,7 +49,28 @@ def robust(fit: Fit) -> np.ndarray:
     if len(each) >= FEWEST_CLUSTERS:
         sums = np.stack([part.sum(axis=0) for part in each])
         return sums.T @ sums * len(each) / (len(each) - 1)
-    return np.asarray(sum(long_run(part) for part in each)) * rows / max(rows - unknowns, 1)
+    kernel = np.asarray(sum(long_run(part) for part in each))
+    own = np.diag(kernel)
+    least = np.diag(_of_noise(fit)) / np.where(own > 0.0, own, 1.0)
+    larger = np.sqrt(np.maximum(least, 1.0))
+    return kernel * np.outer(larger, larger) * rows / max(rows - unknowns, 1)
+
+
+def _of_noise(fit: Fit) -> np.ndarray:
+    """Covariance under noise that does not depend on the motion, shape (unknowns, unknowns)."""
+    lengths = fit.problem.lengths
+    cuts = np.cumsum(lengths)[:-1]
+    total = np.zeros((fit.slopes.shape[1],) * 2)
+    for weights, rest in zip(
+        np.split(fit.slopes @ _inverse(fit), cuts), np.split(fit.residuals, cuts), strict=True
+    ):
+        (coefficients,) = _autoregressions(rest[:, None])
+        white = np.append(1.0, -coefficients)
+        power = float(np.mean(np.square(signal.lfilter(white, [1.0], rest))))
+        # G = L L^T with L the inverse of the whitening filter: the weights pass it backwards.
+        moved = signal.lfilter([1.0], white, weights[::-1], axis=0)
+        total += power * moved.T @ moved
+    return total
 
 
 def influences(fit: Fit) -> np.ndarray:
@@ -114,7 +138,17 @@ def long_run(scores: np.ndarray) -> np.ndarray:
 
 
 def _whitened(series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each series through an autoregression of its own, and the sum of its coefficients.
+    """Each series through an autoregression of its own, and the sum of its coefficients."""
+    white, sums = series.copy(), np.zeros(series.shape[1])
+    for column, coefficients in enumerate(_autoregressions(series)):
+        # A smooth series has a sum close to 1; a filter that remembers the whole log is none.
+        sums[column] = min(float(coefficients.sum()), 1.0 - _LEAST_REST / len(series))
+        white[:, column] = signal.lfilter(np.append(1.0, -coefficients), [1.0], series[:, column])
+    return white, sums
+
+
+def _autoregressions(series: np.ndarray) -> list[np.ndarray]:
+    """Coefficients of an autoregression of each column.
 
     The order is chosen by Akaike's criterion, the coefficients by the Levinson-Durbin recursion.
 
@@ -126,13 +160,7 @@ def _whitened(series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     length = fft.next_fast_len(rows + most + 1, real=True)
     power = np.abs(fft.rfft(series, length, axis=0)) ** 2
     covariances = fft.irfft(power, length, axis=0)[: most + 1]
-    white, sums = series.copy(), np.zeros(series.shape[1])
-    for column in range(series.shape[1]):
-        coefficients = _autoregression(covariances[:, column], rows)
-        # A smooth series has a sum close to 1; a filter that remembers the whole log is none.
-        sums[column] = min(float(coefficients.sum()), 1.0 - _LEAST_REST / rows)
-        white[:, column] = signal.lfilter(np.append(1.0, -coefficients), [1.0], series[:, column])
-    return white, sums
+    return [_autoregression(covariances[:, column], rows) for column in range(series.shape[1])]
 
 
 def _autoregression(covariances: np.ndarray, rows: int) -> np.ndarray:

@@ -41,14 +41,19 @@ def _coloured(generator, rows, pole):
     return noise
 
 
-def _regression(seed, pole, logs=1):
-    """Least squares of known truth with coloured noise and coloured regressors."""
+def _regression(seed, pole, logs=1, event=0):
+    """Least squares of known truth with coloured noise and coloured regressors.
+
+    The second one is of a few rows only where `event` is their number.
+    """
     generator = np.random.default_rng(seed)
     each = [
         np.stack([np.ones(ROWS // logs), _coloured(generator, ROWS // logs, 0.9)], axis=1)
         for _ in range(logs)
     ]
     slopes = np.concatenate(each)
+    if event:
+        slopes[:, 1] = (np.abs(np.arange(ROWS) - ROWS // 2) < event / 2) * 1.0
     noise = np.concatenate([_coloured(generator, ROWS // logs, pole) for _ in range(logs)])
     truth = np.array([0.3, -1.2])
     point = np.linalg.lstsq(slopes, slopes @ truth + noise, rcond=None)[0]
@@ -73,6 +78,17 @@ def test_ninety_five_percent_intervals_cover_the_truth(pole, logs):
     assert np.all(inside / SEEDS >= 0.90) and np.all(inside / SEEDS <= 0.99)
     if pole >= 0.8:
         assert naive.min() / SEEDS < 0.75  # what independent residuals would have said
+
+
+def test_an_unknown_that_few_rows_tell_of_has_no_narrower_interval_than_its_noise():
+    # The kernel's estimate alone covers in half of the logs: it squares a sum of few residuals.
+    inside = 0
+    for seed in range(SEEDS):
+        fit, truth = _regression(seed, 0.8, event=40)
+        deviation = float(np.sqrt(uncertainty.robust(fit)[1, 1]))
+        half = uncertainty.critical(fit, 2.0) * deviation
+        inside += abs(float(fit.point[1] - truth[1])) <= half
+    assert 0.90 <= inside / SEEDS <= 0.99
 
 
 def test_resampled_blocks_agree_with_the_kernel():

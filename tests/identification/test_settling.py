@@ -1,0 +1,53 @@
+"""Searches that ended at a crease of the sum of squares go on beyond it."""
+
+import jax
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from jaxact.identification import motion, uncertainty
+from jaxact.identification.fitting import solve
+from jaxact.identification.log import Log
+from jaxact.identification.model import of_rung
+from jaxact.identification.settling import promised, settled
+
+TRUTH = {"offset": 0.05, "inertia": 0.7, "viscous": 1.5, "coulomb": 0.8, "delay": 3.1e-3,
+         "initial_position": 0.0, "initial_velocity": 0.0}  # fmt: skip
+RATE, ROWS = 500.0, 2000
+
+
+@pytest.fixture(scope="module")
+def creased():
+    """A log whose joint begins at rest: friction stops in a delay's time what noise makes of it."""
+    generator = np.random.default_rng(2)
+    setpoint = 0.1 * np.repeat(generator.choice([-1.0, 1.0], ROWS // 60 + 1), 60)[:ROWS]
+    signals = {"setpoint": setpoint, "position": 0.0 * setpoint}
+    time = np.arange(ROWS) / RATE
+    clean = Log("synthetic", time, signals, unit="m", gains=(400.0, 20.0))
+    with jax.enable_x64(True):
+        family = motion.family([clean], "mass")
+        moved = jax.jit(family.simulate)({**family.neutral, **TRUTH}, family.inputs(clean))
+    noise = 1e-4 * lfilter([0.6], [1.0, -0.8], generator.normal(size=ROWS + 200))[200:]
+    signals = {"setpoint": setpoint, "position": np.asarray(moved)[:ROWS] + noise}
+    log = Log("synthetic", time, signals, unit="m", gains=(400.0, 20.0))
+    with jax.enable_x64(True):
+        family = motion.family([log], "mass")
+        rung = next(r for r in family.rungs if r.name == "delay, viscous and dry")
+        return of_rung(family, rung, [log])
+
+
+def test_a_search_that_ended_at_a_crease_is_settled_to_where_no_slope_leads_down(creased):
+    # What the noise leaves at the truth is an upper bound of the least sum of squares.
+    fit = solve(creased)
+    better = settled(fit)
+    truth = {**TRUTH, **{f"{name}[0]": TRUTH[name] for name in TRUTH if "initial" in name}}
+    point = np.array([u.inner(truth[u.name]) for u in creased.unknowns])
+    assert promised(fit, uncertainty.robust(fit)) > 1.0
+    assert promised(better, uncertainty.robust(better)) < 0.1
+    rest, _ = creased.evaluate(point)
+    assert better.square_sum < min(fit.square_sum, float(rest @ rest))
+
+
+def test_a_search_that_arrived_is_left_as_it_is(creased):
+    better = settled(solve(creased))
+    assert settled(better) is better
