@@ -20,9 +20,18 @@ import { exponentialLessOne } from "../../jaxact/reports/page/transition.js";
 const TOLERANCE = 1e-6;
 const oracle = JSON.parse(readFileSync(new URL("../data/paper_loop.json", import.meta.url)));
 const BARE = {
-  mass: 0.7, wn: Infinity, zeta: 1, delay: 0, measurement_delay: 0, output_delay: 0,
-  setpoint_delay: 0, control_rate: 1000, velocity_filter: Infinity, joint_damping: 0,
-  joint_stiffness: 0, velocity: "sampled",
+  mass: 0.7,
+  wn: Infinity,
+  zeta: 1,
+  delay: 0,
+  measurement_delay: 0,
+  output_delay: 0,
+  setpoint_delay: 0,
+  control_rate: 1000,
+  velocity_filter: Infinity,
+  joint_damping: 0,
+  joint_stiffness: 0,
+  velocity: "sampled",
 };
 
 const number = (x) => (x === "inf" ? Infinity : x);
@@ -58,8 +67,10 @@ for (const one of [...oracle.paper_cases, ...oracle.frequency_sweep]) {
     near(found.spectral_abscissa, one.spectral_abscissa, "spectral_abscissa");
     if (one.unstable_roots > 0) return;
     // The oracle found the gain margin by bisection.
-    assert.ok(Math.abs(Math.log(found.gain_margin / number(one.gain_margin))) < 1e-4 ||
-      found.gain_margin === number(one.gain_margin));
+    assert.ok(
+      Math.abs(Math.log(found.gain_margin / number(one.gain_margin))) < 1e-4 ||
+        found.gain_margin === number(one.gain_margin),
+    );
     near((found.phase_margin * 180) / Math.PI, one.phase_margin_deg, "phase_margin");
     near(found.delay_margin, number(one.delay_margin), "delay_margin");
     near(found.sensitivity_peak, one.sensitivity_peak, "sensitivity_peak");
@@ -84,7 +95,10 @@ test("sampled loops of the oracle", () => {
 
 test("exp(A) - 1 of a rotation, however large and small", () => {
   for (const x of [1e-9, 0.3, 7, 40]) {
-    const [[a, b]] = exponentialLessOne([[0, x], [-x, 0]]);
+    const [[a, b]] = exponentialLessOne([
+      [0, x],
+      [-x, 0],
+    ]);
     near(a, -2 * Math.sin(x / 2) ** 2, "cos - 1", 1e-12);
     near(b, Math.sin(x), "sin", 1e-12);
   }
@@ -95,7 +109,8 @@ test("the ideal joint answers a step as its closed form", () => {
   const p = { ...BARE, mass: 1, control_rate: 1e5 };
   const { time, position } = stepResponse(p, 100, 20, 20_000);
   time.forEach((t, i) => {
-    if (i % 1000 === 0) assert.ok(Math.abs(position[i] - (1 - (1 + 10 * t) * Math.exp(-10 * t))) < 1e-4);
+    if (i % 1000 === 0)
+      assert.ok(Math.abs(position[i] - (1 - (1 + 10 * t) * Math.exp(-10 * t))) < 1e-4);
   });
 });
 
@@ -140,7 +155,10 @@ test("random loops have Python's margins", { skip: !given && "run by pytest" }, 
   assert.ok(rows.length >= 100);
   for (const { loop: raw, continuous, sampled } of rows) {
     const p = Object.fromEntries(Object.entries(raw).map(([name, x]) => [name, number(x)]));
-    for (const [make, theirs] of [[continuousLoop, continuous], [sampledLoop, sampled]]) {
+    for (const [make, theirs] of [
+      [continuousLoop, continuous],
+      [sampledLoop, sampled],
+    ]) {
       const own = all(make, p, p.kp, p.kd);
       own.phase_margin *= 180 / Math.PI;
       for (const [name, value] of Object.entries(theirs)) {
@@ -157,7 +175,10 @@ test("random loops have Python's boundary", { skip: !given && "run by pytest" },
   let compared = 0;
   for (const { loop: raw, boundaries } of rows.filter((row) => row.boundaries?.length)) {
     const p = Object.fromEntries(Object.entries(raw).map(([name, x]) => [name, number(x)]));
-    for (const [make, points] of [[continuousLoop, boundaries[0]], [sampledLoop, boundaries[1]]]) {
+    for (const [make, points] of [
+      [continuousLoop, boundaries[0]],
+      [sampledLoop, boundaries[1]],
+    ]) {
       compared += points.length;
       for (const [w, kp, kd] of points) {
         const own = marginalGains(make(p), w);

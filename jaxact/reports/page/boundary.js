@@ -15,10 +15,7 @@ const ON_LINE = 120;
 export function marginalGains(loop, w) {
   const { A, B, C } = loop.parts(0, w);
   const determinant = B.re * C.im - B.im * C.re;
-  return [
-    (A.im * C.re - A.re * C.im) / determinant,
-    (A.re * B.im - A.im * B.re) / determinant,
-  ];
+  return [(A.im * C.re - A.re * C.im) / determinant, (A.re * B.im - A.im * B.re) / determinant];
 }
 
 /** Places in the picture, 0 to 1 along axes that are logarithmic. */

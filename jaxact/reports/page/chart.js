@@ -43,7 +43,8 @@ function ticks([low, high], log, most) {
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((head) => head * power).find((x) => x >= rough);
   const found = [];
-  for (let i = Math.ceil(low / step - 1e-9); i * step <= high + 1e-9 * step; i++) found.push(i * step);
+  for (let i = Math.ceil(low / step - 1e-9); i * step <= high + 1e-9 * step; i++)
+    found.push(i * step);
   return found;
 }
 
@@ -65,31 +66,58 @@ export function frame(svg, { x, y, height }) {
   const toY = scaleOf(y, [bottom, top]);
   const clip = `${svg.id}-clip`;
   const parts = [
-    draw("clipPath", { id: clip }, draw("rect", { x: left, y: top, width: right - left, height: bottom - top })),
+    draw(
+      "clipPath",
+      { id: clip },
+      draw("rect", { x: left, y: top, width: right - left, height: bottom - top }),
+    ),
     draw("rect", { class: "ground", x: left, y: top, width: right - left, height: bottom - top }),
   ];
   for (const value of ticks(x.domain, x.log, Math.max(4, Math.floor((right - left) / 80)))) {
     parts.push(
       draw("line", { class: "grid", x1: toX(value), x2: toX(value), y1: top, y2: bottom }),
-      draw("text", { class: "tick", x: toX(value), y: bottom + 16, "text-anchor": "middle" }, short(value)),
+      draw(
+        "text",
+        { class: "tick", x: toX(value), y: bottom + 16, "text-anchor": "middle" },
+        short(value),
+      ),
     );
   }
   for (const value of ticks(y.domain, y.log, Math.max(3, Math.floor((bottom - top) / 45)))) {
     parts.push(
       draw("line", { class: "grid", x1: left, x2: right, y1: toY(value), y2: toY(value) }),
-      draw("text", { class: "tick", x: left - 6, y: toY(value) + 4, "text-anchor": "end" }, short(value)),
+      draw(
+        "text",
+        { class: "tick", x: left - 6, y: toY(value) + 4, "text-anchor": "end" },
+        short(value),
+      ),
     );
   }
   const middle = (top + bottom) / 2;
   parts.push(
-    draw("text", { class: "label", x: (left + right) / 2, y: height - 8, "text-anchor": "middle" }, x.label),
-    draw("text", { class: "label", x: 13, y: middle, "text-anchor": "middle", transform: `rotate(-90 13 ${middle})` }, y.label),
+    draw(
+      "text",
+      { class: "label", x: (left + right) / 2, y: height - 8, "text-anchor": "middle" },
+      x.label,
+    ),
+    draw(
+      "text",
+      {
+        class: "label",
+        x: 13,
+        y: middle,
+        "text-anchor": "middle",
+        transform: `rotate(-90 13 ${middle})`,
+      },
+      y.label,
+    ),
   );
   const inside = draw("g", { "clip-path": `url(#${clip})` });
   svg.replaceChildren(...parts, inside);
   const invert = (px, py) => {
     const [u, v] = [(px - left) / (right - left), (bottom - py) / (bottom - top)];
-    const back = ({ domain: [low, high], log }, t) => (log ? low * (high / low) ** t : low + t * (high - low));
+    const back = ({ domain: [low, high], log }, t) =>
+      log ? low * (high / low) ** t : low + t * (high - low);
     return [back(x, u), back(y, v)];
   };
   return { x: toX, y: toY, inside, invert, left, right, top, bottom };

@@ -9,41 +9,80 @@ const STEPS = 1000;
 function table(start, window, unit) {
   const rotary = unit === "rad";
   const [stiff, damping] = gainUnits(unit);
-  const around = (value, low, high) => (value > 0 && value < Infinity
-    ? [Math.min(low, value / 4), Math.max(high, value * 4)] : [low, high]);
+  const around = (value, low, high) =>
+    value > 0 && value < Infinity
+      ? [Math.min(low, value / 4), Math.max(high, value * 4)]
+      : [low, high];
   const delay = (name, label) => ({
-    name, label, unit: "ms", factor: 1000, log: false, range: [0, Math.max(0.02, 2 * start[name])],
+    name,
+    label,
+    unit: "ms",
+    factor: 1000,
+    log: false,
+    range: [0, Math.max(0.02, 2 * start[name])],
   });
   const rows = [
     { name: "kp", label: "kp, stiffness", unit: stiff, log: true, range: window.kp },
     { name: "kd", label: "kd, damping", unit: damping, log: true, range: window.kd },
     {
-      name: "wn", label: "wn, natural frequency of the actuator", unit: "rad/s", log: true,
-      range: around(start.wn, 10, 5000), infinite: "ideal actuator",
+      name: "wn",
+      label: "wn, natural frequency of the actuator",
+      unit: "rad/s",
+      log: true,
+      range: around(start.wn, 10, 5000),
+      infinite: "ideal actuator",
     },
-    { name: "zeta", label: "zeta, its damping ratio", unit: "", log: true, range: around(start.zeta, 0.05, 2) },
+    {
+      name: "zeta",
+      label: "zeta, its damping ratio",
+      unit: "",
+      log: true,
+      range: around(start.zeta, 0.05, 2),
+    },
     delay("delay", "delay of the command"),
     delay("measurement_delay", "delay of the measurement"),
     delay("output_delay", "delay of the output"),
     {
-      name: "mass", label: rotary ? "moved inertia" : "moved mass", unit: rotary ? "kg m²" : "kg",
-      log: true, range: [start.mass / 10, start.mass * 10],
+      name: "mass",
+      label: rotary ? "moved inertia" : "moved mass",
+      unit: rotary ? "kg m²" : "kg",
+      log: true,
+      range: [start.mass / 10, start.mass * 10],
     },
-    { name: "control_rate", label: "control rate", unit: "Hz", log: true, range: around(start.control_rate, 50, 5000) },
+    {
+      name: "control_rate",
+      label: "control rate",
+      unit: "Hz",
+      log: true,
+      range: around(start.control_rate, 50, 5000),
+    },
   ];
   const most = Math.max(start.joint_damping, window.kd[1] / 10);
   const stiffest = Math.max(Math.abs(start.joint_stiffness), window.kp[1] / 10);
   rows.push(
-    { name: "joint_damping", label: "damping of the joint itself", unit: damping, log: false, range: [0, 2 * most] },
     {
-      name: "joint_stiffness", label: "stiffness of the joint itself", unit: stiff, log: false,
+      name: "joint_damping",
+      label: "damping of the joint itself",
+      unit: damping,
+      log: false,
+      range: [0, 2 * most],
+    },
+    {
+      name: "joint_stiffness",
+      label: "stiffness of the joint itself",
+      unit: stiff,
+      log: false,
       range: [-stiffest, stiffest],
     },
   );
   if (start.velocity === "differenced") {
     rows.push({
-      name: "velocity_filter", label: "cutoff of the velocity's filter", unit: "rad/s", log: true,
-      range: around(start.velocity_filter, 10, 5000), infinite: "no filter",
+      name: "velocity_filter",
+      label: "cutoff of the velocity's filter",
+      unit: "rad/s",
+      log: true,
+      range: around(start.velocity_filter, 10, 5000),
+      infinite: "no filter",
     });
   }
   return rows.map((row) => ({ factor: 1, ...row }));

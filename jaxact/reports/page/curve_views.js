@@ -13,8 +13,12 @@ const NEAR = 3;
 /** L over frequencies around the crossovers, for all pictures: {w, L, gain, phase, S, T}. */
 export function curves(loop, kp, kd, margins) {
   const rigid = Math.sqrt(kp / loop.parameters.mass);
-  const middle = [rigid, margins.gain_crossover, margins.phase_crossover, margins.sensitivity_peak_frequency]
-    .filter((w) => w > 0 && w < Infinity);
+  const middle = [
+    rigid,
+    margins.gain_crossover,
+    margins.phase_crossover,
+    margins.sensitivity_peak_frequency,
+  ].filter((w) => w > 0 && w < Infinity);
   const low = Math.min(...middle) / 20;
   const high = Math.min(Math.max(...middle) * 10, loop.end);
   const w = Array.from({ length: POINTS }, (_, i) => low * (high / low) ** (i / (POINTS - 1)));
@@ -23,11 +27,14 @@ export function curves(loop, kp, kd, margins) {
   const phase = L.map(({ re, im }) => {
     // From -180 degrees, unwrapped.
     const angle = Math.atan2(-im, -re);
-    before = before === null ? angle : angle + 2 * Math.PI * Math.round((before - angle) / (2 * Math.PI));
+    before =
+      before === null ? angle : angle + 2 * Math.PI * Math.round((before - angle) / (2 * Math.PI));
     return degrees(before) - 180;
   });
   return {
-    w, L, phase,
+    w,
+    L,
+    phase,
     gain: L.map(({ re, im }) => Math.hypot(re, im)),
     S: L.map(({ re, im }) => 1 / Math.hypot(1 + re, im)),
     T: L.map(({ re, im }) => Math.hypot(re, im) / Math.hypot(1 + re, im)),
@@ -50,10 +57,17 @@ function bounded(both, name, least, most) {
 export function drawBode(gainPicture, phasePicture, both) {
   const x = { domain: spanOf(both), log: true, label: FREQUENCY };
   const gain = frame(gainPicture, {
-    x, y: { domain: bounded(both, "gain", [1e-4, 0.1], [10, 1e4]), log: true, label: "|L|" }, height: HEIGHT,
+    x,
+    y: { domain: bounded(both, "gain", [1e-4, 0.1], [10, 1e4]), log: true, label: "|L|" },
+    height: HEIGHT,
   });
   const phase = frame(phasePicture, {
-    x, y: { domain: bounded(both, "phase", [-720, -270], [-90, 90]), log: false, label: "phase of L [°]" },
+    x,
+    y: {
+      domain: bounded(both, "phase", [-720, -270], [-90, 90]),
+      log: false,
+      label: "phase of L [°]",
+    },
     height: HEIGHT,
   });
   line(gain, x.domain, [1, 1], { class: "reference" });
@@ -75,18 +89,30 @@ export function drawNyquist(svg, both, peak) {
   line(place, turns.map(Math.cos), turns.map(Math.sin), { class: "reference" });
   if (peak > 0) {
     const near = [Math.cos, Math.sin].map((f) => turns.map((t) => f(t) / peak));
-    line(place, near[0].map((x) => x - 1), near[1], { class: "disk" });
+    line(
+      place,
+      near[0].map((x) => x - 1),
+      near[1],
+      { class: "disk" },
+    );
   }
   for (const kind of KINDS) {
     const { L } = both[kind];
-    line(place, L.map(({ re }) => re), L.map(({ im }) => im), { class: kind });
+    line(
+      place,
+      L.map(({ re }) => re),
+      L.map(({ im }) => im),
+      { class: kind },
+    );
   }
   place.inside.append(draw("circle", { class: "critical", cx: place.x(-1), cy: place.y(0), r: 4 }));
 }
 
 /** |S| and |T|. */
 export function drawSensitivity(svg, both) {
-  const values = KINDS.flatMap((kind) => [...both[kind].S, ...both[kind].T]).filter(Number.isFinite);
+  const values = KINDS.flatMap((kind) => [...both[kind].S, ...both[kind].T]).filter(
+    Number.isFinite,
+  );
   const top = Math.min(Math.max(...values) * 1.1, 20);
   const place = frame(svg, {
     x: { domain: spanOf(both), log: true, label: FREQUENCY },
@@ -106,7 +132,11 @@ export function drawStep(svg, step) {
   const top = Math.min(Math.max(1.2, ...finite), 3);
   const place = frame(svg, {
     x: { domain: [0, step.time[step.time.length - 1]], log: false, label: "time [s]" },
-    y: { domain: [Math.max(Math.min(0, ...finite), -1), top], log: false, label: "position per setpoint" },
+    y: {
+      domain: [Math.max(Math.min(0, ...finite), -1), top],
+      log: false,
+      label: "position per setpoint",
+    },
     height: HEIGHT,
   });
   line(place, [0, step.time[step.time.length - 1]], [1, 1], { class: "reference" });

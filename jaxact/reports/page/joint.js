@@ -22,7 +22,11 @@ const by = (id) => document.getElementById(id);
 export function start(data) {
   const { window, unit, loops } = data;
   const first = loops[data.start];
-  const state = { parameters: { ...first.parameters }, kp: first.parameters.kp, kd: first.parameters.kd };
+  const state = {
+    parameters: { ...first.parameters },
+    kp: first.parameters.kp,
+    kd: first.parameters.kd,
+  };
   let plants = null;
   let layers = null;
   let place = null;
@@ -55,7 +59,14 @@ export function start(data) {
     const chosen = plantOf(kind());
     layers ??= mapLayers(chosen.loop, chosen.cached, window, by("quantity").value);
     const point = { kp: state.kp, kd: state.kd };
-    place = drawMap(by("map"), { window, unit, layers, edges: chosen.edges, points: data.points, point });
+    place = drawMap(by("map"), {
+      window,
+      unit,
+      layers,
+      edges: chosen.edges,
+      points: data.points,
+      point,
+    });
     const both = { continuous: found("continuous"), sampled: found("sampled") };
     showMargins(by("margins"), both);
     say(both);
@@ -87,7 +98,9 @@ export function start(data) {
     const step = stepResponse(state.parameters, state.kp, state.kd, ticksOf(root));
     views.drawStep(by("step"), step);
     fill("map-data", () => [mapTable(edges, unit)]);
-    fill("loop-data", () => Object.entries(lines).map(([name, one]) => views.curveTable(name, one)));
+    fill("loop-data", () =>
+      Object.entries(lines).map(([name, one]) => views.curveTable(name, one)),
+    );
     fill("step-data", () => [views.stepTable(step)]);
   }
 
@@ -126,14 +139,25 @@ export function start(data) {
     later();
   }
 
-  document.querySelector(`input[name=kind][value=${data.sampled ? "sampled" : "continuous"}]`).checked = true;
+  document.querySelector(
+    `input[name=kind][value=${data.sampled ? "sampled" : "continuous"}]`,
+  ).checked = true;
   const show = controls(by("controls"), first.parameters, window, unit, changed);
-  movable(by("pad"), by("map"), window, () => place, () => state, (kp, kd) => {
-    Object.assign(state, { kp, kd });
-    show({ ...state.parameters, kp, kd });
-    later();
-  });
-  loops.forEach(({ name }, i) => by("loop").append(new Option(name, i, i === data.start, i === data.start)));
+  movable(
+    by("pad"),
+    by("map"),
+    window,
+    () => place,
+    () => state,
+    (kp, kd) => {
+      Object.assign(state, { kp, kd });
+      show({ ...state.parameters, kp, kd });
+      later();
+    },
+  );
+  loops.forEach(({ name }, i) =>
+    by("loop").append(new Option(name, i, i === data.start, i === data.start)),
+  );
   by("loop").addEventListener("change", () => take(Number(by("loop").value)));
   by("again").addEventListener("click", () => take(Number(by("loop").value)));
   for (const { name, kp, kd } of data.points) {
@@ -167,6 +191,9 @@ export function start(data) {
 /** Copy a text, where the browser lets the page; else select it. */
 async function copy(area, button) {
   area.select();
-  const done = await navigator.clipboard?.writeText(area.value).then(() => true, () => false);
+  const done = await navigator.clipboard?.writeText(area.value).then(
+    () => true,
+    () => false,
+  );
   button.textContent = done ? "copied" : "selected: press Ctrl+C";
 }

@@ -5,14 +5,28 @@ import { unstableRoots } from "./roots.js";
 /** Margins that lines are drawn of: name, unit, levels, and how a level reads as the value of the
  * field, which is 0 on the boundary. */
 export const QUANTITIES = {
-  sensitivity_peak: { label: "Ms", levels: [1.2, 1.4, 1.6, 2, 3, 5], text: (x) => `${x}`, field: (x) => 1 / x },
-  gain_margin: { label: "gain margin", levels: [1.5, 2, 3, 5, 10], text: (x) => `×${x}`, field: Math.log },
+  sensitivity_peak: {
+    label: "Ms",
+    levels: [1.2, 1.4, 1.6, 2, 3, 5],
+    text: (x) => `${x}`,
+    field: (x) => 1 / x,
+  },
+  gain_margin: {
+    label: "gain margin",
+    levels: [1.5, 2, 3, 5, 10],
+    text: (x) => `×${x}`,
+    field: Math.log,
+  },
   phase_margin: {
-    label: "phase margin", levels: [10, 20, 30, 45, 60], text: (x) => `${x}°`,
+    label: "phase margin",
+    levels: [10, 20, 30, 45, 60],
+    text: (x) => `${x}°`,
     field: (x) => (x * Math.PI) / 180,
   },
   delay_margin: {
-    label: "delay margin", levels: [0.5, 1, 2, 5, 10, 20, 50], text: (x) => `${x} ms`,
+    label: "delay margin",
+    levels: [0.5, 1, 2, 5, 10, 20, 50],
+    text: (x) => `${x} ms`,
     field: (x) => x / 1000,
   },
 };
@@ -95,7 +109,10 @@ export function levelLine(values, count, level) {
   for (let row = 0; row + 1 < count; row++) {
     for (let column = 0; column + 1 < count; column++) {
       const corners = [
-        [column, row], [column + 1, row], [column + 1, row + 1], [column, row + 1],
+        [column, row],
+        [column + 1, row],
+        [column + 1, row + 1],
+        [column, row + 1],
       ];
       const heights = corners.map(([x, y]) => at(y, x) - level);
       const cuts = [];
@@ -118,7 +135,10 @@ export function regionAbove(values, count) {
   for (let row = 0; row + 1 < count; row++) {
     for (let column = 0; column + 1 < count; column++) {
       const corners = [
-        [column, row], [column + 1, row], [column + 1, row + 1], [column, row + 1],
+        [column, row],
+        [column + 1, row],
+        [column + 1, row + 1],
+        [column, row + 1],
       ];
       const heights = corners.map(([x, y]) => values[y * count + x]);
       const polygon = [];

@@ -51,8 +51,14 @@ export function sampledLoop(p) {
   const double = bare ? convolved(single, [1, -1]) : single;
   const pulse = [newer, applied(phi, newer).map((x, i) => x + older[i])];
   for (let i = 0; i < 3; i++) pulse.push(applied(phi, pulse[pulse.length - 1]));
-  const position = convolved(double, pulse.map((x) => x[0])).slice(0, 5);
-  const velocity = convolved(single, pulse.map((x) => x[1])).slice(0, single.length);
+  const position = convolved(
+    double,
+    pulse.map((x) => x[0]),
+  ).slice(0, 5);
+  const velocity = convolved(
+    single,
+    pulse.map((x) => x[1]),
+  ).slice(0, single.length);
   const differenced = p.velocity === "differenced";
   const pole = Math.exp(-p.velocity_filter * period);
 

@@ -3,5 +3,7 @@
 import { start } from "./joint.js";
 
 start(
-  JSON.parse(document.getElementById("data").textContent, (_, value) => (value === "inf" ? Infinity : value)),
+  JSON.parse(document.getElementById("data").textContent, (_, value) =>
+    value === "inf" ? Infinity : value,
+  ),
 );

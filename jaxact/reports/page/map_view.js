@@ -107,7 +107,12 @@ export function movable(pad, svg, window, place, point, moved) {
     if (svg.hasPointerCapture(event.pointerId)) follow(event);
   });
   pad.addEventListener("keydown", (event) => {
-    const directions = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowDown: [0, -1], ArrowUp: [0, 1] };
+    const directions = {
+      ArrowLeft: [-1, 0],
+      ArrowRight: [1, 0],
+      ArrowDown: [0, -1],
+      ArrowUp: [0, 1],
+    };
     const direction = directions[event.key];
     if (!direction) return;
     event.preventDefault();

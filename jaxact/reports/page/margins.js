@@ -51,7 +51,11 @@ export function margins(loop, cached, kp, kd) {
   const gain = crossovers(w, L, at);
   const factors = criticalFactors(loop, kp, w, L, at);
   const peaks = highest(loop, kp, w, L, at, [...gain, ...factors.map((one) => one.w)]);
-  return { stable: unstable === 0, unstable_roots: unstable, ...read(loop, gain, factors, peaks, at) };
+  return {
+    stable: unstable === 0,
+    unstable_roots: unstable,
+    ...read(loop, gain, factors, peaks, at),
+  };
 }
 
 function read(loop, gain, factors, peaks, at) {
@@ -61,8 +65,13 @@ function read(loop, gain, factors, peaks, at) {
   });
   const nearest = smallest(angles, ({ angle }) => Math.abs(angle));
   const delays = angles.map(({ w, angle }) => (angle < 0 ? angle + TURN : angle) / w);
-  const up = smallest(factors.filter(({ factor }) => factor > 1), ({ factor }) => factor);
-  const down = factors.map(({ factor }) => factor).filter((factor) => factor < 1 && factor > NO_FACTOR);
+  const up = smallest(
+    factors.filter(({ factor }) => factor > 1),
+    ({ factor }) => factor,
+  );
+  const down = factors
+    .map(({ factor }) => factor)
+    .filter((factor) => factor < 1 && factor > NO_FACTOR);
   const [Ms, Mt, disk] = peaks;
   return {
     gain_margin: up ? up.factor : Infinity,
@@ -120,7 +129,8 @@ function criticalFactors(loop, kp, w, L, at) {
       found.push({ w: there, factor: 1 / Math.hypot(at(there).re, at(there).im) });
     }
   }
-  if (loop.sampled && at(loop.end).re < 0) found.push({ w: loop.end, factor: -1 / at(loop.end).re });
+  if (loop.sampled && at(loop.end).re < 0)
+    found.push({ w: loop.end, factor: -1 / at(loop.end).re });
   // Where stiffness kp + k passes zero, a real root passes the origin.
   const k = loop.parameters.joint_stiffness;
   if (kp * k < 0) found.push({ w: 0, factor: -k / kp });
@@ -143,7 +153,10 @@ function highest(loop, kp, grid, L, at, crossings) {
       .slice(0, PEAKS);
     const refined = tops.map(({ i }) => {
       const slope = (w) => SLOPES[which](at(w));
-      const [low, high] = [points[Math.max(i - 1, 0)].w, points[Math.min(i + 1, points.length - 1)].w];
+      const [low, high] = [
+        points[Math.max(i - 1, 0)].w,
+        points[Math.min(i + 1, points.length - 1)].w,
+      ];
       const w = slope(low) > 0 && slope(high) < 0 ? crossing(slope, low, high) : points[i].w;
       return { w, height: height(at(w)) };
     });
@@ -157,5 +170,8 @@ function limited(loop, which, best, still) {
   const far = loop.sampled || which === 1 ? 0 : [1, 0, 0.5][which];
   const floor = Math.max(still, far);
   if (best.height > floor) return best;
-  return { w: still >= far ? (which !== 1 && still === far ? Infinity : 0) : Infinity, height: floor };
+  return {
+    w: still >= far ? (which !== 1 && still === far ? Infinity : 0) : Infinity,
+    height: floor,
+  };
 }

@@ -26,7 +26,9 @@ const ALWAYS = new Set(["growth_rate", "root_frequency"]);
 export function showMargins(body, found) {
   const kinds = Object.keys(found);
   const state = row("stable", "is it stable?");
-  kinds.forEach((kind) => cell(state, kind, found[kind].margins.stable, found[kind].margins.stable ? "yes" : "NO"));
+  kinds.forEach((kind) =>
+    cell(state, kind, found[kind].margins.stable, found[kind].margins.stable ? "yes" : "NO"),
+  );
   const lines = [state];
   for (const [name, label, unit, scale] of ROWS) {
     const made = row(name, unit ? `${label} [${unit}]` : label);

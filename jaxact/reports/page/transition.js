@@ -58,7 +58,12 @@ export function transition(time, { mass, wn, zeta, joint_damping: c, joint_stiff
     ideal ? [0, 0, 0, 0] : [0, 0, e[3][2], 1 + e[3][3]],
   ];
   const held = ideal ? [1, 0] : [e[2][4], e[3][4]];
-  const servo = ideal ? [[-1, 0], [0, -1]] : [e[2].slice(2, 4), e[3].slice(2, 4)];
+  const servo = ideal
+    ? [
+        [-1, 0],
+        [0, -1],
+      ]
+    : [e[2].slice(2, 4), e[3].slice(2, 4)];
   const gamma = [push[0] * e[0][4], push[1] * e[1][4], ...held];
   return { phi, gamma, joint: [e[0].slice(0, 2), e[1].slice(0, 2)], servo };
 }

@@ -4,12 +4,29 @@ import { short } from "./chart.js";
 
 /** Parameters that name a linear loop, in the order in which they are written. */
 const OF_LOOP = [
-  "kp", "kd", "mass", "joint_damping", "joint_stiffness", "wn", "zeta", "delay",
-  "measurement_delay", "output_delay", "setpoint_delay", "control_rate", "velocity_filter",
+  "kp",
+  "kd",
+  "mass",
+  "joint_damping",
+  "joint_stiffness",
+  "wn",
+  "zeta",
+  "delay",
+  "measurement_delay",
+  "output_delay",
+  "setpoint_delay",
+  "control_rate",
+  "velocity_filter",
 ];
 const DEFAULTS = {
-  joint_damping: 0, joint_stiffness: 0, wn: Infinity, delay: 0, measurement_delay: 0,
-  output_delay: 0, setpoint_delay: 0, velocity_filter: Infinity,
+  joint_damping: 0,
+  joint_stiffness: 0,
+  wn: Infinity,
+  delay: 0,
+  measurement_delay: 0,
+  output_delay: 0,
+  setpoint_delay: 0,
+  velocity_filter: Infinity,
 };
 
 /** The margins and the stability of a loop in a few sentences; `root` of `rightmostRoot`. */
@@ -23,12 +40,17 @@ export function verdict({ parameters: p, kp, kd, unit, margins: m, root, sampled
     const what = swings ? "shakes" : "runs away";
     return `Unstable: ${gains}. The joint ${what}${swings}, growing by ${short(root.re)} 1/s (${number}).`;
   }
-  const less = m.gain_reduction_margin > 0 ? `, or fall to ×${short(m.gain_reduction_margin, 3)}` : "";
-  const more = m.gain_margin === Infinity ? "may rise without limit" : `may rise ×${short(m.gain_margin, 3)}`;
-  const delay = m.delay_margin === Infinity
-    ? "no delay is too much"
-    : `${short(1000 * m.delay_margin, 3)} ms more delay`;
-  const phase = Number.isFinite(m.phase_margin) ? `, ${short(degrees(m.phase_margin), 3)}° of phase` : "";
+  const less =
+    m.gain_reduction_margin > 0 ? `, or fall to ×${short(m.gain_reduction_margin, 3)}` : "";
+  const more =
+    m.gain_margin === Infinity ? "may rise without limit" : `may rise ×${short(m.gain_margin, 3)}`;
+  const delay =
+    m.delay_margin === Infinity
+      ? "no delay is too much"
+      : `${short(1000 * m.delay_margin, 3)} ms more delay`;
+  const phase = Number.isFinite(m.phase_margin)
+    ? `, ${short(degrees(m.phase_margin), 3)}° of phase`
+    : "";
   return (
     `Stable: ${gains}. Perturbations decay by ${short(-root.re)} 1/s${swings}. ` +
     `Both gains ${more}${less}; what is left is ${delay}${phase}. ` +
@@ -50,15 +72,18 @@ export const gainUnits = (unit) => (unit === "rad" ? ["N m/rad", "N m s/rad"] : 
 /** Parameters that are not what they are by default, by name. */
 function given(p, kp, kd) {
   const all = { ...p, kp, kd };
-  return OF_LOOP.filter((name) => all[name] !== DEFAULTS[name] && (name !== "zeta" || p.wn < Infinity))
-    .map((name) => [name, all[name]]);
+  return OF_LOOP.filter(
+    (name) => all[name] !== DEFAULTS[name] && (name !== "zeta" || p.wn < Infinity),
+  ).map((name) => [name, all[name]]);
 }
 
 const written = (value) => (value === Infinity ? "inf" : String(value));
 
 /** The loop as a TOML file that `jaxact margins --loops` reads. */
 export function toml(p, kp, kd, unit) {
-  const lines = given(p, kp, kd).map(([name, value]) => `${called(name, unit)} = ${written(value)}`);
+  const lines = given(p, kp, kd).map(
+    ([name, value]) => `${called(name, unit)} = ${written(value)}`,
+  );
   return [`# jaxact margins --loops FILE${velocity(p)}`, "[[loop]]", ...lines].join("\n");
 }
 
