@@ -95,7 +95,9 @@ class Metrics:
         rms_force: root mean square of the force [N or N m].
         limit_cycle_amplitude: half the range of the position over the last quarter [m or rad], of
             the rollout itself where it goes on, else of another start's; 0 for a stable loop.
-        limit_cycle_frequency: [rad/s]; NaN where there is no limit cycle.
+        limit_cycle_frequency: how often the motion turns upwards in the last quarter [rad/s]: a
+            multiple of its fundamental frequency where counts put ripples on it; NaN where
+            there is no limit cycle.
     """
 
     growth_rate: jax.Array
