@@ -5,6 +5,7 @@
 # make engines  MJX against C MuJoCo with the same drives, to results/engines/
 # make shipped how much delay the gains bear that public robots ship with, to results/shipped_gains/
 # make identification  drives from real logs, and how simple their models may be
+# make training  policies trained with and without the drive, to results/training/
 # make test    the everyday tests
 # make test-all  all tests, the exhaustive ones too
 # make docs    the site of the documentation, all of whose code runs, to docs/_build/html/
@@ -25,8 +26,9 @@ ROBOTS := .robots
 ENVIRONMENTS := .environments
 TORCH := .torch
 SITE := .site
+TRAINING := .training
 
-.PHONY: help demo paper quadruped tuning engines shipped identification test test-all docs lint bench lock clean
+.PHONY: help demo paper quadruped tuning engines shipped identification training test test-all docs lint bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -54,6 +56,9 @@ shipped: $(STAMP) $(ROBOTS)/.complete
 identification: $(STAMP)
 	$(BIN)/python experiments/identification/run.py
 
+training: $(STAMP) $(ENVIRONMENTS)/.complete $(TRAINING)/.complete
+	PYTHONPATH=$(ENVIRONMENTS):$(TRAINING) $(BIN)/python experiments/training/run.py
+
 test: $(STAMP) $(ENVIRONMENTS)/.complete $(TORCH)/.complete
 	PYTHONPATH=$(ENVIRONMENTS) $(BIN)/python -m pytest -n auto -m "not exhaustive"
 
@@ -68,14 +73,14 @@ lint: $(STAMP)
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy
 
-bench: $(STAMP)
-	$(BIN)/python -m benchmarks
+bench: $(STAMP) $(ENVIRONMENTS)/.complete
+	PYTHONPATH=$(ENVIRONMENTS) $(BIN)/python -m benchmarks
 
 lock:
 	@python=$$(tools/find_python.sh "$(PYTHON)") && "$$python" tools/lock.py
 
 clean:
-	rm -rf $(VENV) $(ROBOTS) $(ENVIRONMENTS) $(TORCH) $(SITE)
+	rm -rf $(VENV) $(ROBOTS) $(ENVIRONMENTS) $(TORCH) $(SITE) $(TRAINING)
 
 # Everything is pinned by the lock file, the build backend included, so nothing is resolved here;
 # the second step only adds what a platform needs beyond it (colorama on Windows).
@@ -115,4 +120,11 @@ $(TORCH)/.complete:
 $(SITE)/.complete: $(STAMP) requirements-docs-lock.txt
 	@rm -rf $(SITE)
 	@$(PIP) install --no-deps --no-compile --target $(SITE) --requirement requirements-docs-lock.txt
+	@touch $@
+
+# What Brax's PPO imports beside the environments; tests need none of it.
+$(TRAINING)/.complete: $(STAMP)
+	@rm -rf $(TRAINING)
+	@$(PIP) install --no-deps --no-compile --target $(TRAINING) orbax-checkpoint==0.12.8 \
+		humanize==4.17.0 simplejson==4.3.0 tensorstore==0.1.86
 	@touch $@

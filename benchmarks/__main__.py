@@ -40,11 +40,12 @@ def main() -> None:
 
 def _rows(quick: bool) -> Iterator:
     """The lines of the table, each measured as it is asked for."""
-    from benchmarks import margins, robots, tuning
+    from benchmarks import environments, margins, robots, tuning
 
     yield from _mass(quick)
     yield from _mjx(quick)
     yield from robots.rows(quick)
+    yield from environments.rows(quick)
     yield from margins.rows(quick)
     yield from tuning.rows(quick)
 
