@@ -19,6 +19,8 @@ from jaxact.parameters import (
     INERTIA,
     INITIAL_POSITION,
     INITIAL_VELOCITY,
+    JOINT_DAMPING,
+    JOINT_FRICTION,
     LINEAR,
     MASS,
     PARAMETERS,
@@ -99,6 +101,13 @@ def identified(
     found = drives.load_drive(file)
     if left_out := found.left_out(robot=robot):
         _warnings.warn(f"{found.name}: left out here: {', '.join(left_out)}")
+    if robot and found.plant != drives.ROBOT:
+        rubbing = {JOINT_DAMPING, JOINT_FRICTION} & set(found.parameters(robot=True)) - set(given)
+        if rubbing:
+            _warnings.warn(
+                f"{found.name}: its {' and '.join(sorted(rubbing))} are added to every driven"
+                " joint's own damping and frictionloss, which may hold the same friction already"
+            )
     if not robot and MASS not in found.joint and not {MASS, INERTIA} & set(given):
         word, size = mass_word(found.unit), of(MASS, found.unit)
         _warnings.warn(

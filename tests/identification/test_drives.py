@@ -198,7 +198,11 @@ def test_what_is_left_out_or_assumed_is_said(capsys):
     identified(Path("bench.toml"), ("kp",))
     assert "does not say what the joint moves; taken: 0.7 kg m^2" in capsys.readouterr().err
     identified(Path("bench.toml"), ("inertia",))
+    identified(Path("bench.toml"), (), robot=True)
     assert capsys.readouterr().err == ""
+    identified(Path("servo.toml"), (), robot=True)
+    said = capsys.readouterr().err
+    assert "joint_damping and joint_friction are added to every driven joint's own" in said
 
 
 def _broken(folder, old, new):
