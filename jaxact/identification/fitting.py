@@ -33,6 +33,8 @@ _TOLERANCE = 1e-3
 # Evaluations after which the best piece is known; and of all.
 _FIRST_EVALUATIONS = 4
 _MOST_EVALUATIONS = 100
+# Share of a control period within which a delay lies at a tick.
+_AT_THE_TICK = 1e-3
 # Share of its range within which an unknown lies at a bound.
 _AT_THE_BOUND = 1e-6
 # A model that after some evaluations is not better than a simpler one by this share is left there.
@@ -204,15 +206,24 @@ def _solve_piece(
     return replace(found, converged=bool(solved.status > 0))
 
 
+def at_a_tick(found: Fit) -> bool:
+    """Whether the delay of a solution lies at a whole number of control periods, at a kink."""
+    sought = found.problem
+    if sought.period is None or DELAY not in sought.names:
+        return False
+    ticks = found.point[sought.names.index(DELAY)] / sought.period
+    return bool(abs(ticks - round(ticks)) < _AT_THE_TICK)
+
+
 def _beyond(sought: Problem, found: Fit, piece: int | None) -> int | None:
     """The piece beyond the tick at which a solution's delay lies."""
     if piece is None or sought.period is None:
         return None
     delay = found.point[sought.names.index(DELAY)] / sought.period
     last = round(sought.unknowns[sought.names.index(DELAY)].high / sought.period) - 1
-    if delay - piece < 1e-3 and piece > 0:
+    if delay - piece < _AT_THE_TICK and piece > 0:
         return piece - 1
-    if piece + 1 - delay < 1e-3 and piece < last:
+    if piece + 1 - delay < _AT_THE_TICK and piece < last:
         return piece + 1
     return None
 

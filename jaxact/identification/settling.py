@@ -6,7 +6,9 @@ crease. At a minimum within a smooth piece the residuals are orthogonal to their
 
     |Q^T r|^2 / s^2 = 0,      Q: orthonormal basis of the slopes J,  s^2 = |r|^2 / (rows - unknowns)
 
-the fall of the sum that the slopes still promise, in units of the residuals' variance.
+the fall of the sum that the slopes still promise, in units of the residuals' variance. A delay at a
+control tick is left out: the sum has a kink there on either side of which it rises, and the search
+has looked at both (`fitting`).
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from __future__ import annotations
 import numpy as np
 
 from jaxact.identification import uncertainty
-from jaxact.identification.fitting import Fit, solve
+from jaxact.identification.fitting import Fit, at_a_tick, solve
+from jaxact.parameters import DELAY
 
 # A search has arrived where it is left with this share of a robust variance to fall.
 _ARRIVED = 0.1
@@ -45,10 +48,11 @@ def promised(fit: Fit, covariance: np.ndarray) -> float:
     """Fall of the sum of squares that the slopes promise, in robust variances.
 
     Args:
-        fit: solved; of unknowns at a bound nothing is promised.
+        fit: solved; of unknowns at a bound, and of a delay at a tick, nothing is promised.
         covariance: of its unknowns, shape (unknowns, unknowns).
     """
-    free = [at for at, name in enumerate(fit.problem.names) if name not in fit.at_bounds]
+    ended = {*fit.at_bounds, *([DELAY] if at_a_tick(fit) else [])}
+    free = [at for at, name in enumerate(fit.problem.names) if name not in ended]
     basis, _ = np.linalg.qr(fit.slopes[:, free])
     fall = float(np.sum(np.square(basis.T @ fit.residuals)))
     plain = np.diag(uncertainty.naive(fit))

@@ -1,16 +1,20 @@
 """Searches that ended at a crease of the sum of squares go on beyond it."""
 
+from pathlib import Path
+
 import jax
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+import jaxact as jx
 from jaxact.identification import motion, uncertainty
-from jaxact.identification.fitting import solve
+from jaxact.identification.fitting import at_a_tick, solve
 from jaxact.identification.log import Log
 from jaxact.identification.model import of_rung
 from jaxact.identification.settling import promised, settled
 
+ROOT = Path(__file__).resolve().parents[2]
 TRUTH = {"offset": 0.05, "inertia": 0.7, "viscous": 1.5, "coulomb": 0.8, "delay": 3.1e-3,
          "initial_position": 0.0, "initial_velocity": 0.0}  # fmt: skip
 RATE, ROWS = 500.0, 2000
@@ -51,3 +55,15 @@ def test_a_search_that_ended_at_a_crease_is_settled_to_where_no_slope_leads_down
 def test_a_search_that_arrived_is_left_as_it_is(creased):
     better = settled(solve(creased))
     assert settled(better) is better
+
+
+def test_a_delay_at_a_control_tick_is_not_a_crease():
+    logs = ROOT / "experiments" / "identification"
+    found = jx.identify(
+        logs / "logs" / "ak80_fit.npz", validate=logs / "logs" / "ak80_validate.npz",
+        columns=logs / "ak80.toml", joint="elbow",
+    )  # fmt: skip
+    fit = found.chosen.fit
+    # One period of 500 Hz, a kink on either side of which the sum rises.
+    assert at_a_tick(fit) and fit.values["delay"] == pytest.approx(2e-3, rel=1e-3)
+    assert settled(fit) is fit
