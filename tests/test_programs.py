@@ -237,6 +237,7 @@ def test_another_process_finds_it_and_gets_the_same_bits(compute):
     np.testing.assert_allclose(first, want, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_changed_source_and_static_arguments_make_another_program(compute, tmp_path):
     """Source of any module: a function may call all of it."""
     compute()

@@ -73,6 +73,7 @@ def _by_events(plant, drive):
     return np.array(positions)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("plant", [UPRIGHT, HANGING], ids=["upright", "hanging"])
 @pytest.mark.parametrize(
     ("wn", "delay", "measured"),

@@ -50,6 +50,7 @@ def test_a_circle_and_a_saddle_are_traced_to_a_millionth():
     assert trace(lambda x, y: x > 9.0, nodes, nodes) == []
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", PLANES)
 def test_the_line_is_where_exact_stability_changes(name):
     part, given = slice_of()
