@@ -22,7 +22,6 @@ from jaxact.simulation.growth import rate as growth
 ORACLE = json.loads((Path(__file__).parent / "data" / "paper_loop.json").read_text())
 
 
-@pytest.mark.exhaustive
 @pytest.mark.parametrize("velocity", ["velocity_sampled", "velocity_backward_difference"])
 def test_bisected_gain_margins_equal_the_oracle(velocity):
     names = [case["name"] for case in ORACLE["sampled_1khz"]]
