@@ -34,6 +34,7 @@ from jaxact.verbs.margins import BothMargins, LoopMargins
 _AROUND = 30.0
 _MOST_LOOPS = 200
 _HEIGHT = 900  # of the page in a notebook [px]
+_ROBOT = "a report is of a joint, and this is a robot; see its margins instead"
 _GAINS = "gains.toml"  # in a folder of `jaxact tune`
 _OF_LOOP = (*LINEAR, SETPOINT_DELAY, CONTROL_RATE)
 
@@ -113,7 +114,7 @@ def report(
     check_output(path)
     found = _subject(subject)
     if found.loop.kind.plant is not None:
-        raise UserError("a report is of a joint, and this is a robot; see its margins instead")
+        raise UserError(_ROBOT)
     if np.prod(found.loop.shape, initial=1) > _MOST_LOOPS:
         raise UserError(f"a report is of at most {_MOST_LOOPS} loops; vary less, or select some")
     text = _html(found, title, command)
@@ -185,6 +186,8 @@ def _subject(subject: Any) -> _Subject:
         return _of_sweep(subject)
     if isinstance(subject, str | os.PathLike):
         path = Path(subject)
+        if path.suffix.lower() in (".xml", ".urdf"):
+            raise UserError(_ROBOT)
         if (path / _GAINS).is_file():
             return _of_gains(tomllib.loads((path / _GAINS).read_text(encoding="utf-8")))
         if path.suffix != ".toml":
@@ -197,7 +200,7 @@ def _subject(subject: Any) -> _Subject:
 
 def _of_tuned(tuned: Tuned) -> _Subject:
     if tuned.robot is not None:
-        raise UserError("a report is of a joint, and this is a robot; see its margins instead")
+        raise UserError(_ROBOT)
     found = _of_gains(tuning_report.document(tuned))
     if tuned.before is None:
         return found

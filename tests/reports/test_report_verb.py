@@ -92,11 +92,12 @@ def test_tuned_gains_have_the_ends_of_what_was_uncertain_as_loops(tmp_path):
         (jx.joint(kp=-10.0, joint_stiffness=40.0), "joint.html", "logarithms"),
         (jx.joint(kp=list(range(1, 300))), "joint.html", "at most 200 loops"),
         (jx.robot("experiments/quadruped/quadruped.xml"), "robot.html", "is a robot"),
+        ("experiments/quadruped/quadruped.xml", "robot.html", "is a robot"),
         (3, "joint.html", "cannot be of a int"),
         (xr.Dataset(), "joint.html", "not of a sweep"),
         ("nothing.toml", "joint.html", "cannot be read"),
     ],
-    ids=["suffix", "folder", "negative", "many", "robot", "type", "dataset", "missing"],
+    ids=["suffix", "folder", "negative", "many", "robot", "model", "type", "dataset", "missing"],
 )
 def test_what_is_refused_leaves_nothing_behind(subject, out, words, tmp_path):
     with pytest.raises(jx.UserError, match=words):
