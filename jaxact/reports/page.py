@@ -24,18 +24,24 @@ _EXPORT = re.compile(r"^export ((?:async )?(?:function|const|class) (\w+))", re.
 
 
 def document(
-    *, title: str, description: str, data: Mapping[str, Any], made: Mapping[str, str]
+    *,
+    title: str,
+    description: str,
+    parts: Mapping[str, Mapping[str, Any]],
+    made: Mapping[str, str],
 ) -> str:
     """The whole file as text.
 
     Args:
         title, description: as a person wrote them; shown as text, whatever is in them.
-        data: for the page, plain values.
+        parts: of the page, one below the other: data as plain values by the name of the part,
+            whose sections are in `NAME.html` and whose module `NAME.js` has a function `start`.
         made: what the report was made of and with, by what it is called.
     """
-    script, style = bundle("main"), _read("style.css")
+    script = bundle("main", *parts) + _started(parts)
+    style, body = _read("style.css"), "".join(_read(f"{name}.html") for name in parts)
     # "<" in JSON could end the element that it stands in.
-    plain = json.dumps(files.plain(data), allow_nan=False).replace("<", "\\u003c")
+    plain = json.dumps(files.plain(parts), allow_nan=False).replace("<", "\\u003c")
     policy = (
         f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}';"
         " img-src data:; base-uri 'none'; form-action 'none'"
@@ -59,7 +65,9 @@ def document(
 <header>
 <h1>{html.escape(title)}</h1>
 {says}</header>
-{_read("joint.html")}<footer>
+<main>
+{body}</main>
+<footer>
 <h2>How this was made</h2>
 {about}
 </footer>
@@ -70,14 +78,14 @@ def document(
 """
 
 
-def bundle(entry: str) -> str:
+def bundle(*entries: str) -> str:
     """The modules that one needs as a single script, each a function of its own.
 
     `import` and `export` are those of a few fixed forms; a module becomes a constant with what it
     exports. The same modules are what node tests.
 
     Args:
-        entry: the module that starts, without `.js`.
+        entries: the modules that are wanted, without `.js`; each becomes `in_NAME`.
     """
     done: dict[str, str] = {}
 
@@ -93,8 +101,15 @@ def bundle(entry: str) -> str:
         source = _EXPORT.sub(r"\1", source)
         done[name] = f"const in_{name} = (() => {{\n{source}return {{ {exported} }};\n}})();\n"
 
-    add(entry)
+    for entry in entries:
+        if entry not in done:
+            add(entry)
     return '"use strict";\n' + "".join(done.values())
+
+
+def _started(parts: Mapping[str, Any]) -> str:
+    """What starts the parts of a page."""
+    return f"in_main.begin({{ {', '.join(f'{name}: in_{name}.start' for name in parts)} }});\n"
 
 
 def _read(name: str) -> str:

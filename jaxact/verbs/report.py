@@ -159,7 +159,8 @@ def _html(found: _Subject, title: str, command: str) -> str:
     if found.specification:
         made["Specification"] = found.specification
     head = title or found.title or f"Joint: {named.labels[0]}"
-    return page.document(title=head, description=naming.in_common(found.loop), data=data, made=made)
+    says = naming.in_common(found.loop)
+    return page.document(title=head, description=says, parts={"joint": data}, made=made)
 
 
 def _parameters(values: Mapping[str, float], velocity: str) -> dict[str, Any]:

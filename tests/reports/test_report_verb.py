@@ -24,11 +24,10 @@ actuator = ["hyq", "starleth"]
 """
 
 
-def data_of(report):
+def data_of(report, part="joint"):
     text = Path(report).read_text(encoding="utf-8")
-    return json.loads(
-        re.search(r'<script type="application/json" id="data">(.*?)</script>', text)[1]
-    )
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text)[1]
+    return json.loads(found)[part]
 
 
 def test_a_sweep_has_its_ranges_and_its_other_axes_as_loops(tmp_path):

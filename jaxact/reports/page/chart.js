@@ -161,3 +161,10 @@ export function table(caption, columns) {
   made.prepend(words);
   return made;
 }
+
+/** Put tables behind a picture, into its `details`; `tables` makes them when they are seen. */
+export function fill(details, tables) {
+  const content = details.querySelector("div");
+  details.refill = () => content.replaceChildren(...tables());
+  if (details.open) details.refill();
+}

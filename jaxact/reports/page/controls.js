@@ -138,7 +138,7 @@ function control(container, row, changed) {
     if (value !== Infinity) last = value;
     range.value = Math.round(toPlace(row, last));
     range.setAttribute("aria-valuetext", `${short(last * row.factor)} ${row.unit}`);
-    if (document.activeElement !== number) number.value = shown(row, last);
+    if (number.getRootNode().activeElement !== number) number.value = shown(row, last);
   };
 }
 

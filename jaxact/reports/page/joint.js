@@ -1,6 +1,7 @@
 // The report of a joint: everything on the page follows the point and the sliders.
 
 import { boundary } from "./boundary.js";
+import { fill } from "./chart.js";
 import { controls } from "./controls.js";
 import * as views from "./curve_views.js";
 import { frequencyGrid, responses } from "./frequencies.js";
@@ -16,10 +17,9 @@ const SPEAK_AFTER = 500;
 const MOST_TICKS = 2000;
 const MAKE = { continuous: continuousLoop, sampled: sampledLoop };
 
-const by = (id) => document.getElementById(id);
-
-/** Start the page with the data that is embedded in it. */
-export function start(data) {
+/** Start the part with its data, in the document or in a shadow root that has its elements. */
+export function start(data, host) {
+  const by = (id) => host.getElementById(id);
   const { window, unit, loops } = data;
   const first = loops[data.start];
   const state = {
@@ -33,7 +33,7 @@ export function start(data) {
   let asked = 0;
   let speaking = 0;
 
-  const kind = () => document.querySelector("input[name=kind]:checked").value;
+  const kind = () => host.querySelector("input[name=kind]:checked").value;
 
   /** What depends on the plant alone is kept until a slider moves. */
   function plantOf(which) {
@@ -97,11 +97,11 @@ export function start(data) {
     views.drawSensitivity(by("sensitivity"), lines);
     const step = stepResponse(state.parameters, state.kp, state.kd, ticksOf(root));
     views.drawStep(by("step"), step);
-    fill("map-data", () => [mapTable(edges, unit)]);
-    fill("loop-data", () =>
+    fill(by("map-data"), () => [mapTable(edges, unit)]);
+    fill(by("loop-data"), () =>
       Object.entries(lines).map(([name, one]) => views.curveTable(name, one)),
     );
-    fill("step-data", () => [views.stepTable(step)]);
+    fill(by("step-data"), () => [views.stepTable(step)]);
   }
 
   /** Long enough for the slowest motion to decay, in control periods. */
@@ -110,13 +110,6 @@ export function start(data) {
     const period = root.im > 0 ? (2 * Math.PI) / root.im : 0;
     const time = Math.max(root.re < 0 ? 6 / -root.re : 0, 4 * period, 20 / rate);
     return Math.min(Math.ceil(time * rate), MOST_TICKS);
-  }
-
-  function fill(id, tables) {
-    const details = by(id);
-    const content = details.querySelector("div");
-    details.refill = () => content.replaceChildren(...tables());
-    if (details.open) details.refill();
   }
 
   const later = () => (asked ||= requestAnimationFrame(redraw));
@@ -139,7 +132,7 @@ export function start(data) {
     later();
   }
 
-  document.querySelector(
+  host.querySelector(
     `input[name=kind][value=${data.sampled ? "sampled" : "continuous"}]`,
   ).checked = true;
   const show = controls(by("controls"), first.parameters, window, unit, changed);
@@ -171,29 +164,13 @@ export function start(data) {
     });
     by("points").append(button);
   }
-  for (const input of document.querySelectorAll("input[name=kind], #quantity")) {
+  for (const input of host.querySelectorAll("input[name=kind], #quantity")) {
     input.addEventListener("change", () => {
       layers = null;
       later();
     });
   }
-  for (const details of document.querySelectorAll("details.data")) {
-    details.addEventListener("toggle", () => details.open && details.refill?.());
-  }
-  for (const button of document.querySelectorAll("button.copy")) {
-    button.addEventListener("click", () => copy(by(button.dataset.of), button));
-  }
   new ResizeObserver(later).observe(by("pad"));
   show(first.parameters);
   redraw();
-}
-
-/** Copy a text, where the browser lets the page; else select it. */
-async function copy(area, button) {
-  area.select();
-  const done = await navigator.clipboard?.writeText(area.value).then(
-    () => true,
-    () => false,
-  );
-  button.textContent = done ? "copied" : "selected: press Ctrl+C";
 }

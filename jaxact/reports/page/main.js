@@ -1,9 +1,30 @@
-// The page: its data, and what starts it.
+// The page: its data, what starts its parts, and what all of them have: tables and copy buttons.
 
-import { start } from "./joint.js";
+const infinite = (_, value) => (value === "inf" ? Infinity : value);
 
-start(
-  JSON.parse(document.getElementById("data").textContent, (_, value) =>
-    value === "inf" ? Infinity : value,
-  ),
-);
+/** Start every part of the page with its own data; `starts` are functions by the part's name. */
+export function begin(starts) {
+  const data = JSON.parse(document.getElementById("data").textContent, infinite);
+  for (const [name, start] of Object.entries(starts)) start(data[name], document);
+  wire(document);
+}
+
+/** Tables are made when they are opened, and buttons copy the text that they belong to. */
+export function wire(root) {
+  for (const details of root.querySelectorAll("details.data")) {
+    details.addEventListener("toggle", () => details.open && details.refill?.());
+  }
+  for (const button of root.querySelectorAll("button.copy")) {
+    button.addEventListener("click", () => copy(root.getElementById(button.dataset.of), button));
+  }
+}
+
+/** Copy a text, where the browser lets the page; else select it. */
+async function copy(area, button) {
+  area.select();
+  const done = await navigator.clipboard?.writeText(area.value).then(
+    () => true,
+    () => false,
+  );
+  button.textContent = done ? "copied" : "selected: press Ctrl+C";
+}
