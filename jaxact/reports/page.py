@@ -12,6 +12,7 @@ import html
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
@@ -23,21 +24,26 @@ _WHOLE = re.compile(r'^import \* as (\w+) from "\./(\w+)\.js";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export ((?:async )?(?:function|const|class) (\w+))", re.MULTILINE)
 
 
-def document(
-    *,
-    title: str,
-    description: str,
-    parts: Mapping[str, Mapping[str, Any]],
-    made: Mapping[str, str],
-) -> str:
-    """The whole file as text.
+@dataclass(frozen=True)
+class Content:
+    """What is on a page.
 
-    Args:
+    Attributes:
         title, description: as a person wrote them; shown as text, whatever is in them.
-        parts: of the page, one below the other: data as plain values by the name of the part,
-            whose sections are in `NAME.html` and whose module `NAME.js` has a function `start`.
+        parts: one below the other: data as plain values by the name of the part, whose sections
+            are in `NAME.html` and whose module `NAME.js` has a function `start`.
         made: what the report was made of and with, by what it is called.
     """
+
+    title: str
+    description: str
+    parts: Mapping[str, Mapping[str, Any]]
+    made: Mapping[str, str]
+
+
+def document(content: Content) -> str:
+    """The whole file as text."""
+    title, description, parts = content.title, content.description, content.parts
     script = bundle("main", *parts) + _started(parts)
     style, body = _read("style.css"), "".join(_read(f"{name}.html") for name in parts)
     # "<" in JSON could end the element that it stands in.
@@ -48,7 +54,7 @@ def document(
     )
     about = "\n".join(
         f'<h3>{html.escape(name)}</h3>\n<pre tabindex="0">{html.escape(text)}</pre>'
-        for name, text in made.items()
+        for name, text in content.made.items()
     )
     says = f"<p>{html.escape(description)}</p>\n" if description else ""
     return f"""<!doctype html>

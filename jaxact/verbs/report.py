@@ -6,60 +6,16 @@ import dataclasses
 import html
 import os
 import platform
-import tomllib
-from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import xarray as xr
-
 from jaxact import __version__, files
 from jaxact.errors import UserError
-from jaxact.loops import listed, reading, toml
-from jaxact.loops.axes import NO_AXIS
-from jaxact.loops.building import joint, loop_of
-from jaxact.loops.control_loop import ControlLoop
-from jaxact.loops.specification import Specification
-from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, LINEAR, SETPOINT_DELAY, canonical
 from jaxact.reports import page
-from jaxact.sweeping import opening
-from jaxact.tuning import report as tuning_report
-from jaxact.tuning.result import Tuned
-from jaxact.verbs import naming
-from jaxact.verbs.margins import BothMargins, LoopMargins
+from jaxact.verbs import report_joint
 
-# A window where no sweep has one: so far around the gains, to either side.
-_AROUND = 30.0
-_MOST_LOOPS = 200
 _HEIGHT = 900  # of the page in a notebook [px]
-_ROBOT = "a report is of a joint, and this is a robot; see its margins instead"
-_GAINS = "gains.toml"  # in a folder of `jaxact tune`
-_OF_LOOP = (*LINEAR, SETPOINT_DELAY, CONTROL_RATE)
-
-Window = tuple[float, float]
-
-
-@dataclasses.dataclass(frozen=True)
-class _Subject:
-    """What a report is of.
-
-    Attributes:
-        loop: the joint's loops to choose from.
-        title: above the page.
-        specification: that described them, as text.
-        window: ranges of kp and kd of the map, none for those around the gains.
-        points: gains to mark, by name.
-        simulated: it is of a sweep, whose loops are sampled; else those with a control rate are.
-    """
-
-    loop: ControlLoop
-    title: str = ""
-    specification: str = ""
-    window: Mapping[str, Window] = dataclasses.field(default_factory=dict)
-    points: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
-    simulated: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,12 +68,10 @@ def report(
     """
     path = Path(out)
     check_output(path)
-    found = _subject(subject)
-    if found.loop.kind.plant is not None:
-        raise UserError(_ROBOT)
-    if np.prod(found.loop.shape, initial=1) > _MOST_LOOPS:
-        raise UserError(f"a report is of at most {_MOST_LOOPS} loops; vary less, or select some")
-    text = _html(found, title, command)
+    found = report_joint.content(subject)
+    made = {"Command": command} if command else {}
+    made |= {"Versions": _versions(), **found.made}
+    text = page.document(dataclasses.replace(found, title=title or found.title, made=made))
     with files.output(path) as partial:
         partial.write_text(text, encoding="utf-8")
     return Report(path, text)
@@ -130,127 +84,6 @@ def check_output(path: Path) -> None:
     files.check_output(path)
 
 
-def _html(found: _Subject, title: str, command: str) -> str:
-    named = naming.named(found.loop)
-    rows = [
-        {"name": label, "parameters": _parameters(named.one(index), found.loop.kind.velocity)}
-        for index, label in enumerate(named.labels)
-    ]
-    if any(row["parameters"][KP] <= 0.0 or row["parameters"][KD] <= 0.0 for row in rows):
-        raise UserError("`kp` and `kd`: a report is over their logarithms; give positive ones")
-    gains = [(row["parameters"][KP], row["parameters"][KD]) for row in rows]
-    points = dict(found.points) or {"nominal": gains[0]}
-    both = np.array([*gains, *points.values()])
-    window = found.window or {
-        name: (float(column.min()) / _AROUND, float(column.max()) * _AROUND)
-        for name, column in zip((KP, KD), both.T, strict=True)
-    }
-    data = {
-        "loops": rows,
-        "start": 0,
-        "sampled": found.simulated or CONTROL_RATE in found.loop.values,
-        "unit": found.loop.kind.unit,
-        "window": {name: list(ends) for name, ends in window.items()},
-        "points": [{"name": name, KP: kp, KD: kd} for name, (kp, kd) in points.items()],
-    }
-    made = {"Versions": _versions()}
-    if command:
-        made = {"Command": command} | made
-    if found.specification:
-        made["Specification"] = found.specification
-    head = title or found.title or f"Joint: {named.labels[0]}"
-    says = naming.in_common(found.loop)
-    return page.document(title=head, description=says, parts={"joint": data}, made=made)
-
-
-def _parameters(values: Mapping[str, float], velocity: str) -> dict[str, Any]:
-    """What the page needs of a loop, by short name; gains with their common factor."""
-    scale = values[GAIN_SCALE]
-    own: dict[str, Any] = {name: values[name] for name in _OF_LOOP}
-    return own | {KP: scale * values[KP], KD: scale * values[KD], "velocity": velocity}
-
-
 def _versions() -> str:
     known = {"jaxact": __version__, "jax": version("jax"), "Python": platform.python_version()}
     return ", ".join(f"{name} {number}" for name, number in known.items())
-
-
-def _subject(subject: Any) -> _Subject:
-    """The loops of whatever a report can be of."""
-    if isinstance(subject, ControlLoop):
-        return _Subject(subject)
-    if isinstance(subject, LoopMargins | BothMargins):
-        return _Subject(subject.loop)
-    if isinstance(subject, Tuned):
-        return _of_tuned(subject)
-    if isinstance(subject, xr.Dataset):
-        return _of_sweep(subject)
-    if isinstance(subject, str | os.PathLike):
-        path = Path(subject)
-        if path.suffix.lower() in (".xml", ".urdf"):
-            raise UserError(_ROBOT)
-        if (path / _GAINS).is_file():
-            return _of_gains(tomllib.loads((path / _GAINS).read_text(encoding="utf-8")))
-        if path.suffix != ".toml":
-            return _of_sweep(opening.open_result(subject, unfinished=True))
-        if listed.rows(path) is not None:
-            return _Subject(loop_of(path), specification=path.read_text(encoding="utf-8"))
-        return _of_specification(reading.load(path))
-    raise UserError(f"a report cannot be of a {type(subject).__name__}; give a loop or a result")
-
-
-def _of_tuned(tuned: Tuned) -> _Subject:
-    if tuned.robot is not None:
-        raise UserError(_ROBOT)
-    found = _of_gains(tuning_report.document(tuned))
-    if tuned.before is None:
-        return found
-    before = {"before": (float(tuned.before[0]), float(tuned.before[1]))}
-    return dataclasses.replace(found, points=before | dict(found.points))
-
-
-def _of_gains(document: Mapping[str, Any]) -> _Subject:
-    """Tuned gains as `gains.toml` has them: the ends of what was assumed are loops to choose from.
-
-    Raises:
-        UserError: a robot's, or no such document.
-    """
-    gains, assumed = document.get("gains"), document.get("assumed", {})
-    if not isinstance(gains, Mapping) or not {KP, KD} <= gains.keys():
-        raise UserError("these are not a joint's tuned gains: there is no [gains] with kp and kd")
-    known = [name for name in assumed if canonical(name) in _OF_LOOP]
-    ends = [np.atleast_1d(np.asarray(assumed[name], float)) for name in known]
-    own = dict(zip(known, np.ix_(*ends), strict=True))
-    own = {name: array if array.size > 1 else float(array.item()) for name, array in own.items()}
-    if "control_period" in assumed:
-        own[CONTROL_RATE] = 1.0 / assumed["control_period"]
-    loop = joint(
-        kp=gains[KP], kd=gains[KD], unit=assumed.get("unit"),
-        velocity=assumed.get("velocity", "sampled"), **own,
-    )  # fmt: skip
-    points = {"tuned": (float(gains[KP]), float(gains[KD]))}
-    verdict = document.get("guaranteed", {}).get("verdict", "")
-    text = toml.dumps(document)
-    return _Subject(loop, f"Tuned: {verdict}" if verdict else "", text, points=points)
-
-
-def _of_sweep(results: xr.Dataset) -> _Subject:
-    text = results.attrs.get("specification_toml")
-    if text is None:
-        raise UserError("these results are not of a sweep: they do not say how they were made")
-    return _of_specification(reading.parse(text))
-
-
-def _of_specification(specification: Specification) -> _Subject:
-    """The loops beside the gains that are swept, whose ranges are the map's."""
-    window = {axis.name: axis.ends for axis in specification.axes if axis.name in (KP, KD)}
-    if any(low <= 0.0 or low >= high for low, high in window.values()) or len(window) < 2:
-        window = {}
-    kept = () if specification.sampling else specification.axes
-    others = tuple(axis for axis in kept if axis.name not in (KP, KD))
-    alone = dataclasses.replace(specification, axes=others or (NO_AXIS,), sampling=None)
-    loop = loop_of(alone)
-    nominal = specification.nominal
-    points = {"nominal": (float(nominal[KP]), float(nominal[KD]))}
-    text = specification.text
-    return _Subject(loop, specification.description, text, window, points, simulated=True)
