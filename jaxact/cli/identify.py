@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from jaxact import files
-from jaxact.cli import _design
+from jaxact.cli import _design, _reports
 from jaxact.cli._design import Bench
 from jaxact.errors import UserError
 
@@ -68,6 +68,10 @@ Out = Annotated[
         " excitation (excitation.csv).",
     ),
 ]
+Report = Annotated[
+    Path | None,
+    arg(metavar="FILE", help="HTML file with all of it, to click; one that is there is replaced."),
+]
 Overwrite = Annotated[bool, arg(help="Replace what is there.")]
 Quiet = Annotated[bool, arg(help="Show no progress.")]
 
@@ -87,6 +91,7 @@ def main(
     method: Method = "trf",
     bootstrap: Bootstrap = False,
     out: Out = None,
+    report: Report = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
@@ -102,6 +107,7 @@ def main(
 
     examples:
       jaxact identify bench.csv --map columns.toml --validate other.csv
+      jaxact identify bench.csv --map columns.toml --report bench.html
       jaxact identify swing.csv --map columns.toml --plant pendulum --control-rate 1000
       jaxact identify air.csv --map columns.toml --plant robot.xml --groups hip,knee
       jaxact identify --design --wn 100..1000 --delay 0..5e-3 --duration 20
@@ -110,6 +116,10 @@ def main(
     picture = out.with_suffix(".png")
     _check_outputs([out] if design else [out, picture], overwrite=overwrite)
     if design:
+        if report is not None:
+            raise UserError(
+                f"--report {report}: is of logs, not of --design; leave one of them out"
+            )
         if logs:
             raise UserError(f"--design needs no logs; leave {logs[0]} out, or --design")
         _design.run(bench, plant, out)
@@ -117,6 +127,8 @@ def main(
     if not logs:
         raise UserError("no logs; give the CSV or NPZ files to fit, or --design")
     _design.refuse(bench)
+    if report is not None:
+        _reports.check_output(report)
 
     from jaxact.cli import _progress
     from jaxact.verbs.identify import identify
@@ -132,6 +144,8 @@ def main(
     print(found.report)
     print(f"wrote {out}")
     print(f"wrote {picture}")
+    if report is not None:
+        _reports.write(found, report)
 
 
 def _check_outputs(paths: list[Path], *, overwrite: bool) -> None:

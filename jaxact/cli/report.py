@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from jaxact.cli import _arguments, _loops
+from jaxact.cli import _arguments, _loops, _reports
 from jaxact.cli._arguments import Title, Velocity, option
 from jaxact.errors import UserError
 
@@ -20,8 +18,8 @@ def main(
         Positional[str],
         arg(
             metavar="RESULT",
-            help="Results of a sweep or of a tuning, or a TOML file that describes or lists loops;"
-            " none: the loop of the options.",
+            help="Results of a sweep or of a tuning, an identified drive, or a TOML file that"
+            " describes or lists loops; none: the loop of the options.",
         ),
     ] = "",
     *,
@@ -43,6 +41,7 @@ def main(
       jaxact report --actuator starleth --delay 0.005 --out joint.html
       jaxact report results/paper_gain_map --out map.html
       jaxact report experiments/paper_gain_map.toml
+      jaxact report drive.toml
       jaxact tune --actuator hyq --delay 1e-3 --out tuned && jaxact report tuned
       jaxact report --actuator hyq starleth --delay 0 0.001 0.005 --title "Two actuators"
     """
@@ -50,10 +49,5 @@ def main(
     if result and given:
         name = next(iter(given))
         raise UserError(f"{_arguments.typed(name)}: {result} says it; give one of the two")
-
-    from jaxact.verbs.report import check_output, report
-
-    check_output(out)
-    subject: Any = result or _loops.linear(parameters, None, velocity)
-    report(subject, out, title=title, command=shlex.join(["jaxact", *sys.argv[1:]]))
-    print(f"wrote {out}")
+    _reports.check_output(out)
+    _reports.write(result or _loops.linear(parameters, None, velocity), out, title)

@@ -151,6 +151,20 @@ class Identified:
             },
             "numbers": self._numbers(),
             "covariance": self._spread(),
+            "ladder": [
+                {
+                    "name": one.rung.name,
+                    "unknowns": one.size,
+                    "error": one.error,
+                    "score": min(one.scores),
+                    "identified": one.knowledge.identified,
+                    "chosen": one is chosen,
+                }
+                for one in self.ladder.candidates
+                if math.isfinite(one.error)
+            ],
+            "signal": self.ladder.family.signal,
+            "signal_unit": self.ladder.family.unit,
             "logs": {
                 "fitted": [log.title for log in self.ladder.fitted],
                 "validation": [log.title for log in self.ladder.validation],

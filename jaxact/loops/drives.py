@@ -264,6 +264,14 @@ def load_drive(path: str | os.PathLike[str]) -> IdentifiedDrive:
     return of_document(where.name, document)
 
 
+def is_drive(path: Path) -> bool:
+    """Whether a file is of an identified drive; not where it cannot be read at all."""
+    try:
+        return path.suffix == ".toml" and "estimates" in tomllib.loads(path.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+
+
 def of_document(name: str, document: Mapping[str, Any]) -> IdentifiedDrive:
     """An identified drive from all that its file says.
 

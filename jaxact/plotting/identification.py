@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -239,18 +240,24 @@ def ladder(axes: Axes, steps: Sequence[Step], unit: str) -> None:
 
 def autocorrelation(axes: Axes, compared: Compared) -> None:
     """Autocorrelation of the residual, with the 95 % band of white noise."""
-    rest = compared.rest - compared.rest.mean()
-    power = max(float(rest @ rest), 1e-300)
-    lags = np.arange(1, min(_LAGS, len(rest) - 1))
-    each = [float(rest[lag:] @ rest[:-lag]) / power for lag in lags.tolist()]
-    band = 1.96 / np.sqrt(len(rest))
+    found = correlations(compared)
+    band, lags = found["band"], found["lags"]
     axes.axhspan(-band, band, color="#E4E4E4", zorder=0)
-    axes.vlines(lags, 0.0, each, color=theme.BLUE, linewidth=1.0)
+    axes.vlines(lags, 0.0, found["values"], color=theme.BLUE, linewidth=1.0)
     axes.axhline(0.0, color=theme.FAINT, linewidth=0.6)
     axes.set_xlabel("lag [rows]")
     axes.set_ylabel("autocorrelation")
     axes.set_ylim(-1.0, 1.0)
     axes.grid(visible=True)
+
+
+def correlations(compared: Compared) -> dict[str, Any]:
+    """Autocorrelation of the residual by lag [rows], and half of the 95 % band of white noise."""
+    rest = compared.rest - compared.rest.mean()
+    power = max(float(rest @ rest), 1e-300)
+    lags = np.arange(1, min(_LAGS, len(rest) - 1))
+    each = [float(rest[lag:] @ rest[:-lag]) / power for lag in lags.tolist()]
+    return {"lags": lags, "values": np.array(each), "band": 1.96 / np.sqrt(len(rest))}
 
 
 def profile_likelihood(axes: Axes, drawn: Profile) -> None:

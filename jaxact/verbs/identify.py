@@ -16,7 +16,6 @@ from jaxact.identification import identify as _joints
 from jaxact.identification import knowledge
 from jaxact.identification.fitting import LEAST_SQUARES
 from jaxact.identification.identify import Source
-from jaxact.identification.model import predicted
 from jaxact.identification.reading import ColumnMap, Columns, read_columns
 from jaxact.identification.replay import Replay, replay
 from jaxact.identification.result import Identified
@@ -24,6 +23,7 @@ from jaxact.identification.robot import SUFFIXES, IdentifiedRobot, identify_robo
 from jaxact.parameters import CONTROL_RATE, DELAY, WN, ZETA
 from jaxact.plotting import identification as _pictures
 from jaxact.plotting.identification import Compared, Step
+from jaxact.verbs.report_identified import compared
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -170,21 +170,6 @@ def _profile(identified: Identified, name: str) -> _pictures.Profile:
         name, unit, factor * one.value, factor * one.low, factor * one.high,
         factor * found.values, found.rises,
     )  # fmt: skip
-
-
-def compared(identified: Identified, log: int = 0) -> Compared:
-    """One validation log and what the chosen model makes of it."""
-    ladder = identified.ladder
-    chosen = ladder.validation[log]
-    return Compared(
-        title=f"{chosen.title}, which was not fitted",
-        time=chosen.time,
-        stimulus=ladder.family.stimulus(chosen),
-        measured=ladder.family.measured(chosen),
-        simulated=predicted(ladder.family, chosen, ladder.chosen.numbers),
-        signal=ladder.family.signal,
-        unit=ladder.family.unit,
-    )
 
 
 def replay_sheet(replayed: Replay, *, title: str = "") -> Figure:

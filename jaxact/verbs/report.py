@@ -12,8 +12,11 @@ from typing import Any
 
 from jaxact import __version__, files
 from jaxact.errors import UserError
+from jaxact.identification.result import Identified
+from jaxact.identification.robot import IdentifiedRobot
+from jaxact.loops import drives
 from jaxact.reports import page
-from jaxact.verbs import report_joint
+from jaxact.verbs import report_identified, report_joint
 
 _HEIGHT = 900  # of the page in a notebook [px]
 
@@ -54,8 +57,9 @@ def report(
     frequency and step responses are computed in the page, for any gains, actuator, delay and rate.
 
     Args:
-        subject: a joint's loop or loops, their margins, a sweep or a tuned result; or the path of
-            the results of a sweep or a tuning, or of a TOML file that describes or lists loops.
+        subject: a joint's loop or loops, their margins, a sweep, a tuned result or what
+            `jaxact.identify` found; or the path of the results of a sweep or a tuning, of an
+            identified drive, or of a TOML file that describes or lists loops.
         out: HTML file to write; one that is there is replaced.
         title: above the page, "" for what the specification says.
         command: that made it, to be shown.
@@ -68,7 +72,7 @@ def report(
     """
     path = Path(out)
     check_output(path)
-    found = report_joint.content(subject)
+    found = _content(subject)
     made = {"Command": command} if command else {}
     made |= {"Versions": _versions(), **found.made}
     text = page.document(dataclasses.replace(found, title=title or found.title, made=made))
@@ -82,6 +86,15 @@ def check_output(path: Path) -> None:
     if path.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"output {path}: a report is an .html file")
     files.check_output(path)
+
+
+def _content(subject: Any) -> page.Content:
+    """The page of whatever a report can be of."""
+    if isinstance(subject, Identified | IdentifiedRobot):
+        return report_identified.content(subject)
+    if isinstance(subject, str | os.PathLike) and drives.is_drive(Path(subject)):
+        return report_identified.of_file(Path(subject))
+    return report_joint.content(subject)
 
 
 def _versions() -> str:

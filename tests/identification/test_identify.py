@@ -181,12 +181,14 @@ def files(tmp_path_factory):
 def test_the_command_writes_the_drive_and_a_picture(files, tmp_path, capsys):
     out = tmp_path / "drive.toml"
     given = [str(files / "bench_1.csv"), "--validate", str(files / "bench_2.csv")]
-    assert main(["identify", *given, "--out", str(out)]) == 0
+    report = tmp_path / "drive.html"
+    assert main(["identify", *given, "--out", str(out), "--report", str(report)]) == 0
     said = capsys.readouterr().out
     assert "chosen: second order with delay" in said and "verdict: good" in said
     document = tomllib.loads(out.read_text())
     assert document["loop"][0]["wn"] == pytest.approx(110.0, rel=0.03)
     assert document["estimates"]["delay"]["identified"] is True
+    assert f"wrote {report}" in said and "bench_2.csv" in report.read_text()
     assert (tmp_path / "drive.png").stat().st_size > 10_000
     assert main(["margins", "--loops", str(out), "--mass", "0.7"]) == 0
     assert "identified" in capsys.readouterr().out
@@ -206,6 +208,8 @@ def test_the_command_writes_the_drive_and_a_picture(files, tmp_path, capsys):
         (["--control-rate", "0"], "--control-rate = 0 is out of range"),
         (["--wn", "100"], "--wn is for --design; logs say it themselves"),
         (["--design"], "--design needs no logs"),
+        (["--report", "bench.pdf"], "output bench.pdf: a report is an .html file"),
+        (["--design", "--report", "bench.html"], "is of logs, not of --design"),
     ],
 )
 def test_what_does_not_fit_is_one_line_and_writes_nothing(files, tmp_path, capsys, options, said):

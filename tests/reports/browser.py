@@ -1,6 +1,7 @@
 """Headless Chromium driven over its debugging pipe: the DevTools protocol without a library."""
 
 import contextlib
+import importlib.util
 import json
 import os
 import select
@@ -9,6 +10,8 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
+
+import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
 _FLAGS = (
@@ -74,6 +77,17 @@ class Browser:
         """A mouse event of the left button: mousePressed, mouseMoved or mouseReleased."""
         event = {"type": kind, "x": x, "y": y, "button": "left", "clickCount": 1}
         self._call("Input.dispatchMouseEvent", event | {"buttons": int(kind != "mouseReleased")})
+
+    def violations(self):
+        """What axe finds that people who cannot see would miss, everything opened."""
+        package = importlib.util.find_spec("pytest_playwright_axe")
+        if package is None:
+            pytest.skip("needs axe: make test has it in .environments")
+        axe = Path(package.origin).parent / "resources" / "axe.min.js"
+        self.run("document.querySelectorAll('details').forEach((one) => (one.open = true))")
+        self.run(axe.read_text(encoding="utf-8") + "; 0")
+        found = self.run("axe.run()")["violations"]
+        return [(one["id"], [node["html"][:200] for node in one["nodes"]]) for one in found]
 
     def picture(self):
         """The whole page as PNG, base64."""

@@ -141,7 +141,7 @@ export function line(place, xs, ys, attributes) {
   return element;
 }
 
-/** A table of columns [{head, values}] as text. */
+/** A table of columns [{head, values}] as text; values are numbers or words. */
 export function table(caption, columns) {
   const made = document.createElement("table");
   const words = document.createElement("caption");
@@ -156,7 +156,10 @@ export function table(caption, columns) {
   const body = made.createTBody();
   columns[0].values.forEach((_, i) => {
     const row = body.insertRow();
-    for (const column of columns) row.insertCell().textContent = short(column.values[i]);
+    for (const { values } of columns) {
+      const value = values[i];
+      row.insertCell().textContent = typeof value === "string" ? value : short(value);
+    }
   });
   made.prepend(words);
   return made;
@@ -167,4 +170,12 @@ export function fill(details, tables) {
   const content = details.querySelector("div");
   details.refill = () => content.replaceChildren(...tables());
   if (details.open) details.refill();
+}
+
+/** The lines of a list as text. */
+export function lines(list, words) {
+  list.replaceChildren(
+    ...words.map((text) => Object.assign(document.createElement("li"), { textContent: text })),
+  );
+  list.hidden = words.length === 0;
 }
