@@ -11,7 +11,19 @@ import numpy as np
 from jaxact import __version__
 from jaxact.files import plain
 from jaxact.loops import robots, toml
-from jaxact.parameters import KD, KP, PAYLOAD, VELOCITY_FILTER, base
+from jaxact.parameters import (
+    CONTROL_RATE,
+    DELAY,
+    INERTIA,
+    KD,
+    KP,
+    MASS,
+    MEASUREMENT_DELAY,
+    OUTPUT_DELAY,
+    PAYLOAD,
+    VELOCITY_FILTER,
+    base,
+)
 from jaxact.robots import elements
 from jaxact.tuning.result import OfRobot, Tuned
 
@@ -184,6 +196,7 @@ def document(
         gains, assumed = {"gains": {KP: tuned.kp, KD: tuned.kd}}, _of_joint(tuned)
         seen = {"nominal": {} if nominal is None else _known(nominal)}
         seen |= {"worst": _known(worst(tuned)[""])} if len(tuned.members) > 1 else {}
+        seen |= _shown_of_joint(tuned)
     else:
         import mujoco
 
@@ -200,6 +213,57 @@ def document(
         **{name: rows for name, rows in seen.items() if rows},
         "versions": versions,
     }
+
+
+def _shown_of_joint(tuned: Tuned) -> dict[str, Any]:
+    """The start, every constraint, and the loops that they are about, with the tuned gains.
+
+    `jaxact margins --loops` reads the loops: the nominal one of an ensemble, and the worst ones.
+    """
+    members: Any = tuned.members
+    checks = [
+        {"metric": c.metric, "bound": c.bound, "value": c.value, "member": c.member, "met": c.met}
+        for c in tuned.certificate.checks
+    ]
+    before = () if tuned.before is None else zip((KP, KD), map(float, tuned.before), strict=True)
+    worst = {check["member"] for check in checks}
+    rows = [_nominal(tuned)] if tuned.loop is not None and len(members) > 1 else []
+    rows += [
+        {"name": members.name(index), **_of_member(tuned, members, index)}
+        for index in range(len(members))
+        if members.name(index) in worst
+    ]
+    return {"before": dict(before), "checks": checks, "loop": rows}
+
+
+def _nominal(tuned: Tuned) -> dict[str, Any]:
+    """The loop that was given, all its delay at the command."""
+    from jaxact.loops import conversion
+    from jaxact.tuning.joint.ensemble import FIELDS, ensemble
+
+    own = conversion.one(tuned.loop)
+    own |= {DELAY: own[DELAY] + own[MEASUREMENT_DELAY] + own[OUTPUT_DELAY]}
+    plant: Any = {field: own[short] for short, field in FIELDS.items()}
+    sampling = tuned.members.sampling  # type: ignore[union-attr]
+    return {"name": "nominal", **_of_member(tuned, ensemble(**plant, sampling=sampling), 0)}
+
+
+def _of_member(tuned: Tuned, members: Any, index: int) -> dict[str, float]:
+    """A plant with the tuned gains by short name, as a table of loops has it."""
+    from jaxact.tuning.joint.ensemble import FIELDS, PARAMETERS
+
+    rotary = tuned.loop is not None and tuned.loop.kind.unit == "rad"
+    found = {KP: float(tuned.kp), KD: float(tuned.kd)}
+    for short, field in FIELDS.items():
+        value = float(getattr(members, field)[index])
+        if field in PARAMETERS or value != 0.0:
+            found[INERTIA if rotary and short == MASS else short] = value
+    sampling = members.sampling
+    if sampling.control_period is not None:
+        found[CONTROL_RATE] = 1.0 / sampling.control_period
+    if math.isfinite(sampling.velocity_filter):
+        found[VELOCITY_FILTER] = sampling.velocity_filter
+    return found
 
 
 def _known(metrics: Mapping[str, Any]) -> dict[str, Any]:

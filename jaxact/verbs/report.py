@@ -16,7 +16,8 @@ from jaxact.identification.result import Identified
 from jaxact.identification.robot import IdentifiedRobot
 from jaxact.loops import drives
 from jaxact.reports import page
-from jaxact.verbs import report_identified, report_joint
+from jaxact.tuning.result import Tuned
+from jaxact.verbs import report_identified, report_joint, report_tuned
 
 _HEIGHT = 900  # of the page in a notebook [px]
 
@@ -94,6 +95,12 @@ def _content(subject: Any) -> page.Content:
         return report_identified.content(subject)
     if isinstance(subject, str | os.PathLike) and drives.is_drive(Path(subject)):
         return report_identified.of_file(Path(subject))
+    if isinstance(subject, Tuned):
+        return report_tuned.content(subject)
+    if isinstance(subject, str | os.PathLike):
+        found = report_tuned.document_of(Path(subject))
+        if found is not None:
+            return report_tuned.of_file(*found)
     return report_joint.content(subject)
 
 

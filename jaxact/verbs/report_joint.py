@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,25 +12,22 @@ import numpy as np
 import xarray as xr
 
 from jaxact.errors import UserError
-from jaxact.loops import listed, reading, toml
+from jaxact.loops import listed, reading
 from jaxact.loops.axes import NO_AXIS
-from jaxact.loops.building import joint, loop_of
+from jaxact.loops.building import loop_of
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.loops.specification import Specification
-from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, LINEAR, SETPOINT_DELAY, canonical
+from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, LINEAR, SETPOINT_DELAY
 from jaxact.reports.page import Content
 from jaxact.sweeping import opening
-from jaxact.tuning import report as tuning_report
-from jaxact.tuning.result import Tuned
 from jaxact.verbs import naming
 from jaxact.verbs.margins import BothMargins, LoopMargins
 
 # A window where no sweep has one: so far around the gains, to either side.
 _AROUND = 30.0
 _MOST_LOOPS = 200
-_ROBOT = "a report is of a joint, and this is a robot; see its margins instead"
-_GAINS = "gains.toml"  # in a folder of `jaxact tune`
-_OF_LOOP = (*LINEAR, SETPOINT_DELAY, CONTROL_RATE)
+ROBOT = "a report is of a joint, and this is a robot; see its margins instead"
+OF_LOOP = (*LINEAR, SETPOINT_DELAY, CONTROL_RATE)
 
 Window = tuple[float, float]
 
@@ -76,7 +72,7 @@ def of_subject(found: Subject) -> Content:
         UserError: a robot, too many loops, or gains that have no logarithm.
     """
     if found.loop.kind.plant is not None:
-        raise UserError(_ROBOT)
+        raise UserError(ROBOT)
     if np.prod(found.loop.shape, initial=1) > _MOST_LOOPS:
         raise UserError(f"a report is of at most {_MOST_LOOPS} loops; vary less, or select some")
     named = naming.named(found.loop)
@@ -112,7 +108,7 @@ def of_subject(found: Subject) -> Content:
 def _parameters(values: Mapping[str, float], velocity: str) -> dict[str, Any]:
     """What the page needs of a loop, by short name; gains with their common factor."""
     scale = values[GAIN_SCALE]
-    own: dict[str, Any] = {name: values[name] for name in _OF_LOOP}
+    own: dict[str, Any] = {name: values[name] for name in OF_LOOP}
     return own | {KP: scale * values[KP], KD: scale * values[KD], "velocity": velocity}
 
 
@@ -122,57 +118,18 @@ def _subject(subject: Any) -> Subject:
         return Subject(subject)
     if isinstance(subject, LoopMargins | BothMargins):
         return Subject(subject.loop)
-    if isinstance(subject, Tuned):
-        return _of_tuned(subject)
     if isinstance(subject, xr.Dataset):
         return _of_sweep(subject)
     if isinstance(subject, str | os.PathLike):
         path = Path(subject)
         if path.suffix.lower() in (".xml", ".urdf"):
-            raise UserError(_ROBOT)
-        if (path / _GAINS).is_file():
-            return _of_gains(tomllib.loads((path / _GAINS).read_text(encoding="utf-8")))
+            raise UserError(ROBOT)
         if path.suffix != ".toml":
             return _of_sweep(opening.open_result(subject, unfinished=True))
         if listed.rows(path) is not None:
             return Subject(loop_of(path), specification=path.read_text(encoding="utf-8"))
         return _of_specification(reading.load(path))
     raise UserError(f"a report cannot be of a {type(subject).__name__}; give a loop or a result")
-
-
-def _of_tuned(tuned: Tuned) -> Subject:
-    if tuned.robot is not None:
-        raise UserError(_ROBOT)
-    found = _of_gains(tuning_report.document(tuned))
-    if tuned.before is None:
-        return found
-    before = {"before": (float(tuned.before[0]), float(tuned.before[1]))}
-    return dataclasses.replace(found, points=before | dict(found.points))
-
-
-def _of_gains(document: Mapping[str, Any]) -> Subject:
-    """Tuned gains as `gains.toml` has them: the ends of what was assumed are loops to choose from.
-
-    Raises:
-        UserError: a robot's, or no such document.
-    """
-    gains, assumed = document.get("gains"), document.get("assumed", {})
-    if not isinstance(gains, Mapping) or not {KP, KD} <= gains.keys():
-        raise UserError("these are not a joint's tuned gains: there is no [gains] with kp and kd")
-    known = [name for name in assumed if canonical(name) in _OF_LOOP]
-    ends = [np.atleast_1d(np.asarray(assumed[name], float)) for name in known]
-    own = dict(zip(known, np.ix_(*ends), strict=True))
-    own = {name: array if array.size > 1 else float(array.item()) for name, array in own.items()}
-    if "control_period" in assumed:
-        own[CONTROL_RATE] = 1.0 / assumed["control_period"]
-    loop = joint(
-        kp=gains[KP], kd=gains[KD], unit=assumed.get("unit"),
-        velocity=assumed.get("velocity", "sampled"), **own,
-    )  # fmt: skip
-    points = {"tuned": (float(gains[KP]), float(gains[KD]))}
-    verdict = document.get("guaranteed", {}).get("verdict", "")
-    text = toml.dumps(document)
-    return Subject(loop, f"Tuned: {verdict}" if verdict else "", text, points=points)
 
 
 def _of_sweep(results: xr.Dataset) -> Subject:

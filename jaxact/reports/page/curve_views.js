@@ -41,19 +41,20 @@ export function curves(loop, kp, kd, margins) {
   };
 }
 
-const KINDS = ["continuous", "sampled"];
 const spanOf = (both) => {
-  const all = KINDS.flatMap((kind) => both[kind].w);
+  const all = Object.values(both).flatMap(({ w }) => w);
   return [all.reduce((a, b) => Math.min(a, b)), all.reduce((a, b) => Math.max(a, b))];
 };
 
 function bounded(both, name, least, most) {
-  const values = KINDS.flatMap((kind) => both[kind][name]).filter(Number.isFinite);
+  const values = Object.values(both)
+    .flatMap((one) => one[name])
+    .filter(Number.isFinite);
   const [low, high] = [Math.min(...values), Math.max(...values)];
   return [Math.min(Math.max(low, least[0]), least[1]), Math.max(Math.min(high, most[1]), most[0])];
 }
 
-/** Gain and phase of the open loop; `both` of `curves` for each kind. */
+/** Gain and phase of the open loop; `both` of `curves` by the class that each is drawn in. */
 export function drawBode(gainPicture, phasePicture, both) {
   const x = { domain: spanOf(both), log: true, label: FREQUENCY };
   const gain = frame(gainPicture, {
@@ -72,7 +73,7 @@ export function drawBode(gainPicture, phasePicture, both) {
   });
   line(gain, x.domain, [1, 1], { class: "reference" });
   line(phase, x.domain, [-180, -180], { class: "reference" });
-  for (const kind of KINDS) {
+  for (const kind of Object.keys(both)) {
     line(gain, both[kind].w, both[kind].gain, { class: kind });
     line(phase, both[kind].w, both[kind].phase, { class: kind });
   }
@@ -96,7 +97,7 @@ export function drawNyquist(svg, both, peak) {
       { class: "disk" },
     );
   }
-  for (const kind of KINDS) {
+  for (const kind of Object.keys(both)) {
     const { L } = both[kind];
     line(
       place,
@@ -110,9 +111,9 @@ export function drawNyquist(svg, both, peak) {
 
 /** |S| and |T|. */
 export function drawSensitivity(svg, both) {
-  const values = KINDS.flatMap((kind) => [...both[kind].S, ...both[kind].T]).filter(
-    Number.isFinite,
-  );
+  const values = Object.values(both)
+    .flatMap(({ S, T }) => [...S, ...T])
+    .filter(Number.isFinite);
   const top = Math.min(Math.max(...values) * 1.1, 20);
   const place = frame(svg, {
     x: { domain: spanOf(both), log: true, label: FREQUENCY },
@@ -120,27 +121,28 @@ export function drawSensitivity(svg, both) {
     height: HEIGHT,
   });
   line(place, spanOf(both), [1, 1], { class: "reference" });
-  for (const kind of KINDS) {
+  for (const kind of Object.keys(both)) {
     line(place, both[kind].w, both[kind].S, { class: kind });
     line(place, both[kind].w, both[kind].T, { class: `${kind} other` });
   }
 }
 
-/** The sampled loop's answer to a unit step; `step` of `stepResponse`. */
-export function drawStep(svg, step) {
-  const finite = step.position.filter((x) => Math.abs(x) < 1e6);
-  const top = Math.min(Math.max(1.2, ...finite), 3);
+/** Answers to a unit step; `steps` of `stepResponse` by the class that each is drawn in. */
+export function drawStep(svg, steps) {
+  const each = Object.entries(steps);
+  const finite = each.flatMap(([, { position }]) => position.filter((x) => Math.abs(x) < 1e6));
+  const domain = [0, Math.max(...each.map(([, { time }]) => time[time.length - 1]))];
   const place = frame(svg, {
-    x: { domain: [0, step.time[step.time.length - 1]], log: false, label: "time [s]" },
+    x: { domain, log: false, label: "time [s]" },
     y: {
-      domain: [Math.max(Math.min(0, ...finite), -1), top],
+      domain: [Math.max(Math.min(0, ...finite), -1), Math.min(Math.max(1.2, ...finite), 3)],
       log: false,
       label: "position per setpoint",
     },
     height: HEIGHT,
   });
-  line(place, [0, step.time[step.time.length - 1]], [1, 1], { class: "reference" });
-  line(place, step.time, step.position, { class: "sampled" });
+  line(place, domain, [1, 1], { class: "reference" });
+  for (const [kind, { time, position }] of each) line(place, time, position, { class: kind });
 }
 
 const rows = (values) => {
@@ -149,8 +151,8 @@ const rows = (values) => {
 };
 
 /** Tables behind the pictures. */
-export const curveTable = (kind, one) =>
-  table(`The ${kind} loop over frequency`, [
+export const curveTable = (name, one) =>
+  table(`${name} over frequency`, [
     { head: FREQUENCY, values: rows(one.w) },
     { head: "|L|", values: rows(one.gain) },
     { head: "phase of L [°]", values: rows(one.phase) },
@@ -158,8 +160,8 @@ export const curveTable = (kind, one) =>
     { head: "|T|", values: rows(one.T) },
   ]);
 
-export const stepTable = (step) =>
-  table("Answer of the sampled loop to a unit step of its setpoint", [
+export const stepTable = (step, of = "the sampled loop") =>
+  table(`Answer of ${of} to a unit step of its setpoint`, [
     { head: "time [s]", values: rows(step.time) },
     { head: "position per setpoint", values: rows(step.position) },
   ]);

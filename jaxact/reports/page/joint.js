@@ -10,11 +10,10 @@ import { drawMap, mapLayers, mapTable, movable } from "./map_view.js";
 import { margins } from "./margins.js";
 import { showMargins } from "./margins_table.js";
 import { rightmostRoot } from "./roots.js";
-import { stepResponse } from "./step_response.js";
+import { stepResponse, ticksOf } from "./step_response.js";
 import { command, toml, verdict } from "./words.js";
 
 const SPEAK_AFTER = 500;
-const MOST_TICKS = 2000;
 const MAKE = { continuous: continuousLoop, sampled: sampledLoop };
 
 /** Start the part with its data, in the document or in a shadow root that has its elements. */
@@ -95,21 +94,13 @@ export function start(data, host) {
     views.drawBode(by("gain"), by("phase"), lines);
     views.drawNyquist(by("nyquist"), lines, own.stable ? own.sensitivity_peak : 0);
     views.drawSensitivity(by("sensitivity"), lines);
-    const step = stepResponse(state.parameters, state.kp, state.kd, ticksOf(root));
-    views.drawStep(by("step"), step);
+    const step = stepResponse(state.parameters, state.kp, state.kd, ticksOf(state.parameters, root));
+    views.drawStep(by("step"), { sampled: step });
     fill(by("map-data"), () => [mapTable(edges, unit)]);
     fill(by("loop-data"), () =>
-      Object.entries(lines).map(([name, one]) => views.curveTable(name, one)),
+      Object.entries(lines).map(([name, one]) => views.curveTable(`The ${name} loop`, one)),
     );
     fill(by("step-data"), () => [views.stepTable(step)]);
-  }
-
-  /** Long enough for the slowest motion to decay, in control periods. */
-  function ticksOf(root) {
-    const rate = state.parameters.control_rate;
-    const period = root.im > 0 ? (2 * Math.PI) / root.im : 0;
-    const time = Math.max(root.re < 0 ? 6 / -root.re : 0, 4 * period, 20 / rate);
-    return Math.min(Math.ceil(time * rate), MOST_TICKS);
   }
 
   const later = () => (asked ||= requestAnimationFrame(redraw));

@@ -3,6 +3,15 @@
 import { periodMap, within } from "./loops.js";
 import { applied } from "./transition.js";
 
+const MOST_TICKS = 2000;
+
+/** Long enough for the slowest motion to decay, in control periods; `root` of `rightmostRoot`. */
+export function ticksOf({ control_rate: rate }, root) {
+  const period = root.im > 0 ? (2 * Math.PI) / root.im : 0;
+  const time = Math.max(root.re < 0 ? 6 / -root.re : 0, 4 * period, 20 / rate);
+  return Math.min(Math.ceil(time * rate), MOST_TICKS);
+}
+
 /**
  * Position of the joint at every control tick after a unit step at t = 0, from rest; the loop is
  * linear. Returns {time [s], position [-], command [N/m]}, `ticks` + 1 values each.
