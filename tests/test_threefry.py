@@ -19,6 +19,17 @@ def test_words_are_those_of_jax(seed):
     np.testing.assert_array_equal(np.stack(found, axis=1), each(counts))
 
 
+def test_uniform_numbers_and_keys_are_those_of_jax():
+    key = jax.random.key(11)
+    words = jax.random.key_data(key)
+    np.testing.assert_array_equal(
+        threefry.uniform(words, 9, jnp.float32), jax.random.uniform(key, (9,), jnp.float32)
+    )
+    np.testing.assert_array_equal(
+        threefry.folded(words, 5), jax.random.key_data(jax.random.fold_in(key, 5))
+    )
+
+
 @pytest.mark.parametrize("joints", [(), (3,)])
 def test_draws_of_ticks_and_joints_are_normal_and_apart(joints):
     options = SensorOptions(noise=True, walk=True)

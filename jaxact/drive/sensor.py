@@ -189,8 +189,10 @@ def draw(
     size = max(1, like.size)
     counts = jnp.asarray(number, jnp.uint32) * size + jnp.arange(size, dtype=jnp.uint32)
 
+    words = jax.random.key_data(key)
+
     def normal(source: int) -> tuple[jax.Array, jax.Array]:
-        stream = jax.random.key_data(jax.random.fold_in(key, source))
+        stream = threefry.folded(words, source)
         first, second = threefry.words(stream, counts.reshape(like.shape))
         return _standard_normal(first, like.dtype), _standard_normal(second, like.dtype)
 

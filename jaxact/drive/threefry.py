@@ -37,3 +37,16 @@ def words(key: jax.Array, counts: jax.Array) -> tuple[jax.Array, jax.Array]:
         first = first + schedule[(block + 1) % 3]
         second = second + schedule[(block + 2) % 3] + jnp.uint32(block + 1)
     return first, second
+
+
+def uniform(key: jax.Array, number: int, dtype: jax.typing.DTypeLike) -> jax.Array:
+    """Random numbers from 0 up to 1, shape (number,): in float32 those of `jax.random.uniform`."""
+    first, second = words(key, jnp.arange(number, dtype=jnp.uint32))
+    # The 23 highest bits are the fraction of a number between 1 and 2.
+    fraction = ((first ^ second) >> 9) | jnp.uint32(0x3F800000)
+    return (jax.lax.bitcast_convert_type(fraction, jnp.float32) - 1.0).astype(dtype)
+
+
+def folded(key: jax.Array, number: jax.Array | int) -> jax.Array:
+    """The key that `jax.random.fold_in` makes of a key's two words and a number, shape (2,)."""
+    return jnp.stack(words(key, jnp.asarray(number, jnp.uint32)))

@@ -18,6 +18,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxact.drive import sensor as _sensor
 from jaxact.drive import step as _drive
+from jaxact.drive import threefry
 from jaxact.drive.controller import Controller, Setpoint
 from jaxact.drive.step import DriveState
 from jaxact.environments.environment_drive import EnvironmentDrive
@@ -63,7 +64,7 @@ class DrivenStep:
             model, data: of MJX; `data.userdata` from `fresh` or the step before.
             control: of all actuators, shape (nu,).
             substeps: number of physics steps.
-            key: random key, another one at every call.
+            key: two random words, shape (2,), others at every call.
 
         Returns:
             The data, with the control in `ctrl` as the environment's own step leaves it.
@@ -71,7 +72,7 @@ class DrivenStep:
         parts, own = self.drive, self.drive.actuators
         ticks = parts.ticks(substeps)
         begun = data.userdata[0] > 0.0
-        drawing, sensing = jax.random.split(key)
+        drawing, sensing = (threefry.folded(key, which) for which in range(2))
         draws = jnp.where(begun, data.userdata[1 : 1 + parts.draws], parts.draw(drawing))
         setpoint = own.setpoint(model, control, jnp)
         prepared = self._prepared(model, control, draws)

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from jaxact.drive import options as _options
+from jaxact.drive import threefry
 from jaxact.drive.options import Drive, DriveOptions
 from jaxact.environments import actuators as _actuators
 from jaxact.environments.actuators import Actuators
@@ -85,7 +86,7 @@ class EnvironmentDrive:
 
     def draw(self, key: jax.Array) -> jax.Array:
         """Numbers between 0 and 1 that choose the parameters, shape (draws,)."""
-        return jax.random.uniform(key, (self.draws,))
+        return threefry.uniform(jax.random.key_data(key), self.draws, jnp.result_type(float))
 
     def values(self, draws: jax.Array, model: Any) -> dict[str, Any]:
         """The parameters that were drawn, by short name, shape () or (joints,).

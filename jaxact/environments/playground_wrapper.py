@@ -13,6 +13,7 @@ from mujoco import mjx
 from mujoco_playground._src import mjx_env
 from mujoco_playground._src.wrapper import Wrapper
 
+from jaxact.drive import threefry
 from jaxact.environments import environment_drive
 from jaxact.environments.driven_step import DrivenStep
 from jaxact.errors import UserError
@@ -53,7 +54,8 @@ class DrivenEnvironment(Wrapper):
         def driven(model: Any, data: Any, control: jax.Array, n_substeps: int = 1) -> Any:
             if not data.userdata.shape[-1]:  # the environment resets by itself
                 return plain(model, data, control, n_substeps)
-            key = jax.random.fold_in(jax.random.fold_in(own["key"], own["count"]), len(steps))
+            words = jax.random.key_data(own["key"])
+            key = threefry.folded(threefry.folded(words, own["count"]), len(steps))
             steps.append(n_substeps)
             return self._driven.step(model, data, control, n_substeps, key)
 
