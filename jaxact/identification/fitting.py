@@ -42,6 +42,8 @@ _WORTH = 5e-3
 _HOPELESS_AFTER = 12
 # A search that gains less than this share in so many evaluations creeps along a flat valley.
 _CREEPING = 1e-3
+# Of another model's lag, a delay may be these shares, and the loop behind it damped so.
+_SHARES_OF_THE_LAG, _DAMPINGS = (0.15, 0.5, 0.85), (0.45, 0.9)
 # At most so many starts are looked at before the best ones are solved.
 _MOST_STARTS = 256
 
@@ -276,9 +278,9 @@ def _begin(
     rows = itertools.islice(itertools.product(*each.values()), _MOST_STARTS)
     points = [_inner(sought, row) for row in rows]
     if near is not None and DELAY in each and DELAY not in chosen and {WN, "lag"} & set(each):
-        points = list(
-            {p.tobytes(): p for p in (_matched(sought, p, near) for p in points)}.values()
-        )
+        matched = [_matched(sought, point, near) for point in points]
+        matched += _shared(sought, points[0], near) if WN in each else []
+        points = list({point.tobytes(): point for point in matched}.values())
     if len(points) == 1:
         return [(_piece(sought, points[0], held), points[0])]
     costs = [float(np.sum(np.square(sought.evaluate(point)[0]))) for point in points]
@@ -314,6 +316,21 @@ def _matched(sought: Problem, point: np.ndarray, near: Fit) -> np.ndarray:
     unknown, matched = sought.unknowns[index], point.copy()
     matched[index] = np.clip(lag - 2.0 * values[ZETA] / values[WN], unknown.low, unknown.high)
     return matched
+
+
+def _shared(sought: Problem, point: np.ndarray, near: Fit) -> list[np.ndarray]:
+    """Starts whose delay is a share of another model's lag, the loop's ``2 zeta / wn`` the rest."""
+    lag = max(effective_lag(near.problem.model_values(near.point)), 0.1 * (sought.period or 1.0))
+    found = []
+    for share, zeta in itertools.product(_SHARES_OF_THE_LAG, _DAMPINGS):
+        start = point.copy()
+        values = {DELAY: share * lag, ZETA: zeta, WN: 2.0 * zeta / ((1.0 - share) * lag)}
+        for name, value in values.items():
+            index = sought.names.index(name)
+            unknown = sought.unknowns[index]
+            start[index] = unknown.inner(float(np.clip(value, unknown.low, unknown.high)))
+        found.append(start)
+    return found
 
 
 def _piece(sought: Problem, point: np.ndarray, held: Mapping[str, float]) -> int | None:

@@ -4,8 +4,8 @@
     f: the force of the drive, see `jaxact.drive.actuator`, for the command of the controller
 
 Between two instants at which something switches the force is integrated in closed form, and so is
-the joint's viscous damping; dry friction takes from the speed what it can, and holds the joint
-where that is all of it. Of second order in the step, exact without friction and gravity.
+the joint's viscous damping; dry friction brakes until the joint comes to rest, from where it sticks
+or turns back. Of second order in the step, exact without friction and gravity.
 """
 
 from __future__ import annotations
@@ -281,18 +281,29 @@ def _move(
         middle = position + 0.5 * length * velocity
         pull = links.force + links.stiffness * (middle - links.position)
         load = load - pull
-    viscous, dry = _friction(values, velocity, impulse / length, pull)
+    asked = impulse / length
+    drift = asked + load
+    forwards = jnp.where(velocity == 0.0, drift >= 0.0, velocity > 0.0)
+    viscous, dry = _friction(values, forwards, velocity, asked, pull)
     decay = viscous * length / inertia
     one, two = _phi(decay)
-    pushed = jnp.exp(-decay) * velocity + one * (impulse + length * load) / inertia
-    most = one * length * dry / inertia
-    after = jnp.sign(pushed) * jnp.maximum(jnp.abs(pushed) - most, 0.0)
+    most = jnp.where(forwards, one, -one) * length * dry / inertia
+    sliding = jnp.exp(-decay) * velocity + one * (impulse + length * load) / inertia - most
     moved = (
         position
         + length * one * velocity
         + 2.0 * two * (moment + 0.5 * length * length * load) / inertia
-        - length * two / one * (pushed - after)
+        - length * two / one * most
     )
+    # A joint that comes to rest within the interval sticks there, or turns back.
+    stops = jnp.where(forwards, sliding < 0.0, sliding > 0.0)
+    change = jnp.where(stops, sliding - velocity, 1.0)
+    rest = jnp.where(stops, length * sliding / change, 0.0)
+    viscous, dry = _friction(values, drift >= 0.0, 0.0, asked, pull)
+    freed = jnp.sign(drift) * jnp.maximum(jnp.abs(drift) - dry, 0.0) / inertia
+    turned = rest * _phi(viscous * rest / inertia)[0] * freed
+    after = jnp.where(stops, turned, sliding)
+    moved = moved + 0.5 * rest * (after - sliding)
     return _Carry(moved, after, force, rate, carry.commands, carry.ticks, carry.seen)
 
 
@@ -312,7 +323,8 @@ def _phi(x: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 def _friction(
     values: Mapping[str, Any],
-    velocity: jax.Array,
+    forwards: jax.Array,
+    velocity: jax.Array | float,
     force: jax.Array,
     pull: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
@@ -322,7 +334,6 @@ def _friction(
     their own for the two directions where friction is asymmetric: a gear is loaded by the larger of
     what drives it and what it carries, whichever side that comes from.
     """
-    forwards = velocity >= 0.0
     viscous = jnp.where(forwards, values["viscous"], values.get("viscous_back", values["viscous"]))
     dry = jnp.where(forwards, values["coulomb"], values.get("coulomb_back", values["coulomb"]))
     if "loaded" in values:

@@ -18,14 +18,17 @@ from jaxact.parameters import DELAY, WN, ZETA
 
 # A simpler model is preferred where its error is within this share of the best one's.
 _AS_GOOD = 0.01
+# The same for frictions before the drive's dynamics are known.
+_NEARLY_AS_GOOD = 0.05
 # A model that is not wholly identified is taken where those that are have so many times its error.
 _FAR_WORSE = 1.5
 # Share of the encoder's own error that is left out when errors are compared.
 _OF_THE_FLOOR = 0.95
-# Dynamics with so small a share of a mere delay's error may have been taken for friction.
-_FAR_FROM_A_DELAY = 0.9
 # Of a log that is alone, the last part is kept for validation.
 _HELD_OUT = 0.3
+
+FAR_FROM_A_DELAY = 0.9
+"""Dynamics with so small a share of a mere delay's error may have been taken for friction."""
 
 
 @dataclass(frozen=True)
@@ -157,11 +160,11 @@ def stages(family: Family, found: list[Candidate], floor: float) -> Iterator[Run
         yield from family.rungs
         return
     yield from (rung for rung in family.rungs if rung.dynamics == DELAY)
-    first = choose(found, floor)
+    first = choose(found, floor, _NEARLY_AS_GOOD)
     friction = first.rung.friction
     yield from (r for r in family.rungs if r.friction == friction and r.dynamics != DELAY)
     best = choose(found, floor)
-    if best.error < _FAR_FROM_A_DELAY * first.error:
+    if best.error < FAR_FROM_A_DELAY * first.error:
         dynamics = best.rung.dynamics
         yield from (r for r in family.rungs if r.dynamics == dynamics and r.friction != friction)
 
@@ -236,7 +239,9 @@ def _tried(
     return Candidate(rung, fit, known, tuple(errors), tuple(scores), numbers)
 
 
-def choose(candidates: Sequence[Candidate], floor: float = 0.0) -> Candidate:
+def choose(
+    candidates: Sequence[Candidate], floor: float = 0.0, share: float = _AS_GOOD
+) -> Candidate:
     """The simplest that is as good as the best and all of whose numbers are identified.
 
     Where none of those is, the simplest that is as good as the best whose numbers are; but where
@@ -246,6 +251,7 @@ def choose(candidates: Sequence[Candidate], floor: float = 0.0) -> Candidate:
         candidates: fitted and tried.
         floor: mean square error that the encoder alone makes, most of which is left out of the
             comparison, as no model can mend it.
+        share: by which a simpler model's error may be larger.
     """
 
     def error(one: Candidate) -> float:
@@ -257,5 +263,5 @@ def choose(candidates: Sequence[Candidate], floor: float = 0.0) -> Candidate:
     identified = [one for one in usable if one.knowledge.identified]
     least = min((error(one) for one in identified), default=np.inf)
     chosen, bound = (identified, least) if least <= _FAR_WORSE * best else (usable, best)
-    as_good = [one for one in chosen if error(one) <= (1.0 + _AS_GOOD) * bound]
+    as_good = [one for one in chosen if error(one) <= (1.0 + share) * bound]
     return min(as_good, key=lambda one: (one.size, one.error))

@@ -13,10 +13,9 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy import signal as _signal
 
 from jaxact.errors import UserError
-from jaxact.identification import inspection, joint_motion
+from jaxact.identification import inspection, joint_motion, starts
 from jaxact.identification.joint_motion import Recording, Structure
 from jaxact.identification.log import LINKS, Log, filled
 from jaxact.identification.model import DYNAMICS, NEUTRAL_DRIVE, Family, Rung, drive_unknowns
@@ -117,7 +116,7 @@ def family(logs: Sequence[Log], plant: str, control_rate: float | None = None) -
     ticks, _ = cut(first, control_rate)
     longest = _MOST_TICKS_OF_DELAY * ticks + 2
     structure = Structure(closed, longest, first.difference_ticks, plant == "pendulum")
-    context = _Context(logs, plant, structure, sought, control_rate)
+    context = Context(logs, plant, structure, sought, control_rate)
     if context.robot and sought:
         raise UserError(f"{first.title}: a robot needs kp and kd in the map, or its command")
     unit = "rad" if first.unit == "rad" else "m"
@@ -152,7 +151,9 @@ def cut(log: Log, control_rate: float | None) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class _Context:
+class Context:
+    """Logs of one joint, and what is known of it and of its controller."""
+
     logs: Sequence[Log]
     plant: str
     structure: Structure
@@ -218,7 +219,8 @@ class _Context:
         return tuple(made)
 
     def unknowns(self, logs: Sequence[Log]) -> dict[str, Unknown]:
-        guess = _guess(logs, self)
+        """What can be sought, by name, with ranges and starts from the logs."""
+        guess = starts.guess(logs, self)
         force = "N m" if logs[0].unit == "rad" else "N"
         rubbing = f"{force} s/{logs[0].unit}"
         if self.sought_gains:  # all of it per unit of the inertia
@@ -259,7 +261,7 @@ class _Context:
         for number, log in enumerate(logs):
             position, velocity = beginning(log)
             room = 0.05 * float(np.ptp(log["position"]))
-            fast = max(float(np.max(np.abs(smooth_velocity(log)))), 1e-9)
+            fast = max(float(np.max(np.abs(starts.speed(log)))), 1e-9)
             for name, value, reach, unit in (
                 (INITIAL_POSITION, position, room, log.unit),
                 (INITIAL_VELOCITY, velocity, fast, f"{log.unit}/s"),
@@ -271,6 +273,7 @@ class _Context:
         return tuple(found)
 
     def inputs(self, log: Log) -> Recording:
+        """What the simulation needs of a log."""
         zero = np.zeros(len(log))
         ticks, controlled = cut(log, self.control_rate)
         gains = (math.nan, math.nan) if self.sought_gains else log.gains
@@ -311,76 +314,3 @@ def beginning(log: Log, rows: int = 7) -> tuple[float, float]:
     time = log.time[:rows] - log.time[0]
     slope, start = np.polyfit(time, log["position"][:rows], 1)
     return float(start), float(slope)
-
-
-def smooth_velocity(log: Log) -> np.ndarray:
-    """The velocity of a log's position, smoothed over some rows, shape (rows,)."""
-    return _derivative(log, 1)
-
-
-def _derivative(log: Log, order: int) -> np.ndarray:
-    window = min(max(2 * int(0.01 / log.period) + 5, 7), len(log) // 4 * 2 - 1)
-    return _signal.savgol_filter(log["position"], window, 3, deriv=order, delta=log.period)
-
-
-def _guess(logs: Sequence[Log], context: _Context) -> dict[str, Any]:
-    """Where the search begins: least squares on smoothed derivatives, row by row."""
-    rows, forces = [], []
-    gravity = context.structure.gravity
-    for log in logs:
-        speed, acceleration = smooth_velocity(log), _derivative(log, 2)
-        columns = [acceleration, speed, np.sign(speed), np.ones(len(log))]
-        if gravity:
-            columns.append(np.sin(log["position"]))
-        rows.append(np.stack(columns, axis=1))
-        force = _force(log, context)
-        if context.robot:
-            force = force - log[LINKS[0]] * acceleration - log[LINKS[1]]
-        forces.append(force)
-    matrix, force = np.concatenate(rows), np.concatenate(forces)
-    size = max(float(np.max(np.abs(force))), 1e-9)
-    fastest = max(float(np.max(np.abs(matrix[:, 1]))), 1e-9)
-    known = context.known()
-    target, names = force, ["inertia", "viscous", "coulomb", "offset", "gravity"][: matrix.shape[1]]
-    found = _least_squares(matrix, target, names)
-    gain = 1.0
-    if gravity and "gravity" in known and found["gravity"] != 0.0:
-        gain = abs(known["gravity"] / found["gravity"])
-    elif "inertia" in known and found["inertia"] > 0.0:
-        gain = known["inertia"] / found["inertia"]
-    scaled = {name: gain * value for name, value in found.items()}
-    inertia = scaled["inertia"]
-    if inertia <= 0.0:
-        inertia = gain * size / max(float(np.max(np.abs(matrix[:, 0]))), 1e-9)
-    if context.robot:
-        # Where the motion hardly tells: a rotor, seen through its gear, is like the links.
-        least = 0.05 * float(np.mean([np.mean(log[LINKS[0]]) for log in logs]))
-        inertia = max(inertia, least)
-    return {
-        "inertia": inertia, "viscous": scaled["viscous"], "coulomb": scaled["coulomb"],
-        "offset": float(np.clip(scaled["offset"], -0.5 * gain * size, 0.5 * gain * size)),
-        "gravity": scaled.get("gravity", 0.0), "gain": gain, "size": gain * size,
-        "speed": fastest, KP: (30.0, 300.0, 3000.0), KD: 20.0,
-    }  # fmt: skip
-
-
-def _force(log: Log, context: _Context) -> np.ndarray:
-    """The force that a log's command, or its controller, asks for at each row."""
-    if not context.structure.closed:
-        return log["command"]
-    kp, kd = (0.0 if gain is None else gain for gain in log.gains)
-    if context.sought_gains:
-        kp, kd = 300.0, 20.0
-    force = kp * (log[SETPOINT] - log["position"]) - kd * inspection.velocity(log)
-    if FEEDFORWARD in log:
-        force = force + log[FEEDFORWARD]
-    limit = log.details.get("command_limit", math.inf)
-    return np.clip(force, -limit, limit)
-
-
-def _least_squares(
-    matrix: np.ndarray, target: np.ndarray, names: Sequence[str]
-) -> dict[str, float]:
-    size = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
-    solved = np.linalg.lstsq(matrix / size, target, rcond=1e-9)[0] / size
-    return dict(zip(names, solved.tolist(), strict=True))

@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING
 
 from jaxact.identification.inspection import Inspection
 from jaxact.identification.knowledge import Estimate
-from jaxact.identification.ladder import Candidate
+from jaxact.identification.ladder import FAR_FROM_A_DELAY, Candidate
 from jaxact.identification.log import Log
 from jaxact.identification.problem import effective_lag
 from jaxact.parameters import DELAY, WN, ZETA
 
 if TYPE_CHECKING:
     from jaxact.identification.result import Identified
+
+# What models with more than this many times the chosen one's error leave open is of no interest.
+_NEARLY_AS_GOOD = 1.5
 
 
 def text(identified: Identified) -> str:
@@ -159,11 +162,12 @@ def left_out(identified: Identified) -> list[str]:
 
 
 def collinear(identified: Identified) -> list[str]:
-    """What cannot be told apart in models that were not chosen."""
+    """What cannot be told apart in models that were not chosen and are nearly as good."""
+    chosen = identified.ladder.chosen
     said = {
         f"{' and '.join(names)} cannot be told apart ({one.rung.name})": None
         for one in identified.ladder.candidates
-        if one is not identified.ladder.chosen
+        if one is not chosen and one.error <= _NEARLY_AS_GOOD * chosen.error
         for names in _sets(one)
     }
     return list(said)
@@ -176,11 +180,10 @@ def _sets(one: Candidate) -> list[tuple[str, ...]]:
 def unstable_delay(identified: Identified) -> list[str]:
     """Whether the delay depends on what is assumed of friction."""
     ladder = identified.ladder
-    delays = {
-        one.rung.friction: one.knowledge[DELAY].value
-        for one in ladder.candidates
-        if one.rung.dynamics == "delay" and one.rung.friction
-    }
+    mere = [one for one in ladder.candidates if one.rung.dynamics == DELAY and one.rung.friction]
+    if all(ladder.chosen.error < FAR_FROM_A_DELAY * one.error for one in mere):
+        return []
+    delays = {one.rung.friction: one.knowledge[DELAY].value for one in mere}
     period = ladder.fitted[0].period
     if len(delays) < 2 or max(delays.values()) - min(delays.values()) < 0.5 * period:
         return []

@@ -85,6 +85,19 @@ def test_dry_friction_stops_a_joint_and_holds_it():
     assert time[-1] > 1.5 * end and np.ptp(position[time > 1.05 * end]) < 1e-15
 
 
+def test_a_joint_that_is_pushed_back_turns_within_a_step():
+    time = np.arange(ROWS) * PERIOD
+    values = _values(wn=np.inf, zeta=1.0, delay=0.0, coulomb=14.0)
+    pushed = _recording(time, command=np.full(ROWS, -20.0), velocity=2.0)
+    position, _ = joint_motion.simulate(values, pushed, OPEN)
+    stop = 2.0 * 0.7 / (20.0 + 14.0)
+    there = np.minimum(time, stop)
+    back = np.maximum(time - stop, 0.0)
+    expected = 2.0 * there - 0.5 * 34.0 / 0.7 * there**2 - 0.5 * 6.0 / 0.7 * back**2
+    assert (stop / PERIOD) % 1.0 > 0.05  # it does not stop at a row
+    np.testing.assert_allclose(position, expected, atol=1e-12)
+
+
 def test_dry_friction_that_is_not_overcome_holds_against_the_command():
     time = np.arange(ROWS) * PERIOD
     values = _values(wn=np.inf, zeta=1.0, delay=0.0, coulomb=5.0)

@@ -6,13 +6,13 @@ import pytest
 import jaxact as jx
 from jaxact.identification.log import Log
 
-ROWS, PERIOD, FINE = 2000, 2e-3, 20
-INERTIA, GRAVITY, VISCOUS, COULOMB = 0.06, 1.6, 0.03, 0.05
+ROWS, PERIOD, FINE = 2000, 2e-3, 40
+INERTIA, GRAVITY, VISCOUS, COULOMB = 0.06, 1.6, 0.03, 0.15
 WN, ZETA, DELAY = 150.0, 0.8, 3e-3
 
 
 def _swing(command):
-    """Angles in steps of a twentieth of a row: drive, pendulum and friction, each explicit."""
+    """Angles in steps of a fortieth of a row: drive, pendulum and friction, each explicit."""
     step = PERIOD / FINE
     held = np.repeat(command, FINE)
     late = np.concatenate([np.full(round(DELAY / step), command[0]), held])
@@ -48,6 +48,13 @@ def test_a_pendulum_is_found_from_the_torques_it_was_told(logs):
     assert numbers["inertia"] == pytest.approx(INERTIA, rel=0.02)
     assert numbers["gravity"] == pytest.approx(GRAVITY, rel=0.02)
     assert numbers["viscous"] == pytest.approx(VISCOUS, rel=0.1)
+    assert numbers["coulomb"] == pytest.approx(COULOMB, rel=0.05)
+    # Stopping and turning within rows is not taken for a delay.
+    known = found.chosen.knowledge
+    for name, value in (("delay", DELAY), ("wn", WN), ("zeta", ZETA)):
+        estimate = known[name]
+        room = 0.2 * (estimate.high - estimate.low)
+        assert estimate.low - room < value < estimate.high + room
     assert found.chosen.knowledge.lag[0] == pytest.approx(DELAY + 2.0 * ZETA / WN, abs=1e-3)
     assert min(found.chosen.scores) > 95.0
     # About its hanging position gravity is a spring.
