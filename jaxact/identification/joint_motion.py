@@ -282,8 +282,7 @@ def _move(
         pull = links.force + links.stiffness * (middle - links.position)
         load = load - pull
     asked = impulse / length
-    drift = asked + load
-    forwards = jnp.where(velocity == 0.0, drift >= 0.0, velocity > 0.0)
+    forwards = jnp.where(velocity == 0.0, asked + load >= 0.0, velocity > 0.0)
     viscous, dry = _friction(values, forwards, velocity, asked, pull)
     decay = viscous * length / inertia
     one, two = _phi(decay)
@@ -295,13 +294,13 @@ def _move(
         + 2.0 * two * (moment + 0.5 * length * length * load) / inertia
         - length * two / one * most
     )
-    # A joint that comes to rest within the interval sticks there, or turns back.
+    # Once it has come to rest friction points the other way: the joint sticks there or turns back.
     stops = jnp.where(forwards, sliding < 0.0, sliding > 0.0)
     change = jnp.where(stops, sliding - velocity, 1.0)
     rest = jnp.where(stops, length * sliding / change, 0.0)
-    viscous, dry = _friction(values, drift >= 0.0, 0.0, asked, pull)
-    freed = jnp.sign(drift) * jnp.maximum(jnp.abs(drift) - dry, 0.0) / inertia
-    turned = rest * _phi(viscous * rest / inertia)[0] * freed
+    _, back = _friction(values, ~forwards, 0.0, asked, pull)
+    turned = sliding + jnp.where(forwards, rest, -rest) * (dry + back) / inertia
+    turned = jnp.where(forwards, jnp.minimum(turned, 0.0), jnp.maximum(turned, 0.0))
     after = jnp.where(stops, turned, sliding)
     moved = moved + 0.5 * rest * (after - sliding)
     return _Carry(moved, after, force, rate, carry.commands, carry.ticks, carry.seen)
