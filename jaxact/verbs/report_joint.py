@@ -19,6 +19,7 @@ from jaxact.loops.control_loop import ControlLoop
 from jaxact.loops.specification import Specification
 from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, LINEAR, SETPOINT_DELAY
 from jaxact.reports.page import Content
+from jaxact.status import Verdict
 from jaxact.sweeping import opening
 from jaxact.verbs import naming
 from jaxact.verbs.margins import BothMargins, LoopMargins
@@ -26,6 +27,9 @@ from jaxact.verbs.margins import BothMargins, LoopMargins
 # A window where no sweep has one: so far around the gains, to either side.
 _AROUND = 30.0
 _MOST_LOOPS = 200
+# Of a sweep: so many with all their numbers take half a megabyte.
+_MOST_CELLS = 30_000
+_IN_A_CELL = ("growth_rate", "limit_cycle_amplitude", "limit_cycle_frequency")
 ROBOT = "a report is of a joint, and this is a robot; see its margins instead"
 OF_LOOP = (*LINEAR, SETPOINT_DELAY, CONTROL_RATE)
 
@@ -43,6 +47,7 @@ class Subject:
         window: ranges of kp and kd of the map, none for those around the gains.
         points: gains to mark, by name.
         simulated: it is of a sweep, whose loops are sampled; else those with a control rate are.
+        cells: what was simulated over kp and kd, None for nothing.
     """
 
     loop: ControlLoop
@@ -51,6 +56,7 @@ class Subject:
     window: Mapping[str, Window] = dataclasses.field(default_factory=dict)
     points: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     simulated: bool = False
+    cells: Mapping[str, Any] | None = None
 
 
 def content(subject: Any) -> Content:
@@ -96,6 +102,7 @@ def of_subject(found: Subject) -> Content:
         "unit": found.loop.kind.unit,
         "window": {name: list(ends) for name, ends in window.items()},
         "points": [{"name": name, KP: kp, KD: kd} for name, (kp, kd) in points.items()],
+        "cells": found.cells,
     }
     return Content(
         title=found.title or f"Joint: {named.labels[0]}",
@@ -136,7 +143,37 @@ def _of_sweep(results: xr.Dataset) -> Subject:
     text = results.attrs.get("specification_toml")
     if text is None:
         raise UserError("these results are not of a sweep: they do not say how they were made")
-    return _of_specification(reading.parse(text))
+    found = _of_specification(reading.parse(text))
+    there = found.window and "verdict" in results
+    return dataclasses.replace(found, cells=_cells(results) if there else None)
+
+
+def _cells(results: xr.Dataset) -> dict[str, Any]:
+    """What was simulated, thinned out to what a page can hold: rows of kd, of each of the loops.
+
+    A verdict is a digit, or a dash where there is none yet.
+    """
+    size = results["verdict"].size
+    stride = max(1, int(np.ceil(np.sqrt(size / _MOST_CELLS))))
+    thin = results[["verdict", *(name for name in _IN_A_CELL if name in results)]]
+    thin = thin.isel({KP: slice(None, None, stride), KD: slice(None, None, stride)})
+    others = [name for name in thin["verdict"].dims if name not in (KP, KD)]
+    shape = (-1, thin.sizes[KD] * thin.sizes[KP])
+
+    def rows(name: str) -> np.ndarray:
+        return thin[name].transpose(*others, KD, KP).values.reshape(shape)
+
+    known = {status.value for status in Verdict}
+    verdicts = [
+        "".join(str(code) if code in known else "-" for code in row) for row in rows("verdict")
+    ]
+    numbers = {
+        name: [[float(f"{x:.3g}") if np.isfinite(x) else None for x in row] for row in rows(name)]
+        for name in thin.data_vars
+        if name != "verdict" and bool(np.isfinite(thin[name]).any())
+    }
+    ends = {name: thin[name].values.tolist() for name in (KP, KD)}
+    return {**ends, "verdicts": verdicts, **{str(name): own for name, own in numbers.items()}}
 
 
 def _of_specification(specification: Specification) -> Subject:

@@ -1,6 +1,7 @@
 // The report of a joint: everything on the page follows the point and the sliders.
 
 import { boundary } from "./boundary.js";
+import { cellAt, cellKey, cellWords } from "./cells.js";
 import { fill } from "./chart.js";
 import { controls } from "./controls.js";
 import * as views from "./curve_views.js";
@@ -65,12 +66,43 @@ export function start(data, host) {
       edges: chosen.edges,
       points: data.points,
       point,
+      cells: cellsShown() ? data.cells : null,
+      loop: Number(by("loop").value),
     });
     const both = { continuous: found("continuous"), sampled: found("sampled") };
     showMargins(by("margins"), both);
     say(both);
     pictures(both, chosen.edges);
     performance.measure("redraw", { start: began, end: performance.now() });
+  }
+
+  /** Cells are of a loop as it was simulated: not of one whose sliders were moved. */
+  function cellsShown() {
+    const simulated = loops[Number(by("loop").value)].parameters;
+    const same = Object.keys(simulated).every(
+      (name) => name === "kp" || name === "kd" || simulated[name] === state.parameters[name],
+    );
+    return Boolean(data.cells) && by("cells").checked && same;
+  }
+
+  /** What was simulated near the point, in words; "" where nothing was. */
+  function cellSays() {
+    const there = cellsShown();
+    const loop = Number(by("loop").value);
+    const words = there ? cellWords(cellAt(data.cells, loop, state), unit ?? "m") : "";
+    by("cell-says").textContent = words;
+    by("cell-says").hidden = by("cells-key").hidden = !there;
+    if (there) {
+      by("cells-key").replaceChildren(
+        "simulated: ",
+        ...cellKey(data.cells, loop).flatMap(({ text, kind }) => {
+          const swatch = document.createElement("span");
+          swatch.className = `swatch ${kind}`;
+          return [swatch, ` ${text} `];
+        }),
+      );
+    }
+    return words;
   }
 
   function say(both) {
@@ -80,7 +112,8 @@ export function start(data, host) {
     by("verdict").textContent = words;
     by("verdict").dataset.stable = own.stable;
     clearTimeout(speaking);
-    speaking = setTimeout(() => (by("spoken").textContent = words), SPEAK_AFTER);
+    const spoken = `${words} ${cellSays()}`.trim();
+    speaking = setTimeout(() => (by("spoken").textContent = spoken), SPEAK_AFTER);
     by("toml").value = toml(state.parameters, state.kp, state.kd, unit);
     by("command").value = command(state.parameters, state.kp, state.kd, unit);
   }
@@ -155,6 +188,8 @@ export function start(data, host) {
     });
     by("points").append(button);
   }
+  by("cells-choice").hidden = !data.cells;
+  by("cells").addEventListener("change", later);
   for (const input of host.querySelectorAll("input[name=kind], #quantity")) {
     input.addEventListener("change", () => {
       layers = null;

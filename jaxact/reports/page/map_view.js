@@ -1,5 +1,6 @@
 // The stability map over the gains: the exact boundary, level lines, and the point that one moves.
 
+import { drawCells } from "./cells.js";
 import { draw, frame, line, table } from "./chart.js";
 import { fields, levelLine, QUANTITIES, regionAbove } from "./levels.js";
 import { gainUnits } from "./words.js";
@@ -20,8 +21,11 @@ export function mapLayers(loop, cached, window, quantity) {
 
 const along = ([low, high], cell) => low * (high / low) ** (cell / (COUNT - 1));
 
-/** Draw the map. `edges` of `boundary`, `points` [{name, kp, kd}], `point` {kp, kd}. */
-export function drawMap(svg, { window, unit, layers, edges, points, point }) {
+/**
+ * Draw the map. `edges` of `boundary`, `points` [{name, kp, kd}], `point` {kp, kd}; `cells` of one
+ * `loop` of a sweep instead of the stable region, null for none.
+ */
+export function drawMap(svg, { window, unit, layers, edges, points, point, cells, loop }) {
   const [stiff, damping] = gainUnits(unit);
   const place = frame(svg, {
     x: { domain: window.kp, log: true, label: `kp, stiffness [${stiff}]` },
@@ -35,7 +39,8 @@ export function drawMap(svg, { window, unit, layers, edges, points, point }) {
     for (let i = 0; i < cell.length; i += 2) path += `${i ? "L" : "M"}${at(cell[i], cell[i + 1])}`;
     return `${path}Z`;
   });
-  place.inside.append(draw("path", { class: "stable", d: filled.join("") }));
+  if (cells) drawCells(place, cells, loop);
+  else place.inside.append(draw("path", { class: "stable", d: filled.join("") }));
   const labels = [];
   for (const { text, segments } of layers.lines) {
     const path = segments.map(([x0, y0, x1, y1]) => `M${at(x0, y0)}L${at(x1, y1)}`).join("");
