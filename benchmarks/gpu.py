@@ -22,7 +22,7 @@ from benchmarks import robots, sweeps
 from benchmarks.timing import machine, seconds
 from jaxact.loops import loop
 from jaxact.loops.samples import expand
-from jaxact.simulation import kernel, metrics, plans
+from jaxact.simulation import envelope, kernel, metrics, plans
 from jaxact.simulation.metrics import Period
 
 RESULTS = Path("results/benchmarks")
@@ -101,14 +101,13 @@ def _work(plan: plans.Plan, asked: Any, samples: Any) -> dict[str, int]:
     prepared, state, setpoint = kernel.start(plan.case, template, values)
     start, _ = prepared.plant.measure(state.plant)
     reference = metrics.reference(start, setpoint.position)
-    carry = state, metrics.init(start), metrics.init_envelope(start)
+    carry = state, metrics.init(start), envelope.init(start)
 
     def period(carry: Any, number: jax.Array) -> Any:
-        state, running, envelope = carry
+        state, running, within = carry
         state, (output, _) = loop.step(prepared, plan.case.drive, state, setpoint)
         periods = [Period(output, reference, number)]
-        found = metrics.update(running, periods), metrics.update_envelope(envelope, periods)
-        return state, *found
+        return state, *metrics.update(running, within, periods)
 
     traced = jax.make_jaxpr(period)(carry, jnp.float32(1.0))
     return {

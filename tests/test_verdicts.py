@@ -1,5 +1,7 @@
 """Verdicts of loops that are not linear, against rollouts written here and describing functions."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,8 +13,9 @@ from jaxact.drive.controller import Controller
 from jaxact.drive.options import Drive
 from jaxact.drive.sensor import Sensor
 from jaxact.loops import reading
+from jaxact.loops.loop import Output
 from jaxact.loops.samples import expand
-from jaxact.simulation import execute, metrics, verdicts
+from jaxact.simulation import envelope, execute, metrics, verdicts
 from jaxact.simulation.metrics import Metrics
 from jaxact.simulation.verdicts import Judgement, Motion, Scale
 from jaxact.status import Verdict
@@ -93,6 +96,57 @@ def test_amplitude_and_frequency_are_those_of_a_plain_rollout(setpoint, velocity
     amplitude, frequency = _oscillation(_plain(setpoint, 4.0, velocity=velocity))
     assert found["limit_cycle_amplitude"] == pytest.approx(amplitude, rel=1e-3)
     assert found["limit_cycle_frequency"] == pytest.approx(frequency, rel=0.03)
+
+
+def test_ripples_within_a_cycle_are_not_counted_in_its_frequency():
+    """A light joint whose differences are not filtered: its velocity turns three times a cycle."""
+    period, count, mass, wn, zeta, kp, kd = 1e-3, 1e-3, 2.0, 970.0, 0.23, 28500.0, 210.0
+    found = _run(
+        'precision = "float64"\nduration = 2.0\nvelocity = "differenced"\n[parameters]\n'
+        f"mass = {mass}\nwn = {wn}\nzeta = {zeta}\ndelay = {period}\nkp = {kp}\nkd = {kd}\n"
+        f"position_resolution = {count}\n[axes]\nsetpoint = [0.1]\n"
+    )
+    matrix = np.zeros((5, 5))
+    matrix[0, 1], matrix[1, 2], matrix[2, 3] = 1.0, 1.0 / mass, 1.0
+    matrix[3, 2:] = -wn * wn, -2.0 * zeta * wn, wn * wn
+    advance, state, waiting, seen, positions = expm(matrix * period), np.zeros(5), 0.0, 0.0, []
+    for _ in range(2000):
+        now = np.round(state[0] / count) * count
+        state[4], waiting = waiting, kp * (0.1 - now) - kd * (now - seen) / period
+        seen, state = now, advance @ state
+        positions.append(state[0])
+    last = np.array(positions[1500:])
+    lines = np.abs(np.fft.rfft((last - last.mean()) * np.hanning(len(last)), 2**14))
+    fundamental = 2.0 * np.pi * lines.argmax() / (2**14 * period)
+    speed = np.diff(last)
+    turns = np.sum((speed[:-1] < 0.0) & (speed[1:] >= 0.0))
+    assert turns * 2.0 * np.pi / (500 * period) > 2.5 * fundamental
+    assert found["verdict"] == Verdict.LIMIT_CYCLE
+    assert found["limit_cycle_frequency"] == pytest.approx(fundamental, rel=0.02)
+
+
+@pytest.mark.parametrize("together", [1, 4])
+@pytest.mark.parametrize("ticks", [2, 3, 7, 50])
+def test_a_frequency_is_that_of_the_passages_however_many_ticks_come_at_once(together, ticks):
+    times = np.arange(1, 401)
+    swing = np.sin(2.0 * np.pi * (times + 0.3) / ticks) * 1e-3 + 0.5
+    speed = np.cos(2.0 * np.pi * (times + 0.3) / ticks)
+    zero = jnp.zeros(1)
+
+    def output(place):
+        before, now = jnp.array([speed[place - 1]]), jnp.array([speed[place]])
+        return Output(zero, before, jnp.array([swing[place]]), now, zero, zero, zero)
+
+    state = envelope.following(
+        replace(envelope.init(zero), lowest=zero + 0.499, highest=zero + 0.501)
+    )
+    for first in range(0, 400, together):
+        places = range(first, first + together)
+        state = envelope.update(
+            state, [output(k) for k in places], [jnp.float32(k) for k in places]
+        )
+    expected = 2.0 * np.pi / (ticks * PERIOD)
+    np.testing.assert_allclose(state.frequency(PERIOD), expected, rtol=2e-2 / ticks)
 
 
 FAST = 2.5e-4
@@ -233,6 +287,7 @@ def _shaped(**rows):
 def _of(amplitudes, growth, count=1e-3, farthest=1e-2, frequency=10.0, plant=True):
     motion = Motion(
         **_shaped(amplitude=amplitudes, frequency=frequency, farthest=farthest, span=1e-2),
+        turning=jnp.asarray(np.isfinite(frequency)),
         valid=jnp.asarray(True),
     )
     flags = {"bounded": False, "linear": False, "unlimited": False, "plant_linear": plant}

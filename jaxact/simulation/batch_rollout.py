@@ -28,9 +28,11 @@ from jaxact.loops.loop import Output
 from jaxact.plants.linear import hermite
 from jaxact.plants.mujoco import Simulations
 from jaxact.robots.silence import silenced
+from jaxact.simulation import envelope as _envelope
 from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import verdicts as _verdicts
-from jaxact.simulation.metrics import SEGMENTS, Envelope, Metrics, Period, Reference, Running
+from jaxact.simulation.envelope import Envelope
+from jaxact.simulation.metrics import SEGMENTS, Metrics, Period, Reference, Running
 from jaxact.simulation.verdicts import Judgement
 
 Pair = tuple[Any, Any]
@@ -153,13 +155,8 @@ def _end(
         square_force=state.square_force,
     )
     periods = [Period(output, reference, count, weight)]
-    return replace(
-        state,
-        drive=drive,
-        ticks=ticks,
-        running=_metrics.update(state.running, periods),
-        envelope=_metrics.update_envelope(state.envelope, periods),
-    )
+    running, envelope = _metrics.update(state.running, state.envelope, periods)
+    return replace(state, drive=drive, ticks=ticks, running=running, envelope=envelope)
 
 
 @building
@@ -290,7 +287,7 @@ def evaluate(
             if number % (ticks // SEGMENTS) == 0:
                 whole = _unpacked(held)
                 envelopes.append(whole.envelope)
-                fresh = _metrics.init_envelope(whole.command)
+                fresh = _envelope.following(whole.envelope)
                 held = _packed(replace(whole, envelope=fresh))
     period = jnp.asarray(coefficients.drive.control_period)
     counted = active_ticks if masked else jnp.full(period.shape, float(ticks), dtype)
@@ -322,7 +319,7 @@ def _before(drive: DriveState, setpoint: Setpoint, seen: np.ndarray) -> BatchSta
     return BatchState(
         drive=drive,
         running=_metrics.init(position),
-        envelope=_metrics.init_envelope(position),
+        envelope=_envelope.init(position),
         ticks=jnp.zeros(len(seen), jnp.int32),
         late=None,
         before=(position, velocity),

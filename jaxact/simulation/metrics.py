@@ -17,7 +17,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxact.loops.loop import Output
+from jaxact.simulation import envelope as _envelope
 from jaxact.simulation import verdicts
+from jaxact.simulation.envelope import Envelope
 from jaxact.simulation.verdicts import Judgement, Motion, Scale
 from jaxact.status import Verdict
 
@@ -45,18 +47,6 @@ class Running:
     effort: jax.Array
     peak_force: jax.Array
     squared_force: jax.Array
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Envelope:
-    """Accumulators of one segment, each of shape (joints,): extremes and turns of the motion."""
-
-    lowest: jax.Array
-    highest: jax.Array
-    turns: jax.Array
-    first_turn: jax.Array
-    last_turn: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -95,9 +85,9 @@ class Metrics:
         rms_force: root mean square of the force [N or N m].
         limit_cycle_amplitude: half the range of the position over the last quarter [m or rad], of
             the rollout itself where it goes on, else of another start's; 0 for a stable loop.
-        limit_cycle_frequency: how often the motion turns upwards in the last quarter [rad/s]: a
-            multiple of its fundamental frequency where counts put ripples on it; NaN where
-            there is no limit cycle.
+        limit_cycle_frequency: how often the motion passes its middle upwards in the last quarter
+            [rad/s]: its fundamental frequency; NaN where there is no limit cycle, or where it
+            passed it less than twice.
     """
 
     growth_rate: jax.Array
@@ -126,12 +116,6 @@ def init(like: jax.Array) -> Running:
     zero = jnp.zeros_like(like)
     never = zero + jnp.inf
     return Running(zero, zero, never, never, zero, zero, zero, zero, zero, zero)
-
-
-def init_envelope(like: jax.Array) -> Envelope:
-    """Accumulators at the beginning of a segment, shaped like `like`."""
-    zero = jnp.zeros_like(like)
-    return Envelope(zero + jnp.inf, zero - jnp.inf, zero, zero, zero)
 
 
 @dataclass(frozen=True)
@@ -183,13 +167,15 @@ def _passed(passed: jax.Array, periods: Sequence[Period], level: float) -> jax.A
     return jnp.where(passed == jnp.inf, tick - above / rise, passed)
 
 
-def update(running: Running, periods: Sequence[Period]) -> Running:
+def update(
+    running: Running, envelope: Envelope, periods: Sequence[Period]
+) -> tuple[Running, Envelope]:
     """Take in some control periods, in order.
 
     Several at once are cheaper than one at a time: each accumulator is read and written once.
 
     Args:
-        running: so far.
+        running, envelope: of the rollout and of its segment so far.
         periods: at least one; shape (joints,).
 
     Returns:
@@ -211,7 +197,7 @@ def update(running: Running, periods: Sequence[Period]) -> Running:
         effort = effort + period.counted(output.command * output.command)
         peak = jnp.maximum(peak, output.peak_force)
         squared_force = squared_force + period.counted(output.square_force)
-    return Running(
+    whole = Running(
         highest=highest,
         farthest=farthest,
         low=_passed(running.low, periods, _LOW),
@@ -223,33 +209,19 @@ def update(running: Running, periods: Sequence[Period]) -> Running:
         peak_force=peak,
         squared_force=squared_force,
     )
-
-
-def update_envelope(envelope: Envelope, periods: Sequence[Period]) -> Envelope:
-    """Take in some control periods of a segment; arguments as in `update`."""
-    lowest, highest, turns = envelope.lowest, envelope.highest, envelope.turns
-    first, last = envelope.first_turn, envelope.last_turn
-    for period in periods:
-        output = period.output
-        turned = (output.velocity_before < 0.0) & (output.velocity >= 0.0)
-        lowest = jnp.minimum(lowest, output.position)
-        highest = jnp.maximum(highest, output.position)
-        turns = turns + turned.astype(output.velocity.dtype)
-        first = jnp.where(turned & (first == 0.0), period.tick, first)
-        last = jnp.where(turned, period.tick, last)
-    return Envelope(lowest, highest, turns, first, last)
+    outputs, ticks = [each.output for each in periods], [each.tick for each in periods]
+    return whole, _envelope.update(envelope, outputs, ticks)
 
 
 def motion(
     running: Running, envelopes: Envelope, reference: Reference, period: jax.Array
 ) -> Motion:
     """What a finished rollout did; arguments as for `finish`."""
-    turns = envelopes.turns[-1]
-    lapse = (envelopes.last_turn[-1] - envelopes.first_turn[-1]) * period
-    frequency = 2.0 * jnp.pi * (turns - 1.0) / jnp.where(lapse > 0.0, lapse, 1.0)
+    final = jax.tree.map(lambda leaf: leaf[-1], envelopes)
     return Motion(
-        amplitude=0.5 * (envelopes.highest - envelopes.lowest),
-        frequency=jnp.where(turns >= 2.0, frequency, jnp.nan),
+        amplitude=envelopes.amplitude,
+        frequency=final.frequency(period),
+        turning=final.turning,
         farthest=running.farthest,
         span=jnp.abs(reference.target - reference.start),
         valid=jnp.isfinite(running.squared_error),

@@ -21,12 +21,14 @@ from jaxact.drive.controller import Setpoint
 from jaxact.drive.step import DriveOptions
 from jaxact.loops import loop as _loop
 from jaxact.loops.loop import Loop, LoopState, Output, Prepared
+from jaxact.simulation import envelope as _envelope
 from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import stopping
 from jaxact.simulation import verdicts as _verdicts
+from jaxact.simulation.envelope import Envelope
 from jaxact.simulation.growth import rate as _growth
 from jaxact.simulation.growth.rate import GrowthOptions
-from jaxact.simulation.metrics import SEGMENTS, Metrics, Period, Reference
+from jaxact.simulation.metrics import SEGMENTS, Metrics, Period, Reference, Running
 from jaxact.simulation.stopping import parted
 from jaxact.simulation.verdicts import Judgement, Scale
 
@@ -104,7 +106,7 @@ def run(
     *,
     active_ticks: jax.Array | None = None,
     setpoints: Setpoint | None = None,
-) -> tuple[LoopState, _metrics.Running, _metrics.Envelope]:
+) -> tuple[LoopState, Running, Envelope]:
     """Simulate a loop and accumulate its metrics.
 
     Args:
@@ -147,8 +149,8 @@ def run(
         for place in range(together):
             state, period = tick(state, jax.tree.map(operator.itemgetter(place), inputs))
             periods.append(period)
-        running = _metrics.update(running, periods)
-        return (state, running, _metrics.update_envelope(envelope, periods)), None
+        running, envelope = _metrics.update(running, envelope, periods)
+        return (state, running, envelope), None
 
     def stretch(carry, inputs):
         """A number of ticks; `inputs` are those of the first one and the setpoints of all."""
@@ -158,17 +160,15 @@ def run(
 
     def segment(carry, inputs):
         first, given = inputs
-        state, running = carry
-        inner = state, running, _metrics.init_envelope(start)
         firsts = first + span * jnp.arange(length // span, dtype=jnp.int32)
         over = stopping.until_lost if rollout.stops else jax.lax.scan
-        (state, running, envelope), _ = over(stretch, inner, (firsts, parted(given, len(firsts))))
-        return (state, running), envelope
+        (state, running, envelope), _ = over(stretch, carry, (firsts, parted(given, len(firsts))))
+        return (state, running, _envelope.following(envelope)), envelope
 
-    carry = state, _metrics.init(start)
+    carry = state, _metrics.init(start), _envelope.init(start)
     firsts = length * jnp.arange(SEGMENTS, dtype=jnp.int32)
     parts = parted(setpoints, SEGMENTS)
-    (state, running), envelopes = jax.lax.scan(segment, carry, (firsts, parts))
+    (state, running, _), envelopes = jax.lax.scan(segment, carry, (firsts, parts))
     return state, running, envelopes
 
 
@@ -372,15 +372,15 @@ def metrics_of(
     def tick(carry, inputs):
         running, envelope = carry
         periods = [_period(inputs[0], reference, *inputs[1:], active_ticks)]
-        running = _metrics.update(running, periods)
-        return (running, _metrics.update_envelope(envelope, periods)), None
+        return _metrics.update(running, envelope, periods), None
 
-    def segment(running, inputs):
-        inner = running, _metrics.init_envelope(start)
-        return jax.lax.scan(tick, inner, inputs)[0]
+    def segment(carry, inputs):
+        (running, envelope), _ = jax.lax.scan(tick, carry, inputs)
+        return (running, _envelope.following(envelope)), envelope
 
     rows = outputs, jnp.arange(ticks, dtype=jnp.int32), setpoints
-    running, envelopes = jax.lax.scan(segment, _metrics.init(start), parted(rows, SEGMENTS))
+    carry = _metrics.init(start), _envelope.init(start)
+    (running, _), envelopes = jax.lax.scan(segment, carry, parted(rows, SEGMENTS))
     return _metrics.finish(
         running,
         envelopes,

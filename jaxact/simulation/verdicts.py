@@ -43,7 +43,8 @@ class Motion:
 
     Attributes:
         amplitude: half ranges of the position in the segments [m or rad], (segments, joints).
-        frequency: of the last segment [rad/s]; NaN where the motion does not turn twice.
+        frequency: of the last segment [rad/s]; NaN where the motion does not pass its middle twice.
+        turning: whether it swings in the last segment.
         farthest: largest distance from the setpoint [m or rad].
         span: height of the setpoint's step [m or rad].
         valid: whether all of it is finite.
@@ -51,6 +52,7 @@ class Motion:
 
     amplitude: jax.Array
     frequency: jax.Array
+    turning: jax.Array
     farthest: jax.Array
     span: jax.Array
     valid: jax.Array
@@ -95,7 +97,7 @@ class Judgement:
         moving: it still moved in the last segment, beyond rest, and not just about to end.
         resting: it has come to rest, or needs not to: the loop is linear.
         amplitude: half range of the last segment [m or rad].
-        frequency: of it [rad/s]; NaN where it does not turn twice.
+        frequency: of it [rad/s]; NaN where it does not pass its middle twice.
     """
 
     verdict: jax.Array
@@ -237,7 +239,7 @@ def of_motion(
     growing &= ~scale.unlimited | (growth_rate >= 0.0)
     # A limit makes large motions of a mass so slow that a segment holds no whole turn. Halves of
     # the rollout tell then, and whether the motion went further than it began, away or on its way.
-    slow = scale.plant_linear & ~scale.unlimited & ~jnp.isfinite(motion.frequency)
+    slow = scale.plant_linear & ~scale.unlimited & ~motion.turning
     slow &= (growth_rate < 0.0) & (last > _FEW * jnp.maximum(scale.count, scale.rest))
     wider = jnp.maximum(last, previous) > _GROWING * jnp.maximum(before, motion.amplitude[0])
     beyond = motion.farthest > motion.span
@@ -253,9 +255,9 @@ def of_motion(
     falling &= (previous <= before) & (growth_rate >= 0.0)
     # Nor is what neither turns nor grows where small motions decay: it takes longer than was seen.
     shrinking = (last < previous) | ((growth_rate < 0.0) & ~growing)
-    shrinking &= ~jnp.isfinite(motion.frequency)
+    shrinking &= ~motion.turning
     ending = (falling | shrinking) & (scale.count == 0.0)
-    ending |= ~jnp.isfinite(motion.frequency) & (last <= 0.5 * previous)
+    ending |= ~motion.turning & (last <= 0.5 * previous)
     ending &= ~scale.plant_linear
     ending |= slow & ~beyond
     moving = ~(resting | ending | ((growth_rate < 0.0) & decaying))
@@ -314,7 +316,7 @@ def together(own: Judgement, others: Judgement, scale: Scale) -> Judgement:
     minor = own.moving & (own.verdict == Verdict.LIMIT_CYCLE) & (own.amplitude <= scale.count)
     mine = jnp.where(minor, Verdict.STABLE, proven(own))
     verdict = jnp.maximum(mine, jnp.max(jax.vmap(proven)(others), axis=0))
-    # A motion that turns but once in a segment has no frequency to be measured.
+    # A motion that passes its middle but once in a segment has no frequency to be measured.
     itself = (cycle & jnp.isfinite(own.frequency)) | ~jnp.any(cycling, axis=0)
     return Judgement(
         verdict=verdict,
