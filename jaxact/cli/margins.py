@@ -99,12 +99,13 @@ def main(
     _files.check_output(csv, ".csv", overwrite=overwrite)
     loop = _loops.linear(parameters, loops, velocity)
 
-    from jaxact.loops import listed, reading
-    from jaxact.sweeping import atomic_store
     from jaxact.verbs import margin_tables
     from jaxact.verbs.margins import margins
 
     if store is not None:
+        from jaxact.loops import listed, reading
+        from jaxact.sweeping import atomic_store
+
         atomic_store.refuse_existing(store, overwrite=overwrite)
     found = margins(loop, sampled="both" if CONTROL_RATE in loop.values else False)
     if csv is not None:

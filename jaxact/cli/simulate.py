@@ -113,7 +113,6 @@ def main(
 
     _xla.call_at_once(specification)
     from jaxact.loops.building import loop_of
-    from jaxact.robot_margins import whole_robot
     from jaxact.simulation import engines, single
     from jaxact.verbs import run_tables
     from jaxact.verbs.simulate import runs
@@ -128,6 +127,8 @@ def main(
     _write(run, specification, place, out, csv, npz)
     held = None
     if specification.plant is not None and run.results["growth_rate"] > 0.0:
+        from jaxact.robot_margins import whole_robot
+
         held = whole_robot.nominal(specification).stiction
     if json:
         print(run_tables.as_json(run, held))
@@ -186,7 +187,7 @@ def _write(
     import numpy as np
 
     from jaxact.plotting import caption, theme, trajectory
-    from jaxact.verbs import naming, plot, run_tables
+    from jaxact.verbs import naming, run_pictures, run_tables
 
     if csv is not None:
         columns = run_tables.columns(run)
@@ -198,7 +199,7 @@ def _write(
     name = f"{run.joints[joint].name}: " if len(run.joints) > 1 else ""
     units = ("rad", "N m") if run.rotary[joint] else ("m", "N")
     figure = trajectory.trajectory(
-        plot.signals(run, joint),
+        run_pictures.signals(run, joint),
         title=name + naming.loop_name(specification, run.values),
         footer=caption.loop(run.values, run.results, dataclasses.asdict(specification), units[0]),
         units=units,

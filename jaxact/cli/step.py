@@ -46,7 +46,7 @@ def main(
     loop = _loops.joints(parameters, loops, velocity)
 
     from jaxact.plotting.step import step
-    from jaxact.verbs import naming, plot, simulate
+    from jaxact.verbs import naming, run_pictures, simulate
 
     names = naming.of_pictures(loop).labels
     if len(names) > MOST_LOOPS:
@@ -55,7 +55,7 @@ def main(
             "give fewer values"
         )
     runs = simulate.runs(loop, duration=duration, engine=engine, seed=seed)
-    drawn = [plot.step_response(run, name) for run, name in zip(runs, names, strict=True)]
+    drawn = [run_pictures.step_response(run, name) for run, name in zip(runs, names, strict=True)]
     units = ("rad", "N m") if loop.kind.unit == "rad" else ("m", "N")
     common = naming.in_common(loop)
     figure = step(drawn, title=title, footer=common, units=units, until=duration)

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from jaxact.identification.minibatches import descend
 from jaxact.identification.problem import Problem, Unknown, effective_lag
 from jaxact.parameters import DELAY, WN, ZETA
 
@@ -110,6 +109,8 @@ def solve(
     begun = _begin(sought, held, {} if start is None else start, near)
     if method == ADAM:
         free = [index for index, u in enumerate(sought.unknowns) if u.name not in held]
+        from jaxact.identification.minibatches import descend  # imports optax
+
         point = descend(sought, begun[0][1], *_bounds(sought), free)
         return at(sought, point, sought.evaluate(point))
     tried = {

@@ -108,8 +108,8 @@ def continuous(values: Mapping[str, Any]) -> JointLoop:
     cutoff = values[VELOCITY_FILTER]
     unfiltered = not isinstance(cutoff, jax.core.Tracer) and bool(np.isinf(cutoff).all())
     return JointLoop(
-        kp=values[GAIN_SCALE] * jnp.asarray(values[KP], float),
-        kd=values[GAIN_SCALE] * jnp.asarray(values[KD], float),
+        kp=jnp.asarray(values[GAIN_SCALE] * values[KP], float),
+        kd=jnp.asarray(values[GAIN_SCALE] * values[KD], float),
         mass=jnp.asarray(values[MASS], float),
         natural_frequency=jnp.asarray(values[WN], float),
         damping_ratio=jnp.asarray(values[ZETA], float),
@@ -140,7 +140,7 @@ def sampled(values: Mapping[str, Any], velocity: str) -> SampledLoop:
         velocity: that the controller sees, "sampled" or "differenced".
     """
     own = {
-        "control_period": 1.0 / jnp.asarray(values[CONTROL_RATE], float),
+        "control_period": jnp.asarray(1.0 / values[CONTROL_RATE], float),
         "velocity_filter": jnp.asarray(values[VELOCITY_FILTER], float),
     }
     return SampledLoop(**vars(continuous(values)) | own, velocity=velocity)

@@ -12,7 +12,8 @@ displaced, are taken out (`without_neutral`).
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -21,10 +22,12 @@ import numpy as np
 
 from jaxact.drive.step import Force
 from jaxact.plants.linear import LinearPlant
-from jaxact.plants.mjx.plant import MjxPlant, MjxState
 from jaxact.plants.tangent import difference, displaced
 from jaxact.robots.model import Robot
 from jaxact.robots.posture import Posture
+
+if TYPE_CHECKING:  # MJX takes long to import, and C MuJoCo does without it
+    from jaxact.plants.mjx.plant import MjxPlant, MjxState
 
 # Singular values below this share of the largest one are not a motion.
 _NEUTRAL = 1e-7
@@ -83,12 +86,12 @@ def jacobians(plant: MjxPlant, force: jax.Array) -> tuple[jax.Array, jax.Array]:
     turning = jnp.where(start.qvel == 0.0, _TURNING, 0.0)
 
     def advanced(deviation: jax.Array, extra: jax.Array) -> MjxState:
-        state = MjxState(
+        state = replace(
+            start,
             qpos=displaced(plant.kinds, start.qpos, deviation[:size]),
             qvel=start.qvel + turning + deviation[size : 2 * size],
             act=start.act + deviation[2 * size :],
             warmstart=None if start.warmstart is None else start.warmstart + nudge,
-            time=start.time,
         )
         total = force + extra
         return plant.advance(state, Force(mean=total, moment=total, partial=None))

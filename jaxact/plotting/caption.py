@@ -7,7 +7,6 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from jaxact import engines
 from jaxact.parameters import (
@@ -31,6 +30,8 @@ from jaxact.plotting import wording
 from jaxact.status import Verdict
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from jaxact.sweeping.agreement import Agreement
 
 # Where any of these is not at its default the loop is not linear.

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxact.analysis.joint.margins import Margins
 from jaxact.analysis.joint.margins import margins as _continuous_margins
-from jaxact.analysis.joint.roots import rightmost_root
+from jaxact.analysis.joint.roots import collocation_matrices, rightmost_root
 from jaxact.analysis.sampled.margins import SampledMargins
 from jaxact.analysis.sampled.margins import sampled_margins as _sampled_margins
 from jaxact.analysis.sampled.period_map import delay_steps
@@ -246,7 +246,10 @@ def _flat(loop: ControlLoop) -> dict[str, np.ndarray]:
 
 def _continuous(values: Mapping[str, np.ndarray]) -> tuple[Margins, jax.Array]:
     """Margins and rightmost roots of loops and some more; to be called where float64 is on."""
-    return _with_root(conversion.continuous(_filled_up(values)))
+    loops = conversion.continuous(_filled_up(values))
+    found, matrices = _with_matrices(loops)
+    # NumPy's LAPACK, which is there; JAX's would import SciPy's.
+    return found, _roots(loops, np.linalg.eigvals(np.nan_to_num(matrices)).astype(complex))
 
 
 def _sampled(values: Mapping[str, np.ndarray], velocity: str) -> SampledMargins:
@@ -276,8 +279,13 @@ def _arrays(found: Any, number: int) -> dict[str, np.ndarray]:
 
 
 @Program
-def _with_root(loop: Any) -> tuple[Margins, jax.Array]:
-    return _continuous_margins(loop), rightmost_root(loop)
+def _with_matrices(loop: Any) -> tuple[Margins, jax.Array]:
+    return _continuous_margins(loop), collocation_matrices(loop)
+
+
+@Program
+def _roots(loop: Any, approximate: jax.Array) -> jax.Array:
+    return rightmost_root(loop, approximate)
 
 
 @Program

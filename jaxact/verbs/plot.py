@@ -6,7 +6,6 @@ them it makes a figure with `matplotlib.pyplot`, which a notebook shows.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +25,6 @@ from jaxact.plotting import step as _step
 from jaxact.plotting import trajectory as _trajectory
 from jaxact.plotting.response import LoopResponse
 from jaxact.plotting.wording import quantity
-from jaxact.status import Verdict
 from jaxact.verbs import responses
 from jaxact.verbs.boundary import Window
 from jaxact.verbs.boundary import boundary as _boundary
@@ -43,7 +41,6 @@ from jaxact.verbs.tuning_pictures import (
 )
 
 if TYPE_CHECKING:
-    from jaxact.simulation.single import Single
     from jaxact.verbs.margins_of_robot import RobotLoopMargins
 
 __all__ = [
@@ -190,31 +187,6 @@ def step(
     if legend:
         axes[0].legend(fontsize=_SMALL)
     return axes
-
-
-def signals(run: Single, joint: int = 0) -> _trajectory.Joint:
-    """The signals of one joint of a simulated loop."""
-    rows = {name: getattr(run.trajectory, name)[:, joint] for name in SIGNALS}
-    return _trajectory.Joint(time=run.trajectory.time, **rows)
-
-
-def step_response(run: Single, label: str) -> _step.StepResponse:
-    """A simulated loop as a step response, its legend with overshoot, rise and settling time.
-
-    Args:
-        run: of one loop.
-        label: what it is called.
-    """
-    verdict, results = Verdict(int(run.results["verdict"])), run.results
-    words = [] if verdict is Verdict.STABLE else [verdict.label]
-    if verdict is not Verdict.UNSTABLE and math.isfinite(results["overshoot"]):
-        words.append(f"overshoot {100.0 * results['overshoot']:.3g} %")
-    for name in ("rise_time", "settling_time"):
-        if math.isfinite(results[name]):
-            words.append(f"{name.replace('_', ' ')} {quantity(results[name], 's')}")
-    label = f"{label}: {', '.join(words)}" if words else label
-    stable = verdict in (Verdict.STABLE, Verdict.LIMIT_CYCLE)
-    return _step.StepResponse(label, signals(run), stable)
 
 
 def _picked(run: xr.Dataset, joint: str | None) -> xr.Dataset:

@@ -63,7 +63,7 @@ def count_unstable_roots(loop: JointLoop) -> jax.Array:
     return encirclements(phase(rows, w), present, rows)[0].astype(jnp.int32)
 
 
-def rightmost_root(loop: JointLoop) -> jax.Array:
+def rightmost_root(loop: JointLoop, approximate: jax.Array | None = None) -> jax.Array:
     """The closed-loop root with the largest real part [1/s], complex with Im >= 0, shape (...).
 
     Collocation of the delayed command on Chebyshev nodes gives approximate roots (Breda, Maset
@@ -73,11 +73,16 @@ def rightmost_root(loop: JointLoop) -> jax.Array:
 
     Args:
         loop: fields of any broadcastable shape, kp or kd not zero.
+        approximate: eigenvalues of `collocation_matrices`, shape (n, k); None to compute them here,
+            by JAX's LAPACK, which imports all of SciPy's.
     """
     loop = broadcast_loop(loop)
     shape = loop.kp.shape
     rows = jax.tree.map(lambda a: a.reshape((1, -1)), loop)
-    root = _rightmost(jax.lax.stop_gradient(rows))
+    constant = jax.lax.stop_gradient(rows)
+    if approximate is None:
+        approximate = jnp.linalg.eigvals(collocation_matrices(constant))
+    root = _rightmost(constant, approximate)
     value, slope = characteristic(rows, root)
     # One more step of Newton's; its derivative is -(d Delta / d parameter) / Delta'(s).
     refined = (root - value / jax.lax.stop_gradient(slope)).reshape(shape)
@@ -117,9 +122,13 @@ def characteristic(loop: JointLoop, s: jax.Array) -> tuple[jax.Array, jax.Array]
     return value, slope + (rate - loop.delay * control) * shift
 
 
-def _rightmost(loop: JointLoop) -> jax.Array:
+def _rightmost(loop: JointLoop, approximate: jax.Array) -> jax.Array:
     """Newton from every start; the converged root furthest to the right, shape (1, n)."""
-    starts = jnp.concatenate([_collocation_roots(loop), _corner_starts(loop)])
+    # The rightmost of the approximate roots with Im >= 0.
+    key = jnp.where(approximate.imag >= 0, approximate.real, -jnp.inf)
+    _, index = jax.lax.top_k(key, _STARTS)
+    approximate = jnp.take_along_axis(approximate, index, axis=1).T
+    starts = jnp.concatenate([approximate, _corner_starts(loop)])
 
     def newton(_: int, s: jax.Array) -> jax.Array:
         value, slope = characteristic(loop, s)
@@ -155,13 +164,14 @@ def _corner_starts(loop: JointLoop) -> jax.Array:
     return jnp.concatenate(starts)
 
 
-def _collocation_roots(loop: JointLoop) -> jax.Array:
-    """The rightmost eigenvalues of the collocated loops with Im >= 0, shape (starts, n)."""
-    flat = jax.tree.map(lambda a: a[0], loop)
-    roots = jnp.linalg.eigvals(jax.vmap(_collocation_matrix)(flat))
-    key = jnp.where(roots.imag >= 0, roots.real, -jnp.inf)
-    _, index = jax.lax.top_k(key, _STARTS)
-    return jnp.take_along_axis(roots, index, axis=1).T
+def collocation_matrices(loop: JointLoop) -> jax.Array:
+    """Matrices whose eigenvalues approximate the roots of n loops, shape (n, k, k).
+
+    Args:
+        loop: fields that broadcast to n numbers.
+    """
+    flat = jax.tree.map(jnp.ravel, broadcast_loop(loop))
+    return jax.vmap(_collocation_matrix)(flat)
 
 
 def _collocation_matrix(loop: JointLoop) -> jax.Array:
