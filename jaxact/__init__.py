@@ -52,6 +52,7 @@ _PUBLIC = {
     "tune": "jaxact.verbs.tune",
     "UserError": "jaxact.errors",
     "Verdict": "jaxact.status",
+    "widget": "jaxact.verbs.widget",
 }
 
 __all__ = sorted([*_PUBLIC, "__version__"])

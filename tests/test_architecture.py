@@ -284,7 +284,8 @@ def test_commands_of_the_pages_run(commands, tmp_path):
     ],
 )
 def test_examples_of_the_pages_run(code):
-    for name, extra in (("mujoco_playground", "playground"), ("gymnasium", "gymnasium")):
+    extras = {"mujoco_playground": "playground", "gymnasium": "gymnasium", "anywidget": "notebook"}
+    for name, extra in extras.items():
         if f"import {name}" in code or f"from {name}" in code:
             pytest.importorskip(name, reason=f"needs jaxact[{extra}]")
     as_users_have_it = {"JAX_NUMPY_RANK_PROMOTION": "allow"}  # mujoco.mjx relies on it

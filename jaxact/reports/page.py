@@ -84,6 +84,15 @@ def document(content: Content) -> str:
 """
 
 
+def widget() -> str:
+    """The joint's part as a module for notebooks, whose default export has `render`."""
+    content = f"<style>{_read('style.css')}</style>\n<main>\n{_read('joint.html')}</main>\n"
+    return (
+        f"{bundle('widget')}const content = {json.dumps(content)};\n"
+        "export default { render: (context) => in_widget.render(context, content) };\n"
+    )
+
+
 def bundle(*entries: str) -> str:
     """The modules that one needs as a single script, each a function of its own.
 

@@ -23,6 +23,7 @@ from jaxact.identification.robot import SUFFIXES, IdentifiedRobot, identify_robo
 from jaxact.parameters import CONTROL_RATE, DELAY, WN, ZETA
 from jaxact.plotting import identification as _pictures
 from jaxact.plotting.identification import Compared, Step
+from jaxact.verbs import notebook
 from jaxact.verbs.report_identified import compared
 
 if TYPE_CHECKING:
@@ -34,6 +35,9 @@ __all__ = [
 ]  # fmt: skip
 # Of these unknowns the sheet shows the profiles, the first two that the model has.
 _OF_THE_DRIVE = (DELAY, "lag", WN, ZETA)
+# How results look is not their own layer's to know.
+Identified._repr_html_ = notebook.identified  # type: ignore[attr-defined]
+IdentifiedRobot._repr_html_ = notebook.identified_robot  # type: ignore[attr-defined]
 
 
 def identify(

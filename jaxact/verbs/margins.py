@@ -22,7 +22,7 @@ from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop, is_traced
 from jaxact.parameters import CONTROL_RATE, KP
-from jaxact.verbs import margin_tables
+from jaxact.verbs import margin_tables, notebook
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -108,6 +108,9 @@ class LoopMargins:
             return f"<margins of {self.loop!r}>"
         return margin_tables.text(self.loop, self.found)
 
+    def _repr_html_(self) -> str:
+        return notebook.margins(self, sampled=self.sampled)
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, repr=False)
@@ -138,6 +141,9 @@ class BothMargins:
     def __repr__(self) -> str:
         """The table of the command line."""
         return margin_tables.text(self.loop, self.found)
+
+    def _repr_html_(self) -> str:
+        return notebook.margins(self, sampled=True)
 
 
 def margins(

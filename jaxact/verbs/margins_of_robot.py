@@ -17,7 +17,7 @@ from jaxact.loops.control_loop import ControlLoop
 from jaxact.parameters import KD, KP
 from jaxact.robot_margins import whole_robot
 from jaxact.robot_margins.whole_robot import WholeRobot
-from jaxact.verbs import naming, robot_tables
+from jaxact.verbs import naming, notebook, robot_tables
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -119,6 +119,9 @@ class RobotLoopMargins:
         """The tables of the command line; of what dry friction holds once it was asked for."""
         held = self.__dict__.get("stiction", (None,) * len(self.details))
         return "\n".join(robot_tables.as_text(*row) for row in self._described(held))
+
+    def _repr_html_(self) -> str:
+        return notebook.robot_margins(self)
 
     def _described(
         self, held: tuple[Stiction | None, ...]

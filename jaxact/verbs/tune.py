@@ -36,7 +36,7 @@ from jaxact.tuning.joint.ensemble import FIELDS, Ensemble, Sampling, ensemble, j
 from jaxact.tuning.optimise import Descent
 from jaxact.tuning.phases import Phase, silent
 from jaxact.tuning.result import Tuned
-from jaxact.verbs import naming
+from jaxact.verbs import naming, notebook
 from jaxact.verbs.goals import goal_of
 
 if TYPE_CHECKING:
@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 
 # A box of so many ranges has 256 corners, each of them a robot to linearise.
 _MOST_OPEN = 8
+# How results look is not their own layer's to know.
+Tuned._repr_html_ = notebook.tuned  # type: ignore[attr-defined]
 Range = tuple[float, float] | str
 """(low, high), or as it is written on the command line: "0.8x..1.2x"."""
 

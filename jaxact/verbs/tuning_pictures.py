@@ -218,7 +218,7 @@ def with_gains(tuned: Tuned, loop: ControlLoop) -> ControlLoop:
     kp, kd = np.array(pairs).T
     name = naming.named(loop).labels[0]
     sides = ("before", "after")[-len(pairs) :]
-    return loop.replace(kp=kp, kd=kd).named(*(f"{side}: {name}" for side in sides))
+    return loop.replace(kp=kp, kd=kd, names=tuple(f"{side}: {name}" for side in sides))
 
 
 def before_and_after(tuned: Tuned, loop: ControlLoop) -> list[LoopResponse]:

@@ -17,8 +17,13 @@ import { command, toml, verdict } from "./words.js";
 const SPEAK_AFTER = 500;
 const MAKE = { continuous: continuousLoop, sampled: sampledLoop };
 
-/** Start the part with its data, in the document or in a shadow root that has its elements. */
-export function start(data, host) {
+/**
+ * Start the part with its data, in the document or in a shadow root that has its elements.
+ *
+ * `drawn(values)` is called with all parameters when they have been drawn. Gives `set(values)`,
+ * which moves to other ones, by short name.
+ */
+export function start(data, host, drawn = () => {}) {
   const by = (id) => host.getElementById(id);
   const { window, unit, loops } = data;
   const first = loops[data.start];
@@ -74,6 +79,7 @@ export function start(data, host) {
     say(both);
     pictures(both, chosen.edges);
     performance.measure("redraw", { start: began, end: performance.now() });
+    drawn({ ...state.parameters, kp: state.kp, kd: state.kd });
   }
 
   /** Cells are of a loop as it was simulated: not of one whose sliders were moved. */
@@ -138,54 +144,42 @@ export function start(data, host) {
 
   const later = () => (asked ||= requestAnimationFrame(redraw));
 
-  function changed(name, value) {
-    if (name === "kp" || name === "kd") state[name] = value;
-    else {
-      state.parameters[name] = value;
-      plants = layers = null;
-    }
-    show({ ...state.parameters, kp: state.kp, kd: state.kd });
+  /** Move to other values by short name: gains, and what the loop is made of. */
+  function set({ kp = state.kp, kd = state.kd, ...others }) {
+    Object.assign(state, { kp, kd });
+    const moved = Object.keys(others).some((name) => others[name] !== state.parameters[name]);
+    Object.assign(state.parameters, others);
+    if (moved) plants = layers = null;
+    show({ ...state.parameters, kp, kd });
     later();
   }
 
-  function take(index) {
-    const { parameters } = loops[index];
-    Object.assign(state, { parameters: { ...parameters }, kp: parameters.kp, kd: parameters.kd });
-    plants = layers = null;
-    show(parameters);
-    later();
-  }
+  const take = () => set(loops[Number(by("loop").value)].parameters);
 
   host.querySelector(
     `input[name=kind][value=${data.sampled ? "sampled" : "continuous"}]`,
   ).checked = true;
-  const show = controls(by("controls"), first.parameters, window, unit, changed);
+  const show = controls(by("controls"), first.parameters, window, unit, (name, value) =>
+    set({ [name]: value }),
+  );
   movable(
     by("pad"),
     by("map"),
     window,
     () => place,
     () => state,
-    (kp, kd) => {
-      Object.assign(state, { kp, kd });
-      show({ ...state.parameters, kp, kd });
-      later();
-    },
+    (kp, kd) => set({ kp, kd }),
   );
   loops.forEach(({ name }, i) =>
     by("loop").append(new Option(name, i, i === data.start, i === data.start)),
   );
-  by("loop").addEventListener("change", () => take(Number(by("loop").value)));
-  by("again").addEventListener("click", () => take(Number(by("loop").value)));
+  by("loop").addEventListener("change", take);
+  by("again").addEventListener("click", take);
   for (const { name, kp, kd } of data.points) {
     const button = document.createElement("button");
     button.type = "button";
     button.textContent = `go to ${name}`;
-    button.addEventListener("click", () => {
-      Object.assign(state, { kp, kd });
-      show({ ...state.parameters, kp, kd });
-      later();
-    });
+    button.addEventListener("click", () => set({ kp, kd }));
     by("points").append(button);
   }
   by("cells-choice").hidden = !data.cells;
@@ -199,4 +193,5 @@ export function start(data, host) {
   new ResizeObserver(later).observe(by("pad"));
   show(first.parameters);
   redraw();
+  return { set };
 }

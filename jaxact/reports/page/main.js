@@ -1,10 +1,12 @@
 // The page: its data, what starts its parts, and what all of them have: tables and copy buttons.
 
-const infinite = (_, value) => (value === "inf" ? Infinity : value);
+/** Data as it was embedded, infinity as it was meant. */
+export const read = (text) =>
+  JSON.parse(text, (_, value) => (value === "inf" ? Infinity : value));
 
 /** Start every part of the page with its own data; `starts` are functions by the part's name. */
 export function begin(starts) {
-  const data = JSON.parse(document.getElementById("data").textContent, infinite);
+  const data = read(document.getElementById("data").textContent);
   for (const [name, start] of Object.entries(starts)) start(data[name], document);
   wire(document);
 }
