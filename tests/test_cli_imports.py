@@ -66,3 +66,8 @@ def test_margins_of_a_robot_linearised_in_c_import_no_mjx():
         "margins", "--model", MODEL, "--keyframe", "stand", "--kp", "600", "--kd", "30"
     )
     assert found - ALGEBRA == {"jax", "mujoco"}
+
+
+def test_the_report_of_a_joint_imports_nothing_of_identification(tmp_path):
+    found = imported("report", "--actuator", "hyq", "--out", str(tmp_path / "joint.html"))
+    assert found - ALGEBRA == {"jax"}

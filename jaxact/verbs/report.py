@@ -6,19 +6,20 @@ import dataclasses
 import html
 import os
 import platform
+import tomllib
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from jaxact import __version__, files
 from jaxact.errors import UserError
-from jaxact.identification.result import Identified
-from jaxact.identification.robot import IdentifiedRobot
 from jaxact.loops import drives
 from jaxact.reports import page
-from jaxact.tuning.result import Tuned
-from jaxact.verbs import report_identified, report_joint, report_tuned
+from jaxact.verbs import report_joint
 
+# In a folder of `jaxact tune`.
+GAINS = "gains.toml"
 _HEIGHT = 900  # of the page in a notebook [px]
 
 
@@ -90,18 +91,34 @@ def check_output(path: Path) -> None:
 
 
 def _content(subject: Any) -> page.Content:
-    """The page of whatever a report can be of."""
-    if isinstance(subject, Identified | IdentifiedRobot):
-        return report_identified.content(subject)
-    if isinstance(subject, str | os.PathLike) and drives.is_drive(Path(subject)):
-        return report_identified.of_file(Path(subject))
-    if isinstance(subject, Tuned):
-        return report_tuned.content(subject)
+    """The page of whatever a report can be of; only what it is of is imported."""
+    made_by = type(subject).__module__.split(".")[1:2]
+    tuned = drive = None
     if isinstance(subject, str | os.PathLike):
-        found = report_tuned.document_of(Path(subject))
-        if found is not None:
-            return report_tuned.of_file(*found)
+        path = Path(subject)
+        drive = path if drives.is_drive(path) else None
+        tuned = None if drive else tuned_file(path)
+    if made_by == ["identification"] or drive is not None:
+        from jaxact.verbs import report_identified as identified
+
+        return identified.content(subject) if drive is None else identified.of_file(drive)
+    if made_by == ["tuning"] or tuned is not None:
+        from jaxact.verbs import report_tuned
+
+        return report_tuned.content(subject) if tuned is None else report_tuned.of_file(*tuned)
     return report_joint.content(subject)
+
+
+def tuned_file(path: Path) -> tuple[Path, Mapping[str, Any]] | None:
+    """The file of tuned gains that a path means and what it says; None where it means none."""
+    own = path / GAINS if path.is_dir() else path
+    if own.suffix != ".toml" or not own.is_file():
+        return None
+    try:
+        document = tomllib.loads(own.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return (own, document) if {"gains", "assumed"} <= document.keys() or own != path else None
 
 
 def _versions() -> str:

@@ -6,10 +6,9 @@ import dataclasses
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from jaxact.errors import UserError
 from jaxact.loops import listed, reading
@@ -20,9 +19,11 @@ from jaxact.loops.specification import Specification
 from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, LINEAR, SETPOINT_DELAY
 from jaxact.reports.page import Content
 from jaxact.status import Verdict
-from jaxact.sweeping import opening
 from jaxact.verbs import naming
 from jaxact.verbs.margins import BothMargins, LoopMargins
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 # A window where no sweep has one: so far around the gains, to either side.
 _AROUND = 30.0
@@ -125,13 +126,15 @@ def _subject(subject: Any) -> Subject:
         return Subject(subject)
     if isinstance(subject, LoopMargins | BothMargins):
         return Subject(subject.loop)
-    if isinstance(subject, xr.Dataset):
+    if hasattr(subject, "data_vars"):  # a dataset, whose package is slow to import
         return _of_sweep(subject)
     if isinstance(subject, str | os.PathLike):
         path = Path(subject)
         if path.suffix.lower() in (".xml", ".urdf"):
             raise UserError(ROBOT)
         if path.suffix != ".toml":
+            from jaxact.sweeping import opening
+
             return _of_sweep(opening.open_result(subject, unfinished=True))
         if listed.rows(path) is not None:
             return Subject(loop_of(path), specification=path.read_text(encoding="utf-8"))

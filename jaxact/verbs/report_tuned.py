@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import itertools
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from jaxact.tuning.result import Tuned
 from jaxact.verbs import naming, report_joint, tuning_front
 
 # In a folder of `jaxact tune`.
-GAINS, FRONT = "gains.toml", "front.csv"
+FRONT = "front.csv"
 
 
 def content(tuned: Tuned) -> Content:
@@ -33,18 +32,6 @@ def content(tuned: Tuned) -> Content:
         raise UserError(report_joint.ROBOT)
     points = tuning_front.report(tuning_front.front(tuned.front)) if tuned.front else []
     return _content(tuning_report.document(tuned), points)
-
-
-def document_of(path: Path) -> tuple[Path, Mapping[str, Any]] | None:
-    """The file of tuned gains that a path means and what it says; None where it means none."""
-    own = path / GAINS if path.is_dir() else path
-    if own.suffix != ".toml" or not own.is_file():
-        return None
-    try:
-        document = tomllib.loads(own.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return (own, document) if {"gains", "assumed"} <= document.keys() or own != path else None
 
 
 def of_file(path: Path, document: Mapping[str, Any]) -> Content:
