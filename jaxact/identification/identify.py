@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import jax
+import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.identification import forces, motion
+from jaxact.identification import forces, inspection, motion
 from jaxact.identification.fitting import ADAM, LEAST_SQUARES, METHODS
 from jaxact.identification.ladder import climb
-from jaxact.identification.log import Log
+from jaxact.identification.log import Log, renewed, stretches
 from jaxact.identification.reading import ColumnMap, Columns, read, read_columns
 from jaxact.identification.result import Identified, check_gains, inspected
 from jaxact.identification.verdict import judge
+from jaxact.parameters import FEEDFORWARD
+
+# Gains that explain so much of a command are those of its controller.
+_ALL_OF_IT = 0.9999
 
 PLANTS = ("none", *motion.PLANTS)
 LOSSES = ("linear", "soft_l1", "huber")
@@ -71,7 +77,7 @@ def identify(
         )
     if isinstance(columns, str | os.PathLike):
         columns = read_columns(Path(columns))
-    fitted, held = (logs_of(each, columns, joint) for each in (logs, validate))
+    fitted, held = (usable(logs_of(each, columns, joint)) for each in (logs, validate))
     if not fitted:
         raise UserError("`logs` is empty; give at least one log")
     check_gains((*fitted, *held))
@@ -79,11 +85,40 @@ def identify(
         if plant == "none":
             family = forces.family(fitted)
         else:
+            fitted, held = ([with_gains(log) for log in each] for each in (fitted, held))
             family = motion.family(fitted, plant, control_rate)
         ladder = climb(
             family, fitted, held, loss=loss, method=method, bootstrap=bootstrap, report=progress
         )
         return Identified(plant, ladder, inspected(ladder), judge(ladder), control_rate)
+
+
+def usable(logs: Sequence[Log]) -> list[Log]:
+    """Logs cut where time is missing, with what was measured less often interpolated.
+
+    Raises:
+        UserError: of a log nothing is left.
+    """
+    return [renewed(part) for log in logs for part in stretches(log)]
+
+
+def with_gains(log: Log) -> Log:
+    """A log whose map states no gains, with those that its command is made of, if it is.
+
+    Under the controller a joint stays near its log; under commands alone it drifts away.
+    """
+    found = inspection.recomputed(log) if log.gains[0] is None else None
+    if found is None or found.explained < _ALL_OF_IT or found.kp <= 0.0:
+        return log
+    if abs(found.offset) > 0.01 * np.std(log["command"]) or FEEDFORWARD in log:
+        return log
+    note = f"kp {found.kp:.4g} and kd {found.kd:.4g} are taken from the command"
+    return replace(
+        log,
+        gains=(found.kp, found.kd),
+        difference_ticks=log.difference_ticks if "velocity" in log else 1,
+        notes=(*log.notes, note),
+    )
 
 
 def logs_of(

@@ -93,7 +93,7 @@ def inspect(log: Log) -> Inspection:
     found = Inspection(
         rate=1.0 / period,
         jitter=float(np.std(usual)),
-        gaps=tuple((gaps + 3).tolist()),
+        gaps=tuple((gaps + log.row + 1).tolist()),
         repeated=repeated,
         quanta=quanta,
         saturated=limits,

@@ -17,8 +17,10 @@ from jaxact.parameters import DELAY, WN, ZETA
 _LARGEST_SHARE = 0.4
 # Slopes of unknowns that are this much alike cannot be told apart; those of the second number only
 # where their intervals are wide as well.
-_COLLINEAR, _NEARLY_COLLINEAR = 0.01, 0.05
+_COLLINEAR, _NEARLY_COLLINEAR = 0.002, 0.05
 _IN_A_COMBINATION = 0.2
+# Of a model that leaves so much of the signal's square nothing is known.
+_LOST = 0.5
 _STEPS_OF_PROFILE = 14
 # A drawn profile goes beyond the interval by this factor.
 _BEYOND_THE_INTERVAL = 1.6
@@ -146,12 +148,16 @@ def _estimate(
     unknown = fit.problem.unknowns[index]
     value = unknown.value(float(fit.point[index]))
     together = [names for names in sets if unknown.name in names]
-    at_bound = unknown.name in fit.at_bounds
+    at_bound = unknown.name in fit.at_bounds and (
+        unknown.name != DELAY or value > 0.5 * unknown.high
+    )
     reason = ""
-    if together:
+    if fit.square_sum > _LOST * len(fit.residuals):
+        reason = "the model does not follow the log"
+    elif together:
         others = " and ".join(name for name in together[0] if name != unknown.name)
         reason = f"cannot be told from {others}"
-    elif at_bound and unknown.name != DELAY:
+    elif at_bound:
         reason = "lies at a bound of its range"
     elif unknown.name in wide:
         reason = "its interval is wide"

@@ -148,25 +148,31 @@ def climb(
 def stages(family: Family, found: list[Candidate], floor: float) -> Iterator[Rung]:
     """The rungs one after another: frictions with a delay first, then dynamics with the best one.
 
-    Where the dynamics are far from a mere delay, which was taken for friction, frictions again.
+    Where the dynamics are far from a mere delay, which was taken for friction, frictions again,
+    and so on until the best one has been tried with all of both.
 
     Args:
         family: of the rungs.
         found: candidates so far, which grows while this is iterated over.
         floor: see `choose`.
     """
-    frictions = {rung.friction for rung in family.rungs}
-    if len(frictions) == 1:
+    if len({rung.friction for rung in family.rungs}) == 1:
         yield from family.rungs
         return
     yield from (rung for rung in family.rungs if rung.dynamics == DELAY)
     first = choose(found, floor, _NEARLY_AS_GOOD)
-    friction = first.rung.friction
-    yield from (r for r in family.rungs if r.friction == friction and r.dynamics != DELAY)
-    best = choose(found, floor)
-    if best.error < FAR_FROM_A_DELAY * first.error:
-        dynamics = best.rung.dynamics
-        yield from (r for r in family.rungs if r.dynamics == dynamics and r.friction != friction)
+    best = first
+    while True:
+        left = [rung for rung in family.rungs if all(rung is not one.rung for one in found)]
+        beside = [rung for rung in left if rung.friction == best.rung.friction]
+        if not beside and best.error < FAR_FROM_A_DELAY * first.error:
+            beside = [rung for rung in left if rung.dynamics == best.rung.dynamics]
+        if not beside:
+            return
+        yield from beside
+        best = choose(found, floor)
+        if best.rung.dynamics == DELAY:
+            return
 
 
 def encoder_error(family: Family, logs: Sequence[Log]) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -12,6 +13,13 @@ from jaxact.parameters import FEEDFORWARD, SETPOINT
 
 FEWEST_ROWS = 200
 """A log with fewer rows says too little of a drive."""
+
+# A drive is not seen in rows that are further apart, nor are loops so fast [s].
+_LONGEST_PERIOD, _SHORTEST_PERIOD = 0.25, 1e-5
+# Where so many periods and more lie between two rows, what happened then is not known.
+_GAP = 3.5
+# A signal that is measured once in several rows does so regularly, and not once in more than these.
+_FEWEST_CHANGES, _MOST_ROWS_HELD = 20, 20
 
 SIGNALS: dict[str, str] = {
     SETPOINT: "position that the joint was told to take [m or rad]",
@@ -44,6 +52,8 @@ class Log:
         difference_ticks: rows over which the controller differenced its position; 0 for a measured
             velocity.
         details: what else is known of the recording by name, such as masses and lengths.
+        row: of the file in which its first row stands, whose head is row 1.
+        notes: what was done to it, in words.
     """
 
     name: str
@@ -55,6 +65,8 @@ class Log:
     gains: tuple[float | None, float | None] = (None, None)
     difference_ticks: int = 0
     details: Mapping[str, float] = field(default_factory=dict)
+    row: int = 2
+    notes: tuple[str, ...] = ()
 
     @property
     def period(self) -> float:
@@ -86,7 +98,8 @@ class Log:
     def part(self, first: int, last: int) -> Log:
         """Rows `first` to `last` (exclusive) of this log."""
         signals = {name: values[first:last] for name, values in self.signals.items()}
-        return replace(self, time=self.time[first:last], signals=signals)
+        row = self.row + first
+        return replace(self, time=self.time[first:last], signals=signals, row=row)
 
 
 def filled(values: np.ndarray, *, rising: bool = False) -> np.ndarray:
@@ -130,16 +143,79 @@ def check(log: Log) -> None:
         raise UserError(
             f"{where}: time does not rise in {_rows(late + 1)}; sort the rows, or take them out"
         )
-    still = [name for name in ("command", SETPOINT, "force", "position") if name in log
-             and np.ptp(log[name]) == 0.0]  # fmt: skip
-    moves = [name for name in ("command", SETPOINT) if name in log and name not in still]
-    answers = [name for name in ("force", "position") if name in log and name not in still]
-    if not moves or not answers:
+    if not _SHORTEST_PERIOD <= log.period <= _LONGEST_PERIOD:
+        raise UserError(
+            f"{where}: its rows are {log.period:.4g} s apart, which tells nothing of a drive; say"
+            ' in the map what the stamps are: time_unit = "ms", "us", "ns" or "s"'
+        )
+    still = _still(log)
+    if not _tells(log):
         said = ", ".join(f"{name} is {log[name][0]:g} throughout" for name in still)
         raise UserError(
             f"{where}: {said or 'nothing moves'}; a log must show a command or setpoint and what"
             " the joint made of it"
         )
+
+
+def _still(log: Log) -> list[str]:
+    """Signals that are constant."""
+    each = ("command", SETPOINT, "force", "position")
+    return [name for name in each if name in log and np.ptp(log[name]) == 0.0]
+
+
+def _tells(log: Log) -> bool:
+    """Whether a command or setpoint moves, and something answers."""
+    moving = [name for name in log.signals if name not in _still(log)]
+    return all(set(names) & set(moving) for names in (("command", SETPOINT), ("force", "position")))
+
+
+def stretches(log: Log) -> list[Log]:
+    """The parts of a log between which no time is missing, as what was commanded then is not known.
+
+    Raises:
+        UserError: none is long enough.
+    """
+    ends = np.flatnonzero(np.diff(log.time) > _GAP * log.period) + 1
+    if not ends.size:
+        return [log]
+    both = itertools.pairwise([0, *ends.tolist(), len(log)])
+    parts = [log.part(*each) for each in both if each[1] - each[0] >= FEWEST_ROWS]
+    found = [
+        replace(part, name=f"{log.name}, rows {part.row} to {part.row + len(part) - 1}")
+        for part in parts
+        if _tells(part)
+    ]
+    if not found:
+        raise UserError(
+            f"{log.title}: time is missing in {len(ends)} places, as before {_rows(ends)}, and no"
+            f" {FEWEST_ROWS} rows lie between two of them; give a log without gaps"
+        )
+    return found
+
+
+def renewed(log: Log) -> Log:
+    """A log in which what was measured less often than once a row lies on lines between."""
+    signals, notes = dict(log.signals), []
+    for name in ("position", "velocity", "force"):
+        number, first = _renewals(log[name]) if name in log else (1, 0)
+        if number > 1:
+            fresh = np.arange(first, len(log), number)
+            signals[name] = np.interp(log.time, log.time[fresh], log[name][fresh])
+            notes.append(f"{name} is new once in {number} rows; it is interpolated between them")
+    return replace(log, signals=signals, notes=(*log.notes, *notes)) if notes else log
+
+
+def _renewals(values: np.ndarray) -> tuple[int, int]:
+    """(n, first row) of a signal that changes once in n rows only; (1, 0) of others."""
+    changes = np.flatnonzero(np.diff(values)) + 1
+    if len(changes) < _FEWEST_CHANGES:
+        return 1, 0
+    for number in range(_MOST_ROWS_HELD, 1, -1):
+        counts = np.bincount(changes % number, minlength=number)
+        first = int(np.argmax(counts))
+        if counts[first] > 0.99 * len(changes) and counts[first] > 0.3 * len(values) / number:
+            return number, first
+    return 1, 0
 
 
 def _rows(indices: np.ndarray, most: int = 5) -> str:

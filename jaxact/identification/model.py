@@ -76,22 +76,34 @@ DYNAMICS: dict[str, tuple[tuple[str, ...], tuple[tuple[str, float], ...]]] = {
     "second order": ((WN, ZETA), ()),
     "second order with delay": ((WN, ZETA, DELAY), ()),
 }
+_STARTS_OF_A_DELAY = (0, 1, 2, 3, 4, 5, 7, 9, 12, 16)
+# A drive's delay may be so long, whatever the rate of the log [s].
+_LONG_DELAY = 0.015
 # The beginning of a log enters almost linearly.
 _STEPS_OF_A_BEGINNING = 2
 NEUTRAL_DRIVE = {WN: math.inf, ZETA: 1.0, DELAY: 0.0}
 
 
+def ticks_of_delay(period: float, least: int) -> int:
+    """Rows by which a drive may be late, at least so many."""
+    return max(least, round(_LONG_DELAY / period))
+
+
 def drive_unknowns(logs: Sequence[Log], most_ticks: int) -> tuple[Unknown, ...]:
-    """Delay, lag, wn and zeta in the range that logs of this rate and length can tell of."""
+    """Delay, lag, wn and zeta in the range that logs of this rate and length can tell of.
+
+    A search crosses control ticks by itself: delays of many of them are begun from a few.
+    """
     period = float(np.median([log.period for log in logs]))
     shortest = min(log.duration for log in logs)
-    ticks = max(int(min(most_ticks * period, 0.1 * shortest) / period), 1)
+    most = ticks_of_delay(period, most_ticks)
+    ticks = max(int(min(most * period, 0.1 * shortest) / period), 1)
     fast, slow = 30.0 / period, 0.3 * math.pi / shortest
     middle = [math.pi / period * share for share in (0.05, 0.2, 0.8)]
     both = 2.0 * FIRST_ORDER_ZETA
     return (
         Unknown(DELAY, "s", 0.0, ticks * period,
-                tuple((at + 0.5) * period for at in range(ticks))),
+                tuple((at + 0.5) * period for at in _STARTS_OF_A_DELAY if at < ticks)),
         Unknown("lag", "s", 1.0 / fast, 1.0 / slow, tuple(1.0 / w for w in middle),
                 positive=True, inverse_of=(WN, both)),
         Unknown(WN, "rad/s", slow, fast, tuple(middle), positive=True),

@@ -18,7 +18,14 @@ from jaxact.errors import UserError
 from jaxact.identification import inspection, joint_motion, starts
 from jaxact.identification.joint_motion import Recording, Structure
 from jaxact.identification.log import LINKS, Log, filled
-from jaxact.identification.model import DYNAMICS, NEUTRAL_DRIVE, Family, Rung, drive_unknowns
+from jaxact.identification.model import (
+    DYNAMICS,
+    NEUTRAL_DRIVE,
+    Family,
+    Rung,
+    drive_unknowns,
+    ticks_of_delay,
+)
 from jaxact.identification.problem import Unknown
 from jaxact.parameters import (
     FEEDFORWARD,
@@ -114,7 +121,7 @@ def family(logs: Sequence[Log], plant: str, control_rate: float | None = None) -
     closed = SETPOINT in first and (known_gains or "command" not in first)
     sought = closed and not known_gains
     ticks, _ = cut(first, control_rate)
-    longest = _MOST_TICKS_OF_DELAY * ticks + 2
+    longest = ticks_of_delay(first.period, _MOST_TICKS_OF_DELAY) * ticks + 2
     structure = Structure(closed, longest, first.difference_ticks, plant == "pendulum")
     context = Context(logs, plant, structure, sought, control_rate)
     if context.robot and sought:

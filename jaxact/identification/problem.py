@@ -18,6 +18,8 @@ from jaxact.parameters import DELAY, WN, ZETA
 # ladder share a program whatever they leave free.
 _LANES = 12
 _LARGEST_EXPONENT = 700.0
+# A residual in shares of the signal's spread, or a slope of it, that nothing is to be made of.
+_HOPELESS = 1e50
 
 
 @dataclass(frozen=True)
@@ -142,9 +144,9 @@ class Problem:
         rests, slopes = [], []
         for (signal, along, places), measured in started:
             rows = len(measured)
-            rests.append(self.scale * (np.asarray(signal)[:rows] - measured))
+            rests.append(_bounded(self.scale * (np.asarray(signal)[:rows] - measured)))
             own = np.zeros((rows, len(self.unknowns)))
-            own[:, places] = self.scale * np.asarray(along)[: len(places), :rows].T
+            own[:, places] = _bounded(self.scale * np.asarray(along)[: len(places), :rows].T)
             slopes.append(own)
         return np.concatenate(rests), np.concatenate(slopes)
 
@@ -165,6 +167,11 @@ class Problem:
             described=tuple((name, name in self.positive) for name in self.numbers),
         )  # fmt: skip
         return signal, along, places
+
+
+def _bounded(values: np.ndarray) -> np.ndarray:
+    """Numbers whose squares can be added up, also of a simulation that has diverged."""
+    return np.clip(np.nan_to_num(values, nan=_HOPELESS), -_HOPELESS, _HOPELESS)
 
 
 def effective_lag(values: Mapping[str, float]) -> float:

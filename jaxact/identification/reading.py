@@ -234,11 +234,13 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
                 f"{path}: row {number + 2} has {len(row)} values, the head {len(head)} names"
             )
     texts = dict(zip(head, zip(*rows, strict=True), strict=True))
-    return {name: _numbers(values) for name, values in texts.items()}
+    return {name: _numbers(values, separator != ",") for name, values in texts.items()}
 
 
-def _numbers(texts: Sequence[str]) -> np.ndarray:
-    """The numbers in a column, NaN where there is none."""
+def _numbers(texts: Sequence[str], comma: bool) -> np.ndarray:
+    """The numbers in a column, NaN where there is none; `comma`: of decimals."""
+    if comma:
+        texts = [text.replace(",", ".") for text in texts]
     try:
         return np.array(texts, float)
     except ValueError:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from jaxact.identification.inspection import Inspection
 from jaxact.identification.knowledge import Estimate
 from jaxact.identification.ladder import FAR_FROM_A_DELAY, Candidate
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
 
 # What models with more than this many times the chosen one's error leave open is of no interest.
 _NEARLY_AS_GOOD = 1.5
+# Loops run faster than logs of longer periods do [s].
+_COARSE = 4e-3
 
 
 def text(identified: Identified) -> str:
@@ -58,7 +62,7 @@ def summary(log: Log, found: Inspection) -> str:
 
 def notes(log: Log, found: Inspection) -> list[str]:
     """What is odd about a log."""
-    said = []
+    said = [*log.notes, *units(log)]
     if found.jitter > 0.02 * log.period:
         said.append(f"rows are {1e6 * found.jitter:.3g} us (standard deviation) off their rate")
     if found.gaps:
@@ -82,6 +86,30 @@ def notes(log: Log, found: Inspection) -> list[str]:
             f"the command is that of kp {controller.kp:.4g}, kd {controller.kd:.4g}"
             f" ({share:.4g} % explained{missing})"
         )
+    return said
+
+
+# So many turns of a joint [rad]; and columns that are so much alike, but for their size.
+_MANY_TURNS, _ALIKE = 8.0 * math.pi, 0.84
+
+
+def units(log: Log) -> list[str]:
+    """What columns in other units look like."""
+    said = []
+    if log.unit == "rad" and "position" in log and np.ptp(log["position"]) > _MANY_TURNS:
+        said.append(
+            f"position spans {np.ptp(log['position']):.4g} rad; if these are degrees, say"
+            ' position = { column = "...", scale = 0.01745329 } in the map'
+        )
+    if {"position", "velocity"} <= set(log.signals) and np.ptp(log["velocity"]) > 0.0:
+        speed, told = np.gradient(log["position"], log.time), log["velocity"]
+        alike = float(np.corrcoef(speed, told)[0, 1])
+        ratio = math.copysign(float(np.std(told)) / max(float(np.std(speed)), 1e-300), alike)
+        if abs(alike) > _ALIKE and not 0.8 < ratio < 1.25:
+            said.append(
+                f"velocity is {ratio:.4g} times the rate of the position; its unit or sign is"
+                " another: give it a `scale` in the map"
+            )
     return said
 
 
@@ -196,6 +224,11 @@ def unstable_delay(identified: Identified) -> list[str]:
 
 def alignment(chosen: Candidate, log: Log) -> list[str]:
     """That a tick of the delay may be the log's."""
+    if log.period > _COARSE:
+        return [
+            f"what is commanded is taken to hold from row to row ({1e3 * log.period:.3g} ms): of a"
+            " log thinner than its loop, so much of the delay may be the log's"
+        ]
     if log.stamp != "end" or effective_lag(chosen.numbers) < 0.5 * log.period:
         return []
     return [

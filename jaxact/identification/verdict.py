@@ -87,7 +87,7 @@ def judge(ladder: Ladder) -> Verdict:
         reasons.append(f"it does not carry over: {own:.1f} % of the fitted logs is predicted")
     if correlated > MOST_CORRELATED:
         reasons.append(f"its error follows the stimulus (correlation {correlated:.2f})")
-    bounds = [e.name for e in chosen.knowledge.estimates if e.at_bound and e.name != DELAY]
+    bounds = [e.name for e in chosen.knowledge.estimates if e.at_bound]
     if bounds:
         reasons.append(f"{' and '.join(bounds)} at a bound")
     if ladder.kept_apart:

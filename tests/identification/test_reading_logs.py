@@ -1,10 +1,15 @@
 """Logs are read as they are, and what cannot be used is said in one line."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from jaxact.errors import UserError
+from jaxact.identification.identify import with_gains
+from jaxact.identification.log import Log, renewed, stretches
 from jaxact.identification.reading import read, read_columns
+from jaxact.identification.report import units
 
 ROWS = 300
 TIME = np.arange(ROWS) * 0.002
@@ -124,3 +129,71 @@ def test_a_row_with_a_value_too_many_is_named(tmp_path):
     path.write_text("\n".join(lines))
     with pytest.raises(UserError, match="row 4 has 4 values, the head 3 names"):
         read(path)
+
+
+def test_a_spreadsheet_writes_semicolons_decimal_commas_and_a_mark(tmp_path):
+    rows = zip(TIME, COMMAND, 0.9 * COMMAND, strict=True)
+    lines = [";".join(repr(float(x)).replace(".", ",") for x in row) for row in rows]
+    text = "\r\n".join(['"time";"command";"force"', *lines]) + "\r\n"
+    (tmp_path / "log.csv").write_text(text, encoding="utf-8-sig")
+    (log,) = read(tmp_path / "log.csv")
+    np.testing.assert_array_equal(log.time, TIME)
+    np.testing.assert_array_equal(log["force"], 0.9 * COMMAND)
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e6, 1e-6])
+def test_stamps_in_another_unit_are_refused(tmp_path, factor):
+    with pytest.raises(UserError, match="s apart, which tells nothing.*time_unit"):
+        read(_good(tmp_path / "log.csv", time=factor * TIME))
+
+
+def _swings(rows=1000, **signals):
+    time = 2e-3 * np.arange(rows)
+    command = np.sin(20.0 * time)
+    return Log("log.csv", time, {"command": command, "position": np.cos(20.0 * time), **signals})
+
+
+def test_a_log_is_cut_where_time_is_missing():
+    log = _swings()
+    late = np.where(np.arange(1000) < 400, 0.0, 0.1) + np.where(np.arange(1000) < 450, 0.0, 0.1)
+    first, last = stretches(replace(log, time=log.time + late))
+    assert (first.title, len(first)) == ("log.csv, rows 2 to 401", 400)
+    assert (last.title, last.row) == ("log.csv, rows 452 to 1001", 452)
+    assert stretches(log) == [log]
+    with pytest.raises(UserError, match="missing in 9 places, as before row"):
+        stretches(replace(log, time=log.time + 0.1 * (np.arange(1000) // 100)))
+
+
+def test_a_position_that_is_new_in_every_third_row_lies_on_lines_between():
+    log = _swings()
+    held = log["position"][np.maximum((np.arange(1000) + 1) // 3 * 3 - 1, 0)]
+    mended = renewed(replace(log, signals={**log.signals, "position": held}))
+    assert "position is new once in 3 rows" in mended.notes[0]
+    inside = slice(2, -3)
+    np.testing.assert_allclose(mended["position"][inside], log["position"][inside], atol=2e-3)
+    assert np.max(np.abs(held - log["position"])) > 0.05
+    rounded = np.round(log["position"] / 0.05) * 0.05  # an encoder is not a slower clock
+    coarse = replace(log, signals={**log.signals, "position": rounded})
+    assert renewed(coarse) is coarse
+
+
+def test_columns_in_other_units_are_named():
+    log = _swings()
+    speed = -20.0 * np.sin(20.0 * log.time)
+    fine = replace(log, signals={**log.signals, "velocity": speed})
+    assert units(fine) == []
+    rpm = replace(log, signals={**log.signals, "velocity": 9.549 * speed})
+    assert "velocity is 9.55" in units(rpm)[0]
+    degrees = replace(log, signals={**log.signals, "position": 57.3 * log["position"]})
+    assert "position spans 114.6 rad; if these are degrees" in units(degrees)[0]
+
+
+def test_gains_that_the_command_is_made_of_are_taken_from_it():
+    log = _swings(velocity=-20.0 * np.sin(20.0 * 2e-3 * np.arange(1000)))
+    setpoint = np.sin(7.0 * log.time)
+    asked = 30.0 * (setpoint - log["position"]) - 0.8 * log["velocity"]
+    told = replace(log, signals={**log.signals, "setpoint": setpoint, "command": asked})
+    kp, kd = with_gains(told).gains
+    assert kp == pytest.approx(30.0) and kd == pytest.approx(0.8)
+    spoiled = {**told.signals, "command": asked + np.sin(41.0 * log.time)}
+    assert with_gains(replace(told, signals=spoiled)).gains == (None, None)
