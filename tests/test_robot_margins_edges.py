@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from jaxact.analysis.robot import disk, multiloop
 from jaxact.analysis.robot.margins import robot_margins
 from jaxact.analysis.robot.modes import Robot
 from jaxact.errors import UserError
@@ -41,3 +42,64 @@ def test_a_root_at_one_leaves_the_figures_finite():
         matrices, np.eye(2, 3), np.eye(2, 3), np.ones(2), ("hip", "knee"), 1e-3, lambda _: matrices
     )
     assert np.isfinite(robot_margins(robot).whole.sensitivity_peak)
+
+
+def _direct(matrices, angle):
+    """S from its definition, by a dense solution at every frequency."""
+    M, N, C = matrices
+    z = np.exp(1j * angle)[:, None, None]
+    return np.eye(N.shape[1]) + C @ np.linalg.solve(z * np.eye(len(M)) - M, N.astype(complex))
+
+
+def _random(seed, states, joints, delays):
+    """Stable matrices with commands that come several periods late, whose roots are defective."""
+    random = np.random.default_rng(seed)
+    M = random.normal(size=(states, states))
+    M *= 0.97 / np.abs(np.linalg.eigvals(M)).max()
+    line = np.kron(np.eye(delays, k=-1), np.eye(joints))
+    into = np.zeros((states, delays * joints))
+    into[:, -joints:] = random.normal(size=(states, joints))
+    whole = np.block([[M, into], [np.zeros_like(into.T), line]])
+    N = np.zeros((len(whole), joints))
+    N[states : states + joints] = np.eye(joints)
+    C = np.zeros((joints, len(whole)))
+    C[:, :states] = 0.1 * random.normal(size=(joints, states))
+    return whole, N, C
+
+
+@pytest.mark.parametrize(("seed", "states", "joints", "delays"), [(0, 9, 3, 5), (1, 20, 6, 1)])
+def test_the_sum_of_modes_is_the_sensitivity(seed, states, joints, delays):
+    matrices, angle = _random(seed, states, joints, delays), np.geomspace(1e-3, np.pi, 40)
+    loop = multiloop.multiloop(*matrices, 1e-3)
+    assert loop.terms is not None
+    S, joint = _direct(matrices, angle), np.arange(40) % joints
+    np.testing.assert_allclose(multiloop.sensitivity(loop, angle), S, atol=1e-11)
+    own = multiloop.own_sensitivity(loop, angle, joint)
+    np.testing.assert_allclose(own, S[np.arange(40), joint, joint], atol=1e-11)
+
+
+def test_defective_roots_that_last_are_no_sum_of_modes_and_the_sensitivity_is_right():
+    M = np.array([[0.9, 1.0, 0.0], [0.0, 0.9, 1.0], [0.0, 0.0, 0.9]])
+    matrices = M, np.array([[0.0], [0.0], [1.0]]), np.array([[1e-3, 0.0, 0.0]])
+    loop, angle = multiloop.multiloop(*matrices, 1e-3), np.geomspace(1e-3, np.pi, 40)
+    assert loop.terms is None
+    np.testing.assert_allclose(multiloop.sensitivity(loop, angle), _direct(matrices, angle))
+    own = multiloop.own_sensitivity(loop, angle, np.zeros(40, int))
+    np.testing.assert_allclose(own, _direct(matrices, angle)[:, 0, 0])
+
+
+def test_the_centre_of_the_disk_margins_bound_is_stationary():
+    """Where log det(b P - H* P H) is stationary for P of one trace, by differences."""
+    random = np.random.default_rng(3)
+    H = random.normal(size=(4, 4)) + 1j * random.normal(size=(4, 4))
+    H /= np.linalg.norm(H, 2)
+    weights = np.ones(4)
+    for _ in range(3):  # Newton's method stops near the centre each time
+        weights = disk._centre(H, weights, 1.5)
+
+    def value(weights):
+        P = np.diag(weights)
+        return np.linalg.slogdet(1.5 * P - H.conj().T @ P @ H)[1]
+
+    slope = [(value(weights + 1e-6 * e) - value(weights - 1e-6 * e)) / 2e-6 for e in np.eye(4)]
+    np.testing.assert_allclose(slope, np.mean(slope), rtol=1e-6)

@@ -127,14 +127,18 @@ def _one(
 ) -> WholeRobot:
     _, setting = kernel.linear_part(case, specification.setting)
 
+    with jax.enable_x64(True):
+        inputs = {name: jnp.asarray(value, float) for name, value in values.items()}
+        own = None if moved is None else tuple(jnp.asarray(part, float) for part in moved)
+        none = jnp.zeros((), float)
+        run = robot_loop.matrices.compiled(inputs, own, none, case=case, setting=setting)
+
     def computed(extra: float):
         with jax.enable_x64(True):
-            inputs = {name: jnp.asarray(value, float) for name, value in values.items()}
-            own = None if moved is None else tuple(jnp.asarray(part, float) for part in moved)
-            loop = inputs, own, jnp.asarray(extra, float)
-            found = robot_loop.matrices(*loop, case=case, setting=setting)
-            return jax.tree.map(np.asarray, found)
+            return jax.tree.map(np.asarray, run(inputs, own, np.asarray(extra)))
 
+    # Newton's method asks for the same delay at several frequencies.
+    @functools.lru_cache(maxsize=8)
     def matrices(extra: float) -> Matrices:
         found = computed(extra)[0]
         return found.M, found.N, found.C

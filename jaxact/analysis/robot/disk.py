@@ -109,22 +109,22 @@ def _largest(H: np.ndarray, weights: np.ndarray) -> float:
 def _centre(H: np.ndarray, weights: np.ndarray, level: float) -> np.ndarray:
     """Weights p of the same sum near the largest det F, F = level P - H* P H; by Newton."""
     joints = len(H)
-    # F = sum of p_i F_i
-    parts = -(H.conj()[:, :, None] * H[:, None, :])
-    diagonal = np.arange(joints)
-    parts[diagonal, diagonal, diagonal] += level
+    # F = sum of p_i F_i, F_i = level e_i e_i^T - h_i^* h_i with the rows h_i of H; G = F^-1
     # The last row and column keep the sum.
     system = np.ones((joints + 1, joints + 1))
     system[joints, joints] = 0.0
     right = np.zeros(joints + 1)
     for _ in range(_NEWTON):
         try:
-            turned = np.linalg.inv(np.tensordot(weights, parts, 1)) @ parts
+            G = np.linalg.inv(np.diag(level * weights) - (H.conj().T * weights) @ H)
         except np.linalg.LinAlgError:
             break
-        right[:joints] = np.trace(turned, axis1=1, axis2=2).real
-        flat = turned.reshape(joints, -1), turned.transpose(0, 2, 1).reshape(joints, -1)
-        curvature = (flat[0] @ flat[1].T).real
+        HG = H @ G
+        HGH = HG @ H.conj().T
+        # tr G F_i, and tr G F_i G F_j
+        right[:joints] = (level * np.diag(G) - np.diag(HGH)).real
+        mixed = np.abs(HG) ** 2
+        curvature = np.abs(level * G) ** 2 - level * (mixed + mixed.T) + np.abs(HGH) ** 2
         system[:joints, :joints] = curvature
         try:
             step = np.linalg.solve(system, right)[:joints]

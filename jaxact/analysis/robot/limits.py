@@ -325,10 +325,11 @@ def feedback(
     """
     whole = math.floor(delay)
     matrices = later_by((delay - whole) * period)
-    M, N, C = reduced(matrices)
+    kept = joined(matrices)
+    M, N, C = reduced(matrices, kept)
     opened = np.exp(1j * angle) * np.eye(len(M)) - (M - N @ C)
     moved = np.linalg.solve(opened, N.astype(complex))
-    return joined(matrices), moved, np.exp(-1j * angle * whole) * (C @ moved)
+    return kept, moved, np.exp(-1j * angle * whole) * (C @ moved)
 
 
 def _early(

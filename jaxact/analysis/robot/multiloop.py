@@ -2,7 +2,13 @@
 
     x' = M x + N d,     u = C x + d,     S(e^(jt)) = I + C (e^(jt) I - M)^-1 N,     t = w T
 
-One Schur decomposition M = Q U Q^H, then a triangular system at each frequency. Peaks and crossings
+One Schur decomposition M = Q U Q^H, those roots last that are gone within few periods. Without
+what couples the two parts, the first one is a sum of modes, which S is evaluated from:
+
+    S(z) = I + sum_k c_k b_k^T / (z - z_k) + sum_j H_j z^-j
+
+Where modes are not accurate, of roots that are defective, a triangular system is solved at each
+frequency instead. Peaks and crossings
 are looked for on a grid that is made of the loop's own roots, and refined to rounding
 (Chandrupatla's methods, as `scipy.optimize.elementwise` has them).
 """
@@ -11,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -30,6 +36,11 @@ _AROUND = (-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0)
 _CANDIDATES = 4
 # Distance to a root instead of none.
 _ON_ROOT = 1e-16
+# Roots below this are no modes of their own: those of delays are defective. So many of their powers
+# count at most, and those above this share.
+_GONE, _POWERS, _NOTHING = 1e-2, 60, 1e-18
+# Share of S by which modes may be wrong, and at how many roots' frequencies that is looked at.
+_WRONG, _CHECKED = 1e-10, 24
 
 
 Matrices = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -49,6 +60,8 @@ class Multiloop:
         opened: eigenvalues of M - N C, the loop without its controllers, shape (n,).
         kept: places of the n states among those of M.
         period: T [s].
+        poles, terms: z_k, shape (p,), and c_k b_k^T followed by H_1, H_2, ..., shape (p + q, m, m);
+            None where modes are not accurate.
     """
 
     roots: np.ndarray
@@ -59,6 +72,8 @@ class Multiloop:
     opened: np.ndarray
     kept: np.ndarray
     period: float
+    poles: np.ndarray
+    terms: np.ndarray | None
 
 
 def multiloop(M: np.ndarray, N: np.ndarray, C: np.ndarray, period: float) -> Multiloop:
@@ -71,10 +86,12 @@ def multiloop(M: np.ndarray, N: np.ndarray, C: np.ndarray, period: float) -> Mul
         period: T [s].
     """
     kept = joined((M, N, C))
-    M, N, C = reduced((M, N, C))
+    M, N, C = reduced((M, N, C), kept)
     balanced, (scale, _) = scipy.linalg.matrix_balance(M, permute=False, separate=True)
-    triangular, vectors = scipy.linalg.schur(balanced, output="complex")
-    return Multiloop(
+    triangular, vectors, lasting = scipy.linalg.schur(
+        balanced.astype(complex), sort=lambda root: abs(root) > _GONE
+    )
+    loop = Multiloop(
         roots=np.diag(triangular).copy(),
         vectors=scale[:, None] * vectors,
         triangular=triangular,
@@ -83,27 +100,70 @@ def multiloop(M: np.ndarray, N: np.ndarray, C: np.ndarray, period: float) -> Mul
         opened=scipy.linalg.eigvals(M - N @ C),
         kept=kept,
         period=period,
+        poles=np.zeros(0),
+        terms=None,
     )
+    modal = _modal(loop, lasting)
+    nearest = np.argsort(np.abs(np.abs(loop.roots) - 1.0), kind="stable")[:_CHECKED]
+    angle = np.abs(np.angle(loop.roots[nearest]))
+    exact, found = sensitivity(loop, angle), sensitivity(modal, angle)
+    size = np.abs(exact).max(axis=(1, 2), initial=1.0)
+    accurate = np.abs(found - exact).max(axis=(1, 2), initial=0.0) <= _WRONG * size
+    return modal if accurate.all() else loop
+
+
+def _modal(loop: Multiloop, lasting: int) -> Multiloop:
+    """The same as a sum of the modes of its first roots and of powers of the others."""
+    k, U = lasting, loop.triangular
+    apart = np.zeros_like(U[:k, k:])
+    if apart.size:
+        apart, share, _ = scipy.linalg.lapack.ztrsyl(U[:k, :k], U[k:, k:], -U[:k, k:], isgn=-1)
+        apart = apart / share
+    with np.errstate(all="ignore"):  # defective ones are found by what comes out
+        poles, modes = np.linalg.eig(U[:k, :k])
+        fast, outputs = loop.inputs[k:], loop.outputs[:, :k] @ apart + loop.outputs[:, k:]
+        try:
+            slow = np.linalg.solve(modes, loop.inputs[:k] - apart @ fast)
+        except np.linalg.LinAlgError:
+            return loop
+        terms = (loop.outputs[:, :k] @ modes).T[:, :, None] * slow[:, None]
+    powers: list[np.ndarray] = []
+    largest = float(np.abs(fast).max(initial=0.0))
+    while largest > 0.0 and len(powers) < _POWERS and np.abs(fast).max() > _NOTHING * largest:
+        powers.append(outputs @ fast)
+        fast = U[k:, k:] @ fast
+    return replace(loop, poles=poles, terms=np.concatenate([terms, *(p[None] for p in powers)]))
+
+
+def _features(loop: Multiloop, z: np.ndarray) -> np.ndarray:
+    """What each term of S is multiplied with, shape (k, terms)."""
+    assert loop.terms is not None
+    apart = z[:, None] - loop.poles
+    powers = -1.0 - np.arange(len(loop.terms) - len(loop.poles))
+    slow = 1.0 / np.where(apart == 0.0, _ON_ROOT, apart)
+    return np.concatenate([slow, z[:, None] ** powers], axis=1)
 
 
 def joined(matrices: Matrices) -> np.ndarray:
     """Places of the states that something moves, and that move something."""
     M, N, C = matrices
-    kept = np.arange(len(M))
+    others = M != 0.0
+    own = np.diag(others).copy()
+    np.fill_diagonal(others, False)
+    pushed, seen = own | np.any(N, axis=1), own | np.any(C, axis=0)
+    kept = np.ones(len(M), bool)
     while True:
-        inside = M[np.ix_(kept, kept)]
-        others = inside - np.diag(np.diag(inside))
-        moved = np.any(others, axis=1) | np.any(N[kept], axis=1) | (np.diag(inside) != 0.0)
-        moving = np.any(others, axis=0) | np.any(C[:, kept], axis=0) | (np.diag(inside) != 0.0)
-        if (moved & moving).all():
-            return kept
-        kept = kept[moved & moving]
+        moved = others[:, kept].any(axis=1) | pushed
+        moving = others[kept].any(axis=0) | seen
+        if (moved & moving)[kept].all():
+            return np.flatnonzero(kept)
+        kept &= moved & moving
 
 
-def reduced(matrices: Matrices) -> Matrices:
-    """M, N, C without the states that nothing moves, or that move nothing."""
+def reduced(matrices: Matrices, kept: np.ndarray | None = None) -> Matrices:
+    """M, N, C without the states that nothing moves, or that move nothing; `kept` from `joined`."""
     M, N, C = matrices
-    kept = joined(matrices)
+    kept = joined(matrices) if kept is None else kept
     return M[np.ix_(kept, kept)], N[kept], C[:, kept]
 
 
@@ -143,6 +203,9 @@ def sensitivity(loop: Multiloop, angle: np.ndarray) -> np.ndarray:
     """S at w T = `angle` [rad], shape (k,): complex, shape (k, m, m)."""
     z = np.exp(1j * np.asarray(angle, float))
     size, joints = loop.inputs.shape
+    if loop.terms is not None:
+        moved = _features(loop, z) @ loop.terms.reshape(-1, joints * joints)
+        return np.eye(joints) + moved.reshape(-1, joints, joints)
     chunk = max(1, _ENTRIES // (size * joints))
     parts = []
     for part in (z[first : first + chunk] for first in range(0, len(z), chunk)):
@@ -156,6 +219,8 @@ def sensitivity(loop: Multiloop, angle: np.ndarray) -> np.ndarray:
 def own_sensitivity(loop: Multiloop, angle: np.ndarray, joint: np.ndarray) -> np.ndarray:
     """S_ii of joint `joint` at w T = `angle` [rad]; all of shape (k,)."""
     z = np.exp(1j * np.asarray(angle, float))
+    if loop.terms is not None:
+        return 1.0 + np.einsum("kf,fk->k", _features(loop, z), loop.terms[:, joint, joint])
     solved = _solved(loop, z, loop.inputs[:, joint][..., None])[..., 0]
     return 1.0 + np.einsum("kn,nk->k", loop.outputs[joint], solved)
 
