@@ -53,8 +53,9 @@ def document(content: Content) -> str:
         " img-src data:; base-uri 'none'; form-action 'none'"
     )
     about = "\n".join(
-        f'<h3>{html.escape(name)}</h3>\n<pre tabindex="0">{html.escape(text)}</pre>'
-        for name, text in content.made.items()
+        f'<h3>{html.escape(name)}</h3>\n<pre tabindex="0" id="made-{i}">{html.escape(text)}</pre>'
+        f'<button type="button" class="copy" data-of="made-{i}">copy</button>'
+        for i, (name, text) in enumerate(content.made.items())
     )
     says = f"<p>{html.escape(description)}</p>\n" if description else ""
     return f"""<!doctype html>

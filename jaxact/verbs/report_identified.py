@@ -99,13 +99,20 @@ def _read(name: str, document: Mapping[str, Any]) -> dict[str, Any]:
     known = document.get("covariance", {"names": [], "rows": []})
     rows = np.array(known["rows"], float).reshape((len(known["names"]),) * 2)
     size = np.sqrt(np.maximum(np.diag(rows), 1e-300))
+    # A time constant is reported of a frequency that is sought, and falls where that rises.
+    reported = {one.get("number", own): own for own, one in estimates.items()}
+    names = [reported.get(own, own) for own in known["names"]]
+    signs = [
+        1.0 if own == sought else -1.0 for own, sought in zip(names, known["names"], strict=True)
+    ]
+    correlation = rows / np.outer(size, size) * np.outer(signs, signs)
     return {
         "name": name,
         "model": document.get("model", ""),
         "level": document["verdict"]["level"],
         "sentence": document["verdict"]["sentence"],
         "estimates": [_estimate(own, one) for own, one in estimates.items()],
-        "correlation": {"names": known["names"], "rows": (rows / np.outer(size, size)).tolist()},
+        "correlation": {"names": names, "rows": correlation.tolist()},
         "ladder": document.get("ladder", []),
         "signal": document.get("signal", ""),
         "error_unit": document.get("signal_unit", ""),

@@ -163,6 +163,53 @@ def test_what_is_copied_gives_the_same_margins(page, report, tmp_path):
     assert command.startswith("jaxact margins --kp 400 --kd 20") and "--delay 0.002" in command
 
 
+def test_the_boundary_is_where_python_has_it(page, report, loop):
+    page.open(report)
+    of_page = """(kind) => {
+      const { window, loops } = in_main.read(document.getElementById("data").textContent).joint;
+      const loop = in_loops[`${kind}Loop`](loops[0].parameters);
+      const cached = in_frequencies.responses(loop, in_frequencies.frequencyGrid(loop, window));
+      return in_boundary.boundary(loop, cached, window).filter(({ separates }) => separates);
+    }"""
+    edges = {kind: page.run(f"({of_page})('{kind}')") for kind in ("continuous", "sampled")}
+    # In continuous time by the closed form, at the page's own frequencies.
+    mass, wn, zeta, late = 0.7, 110.0, 0.9, 3e-3
+    for edge in edges["continuous"]:
+        kp, kd, w = (np.array(edge[name], float) for name in ("kp", "kd", "w"))
+        real, imaginary, turned = wn**2 - w**2, 2.0 * zeta * wn * w, w * late
+        own = mass * (w / wn) ** 2 * (real * np.cos(turned) - imaginary * np.sin(turned))
+        np.testing.assert_allclose(kp, own, rtol=TOLERANCE, atol=TOLERANCE)
+        own = mass * w / wn**2 * (real * np.sin(turned) + imaginary * np.cos(turned))
+        np.testing.assert_allclose(kd, own, rtol=TOLERANCE)
+    # Sampled, where the loop neither grows nor decays.
+    points = [
+        (kp, kd) for edge in edges["sampled"] for kp, kd in zip(edge["kp"], edge["kd"], strict=True)
+    ]
+    assert len(points) > 50
+    kp, kd = np.array(points[:: len(points) // 20]).T
+    own = {name: np.full(len(kp), float(value)) for name, value in loop[0].parameters.items()}
+    found = of_values(own | {"kp": kp, "kd": kd}, "sampled")
+    np.testing.assert_allclose(found["spectral_radius"], 1.0, atol=1e-8)
+
+
+def test_every_text_to_take_along_can_be_copied(page, report):
+    page.open(report)
+    ids = page.run("[...document.querySelectorAll('button.copy')].map((one) => one.dataset.of)")
+    assert ids == ["command", "toml", "made-0"]
+    for which in ids:
+        page.run(f"document.querySelector('[data-of={which}]').click()")
+        said = f"document.querySelector('[data-of={which}]').textContent"
+        deadline = time.monotonic() + PATIENCE
+        while page.run(said).startswith("copy") and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert page.run(said) in ("copied", "selected: press Ctrl+C")
+        wanted = page.run(
+            f"(document.getElementById('{which}').value ??"
+            f" document.getElementById('{which}').textContent).trim()"
+        )
+        assert wanted and page.run("getSelection().toString()").strip() == wanted
+
+
 @pytest.mark.parametrize("width", WIDTHS)
 def test_it_fits_the_window(page, report, width):
     page.open(report, width=width)

@@ -23,8 +23,9 @@ export function wire(root) {
 
 /** Copy a text, where the browser lets the page; else select it. */
 async function copy(area, button) {
-  area.select();
-  const done = await navigator.clipboard?.writeText(area.value).then(
+  if (area.select) area.select();
+  else getSelection().selectAllChildren(area);
+  const done = await navigator.clipboard?.writeText(area.value ?? area.textContent).then(
     () => true,
     () => false,
   );
