@@ -182,7 +182,8 @@ def write(asked: list[System], page: str, name: str, data: str) -> None:
         found = solve(system)
         rungs = [rung(system, found, one) for one in found.ladder.candidates]
         numbers[system.name] = {"document": found.document(), "rungs": rungs}
-        numbers[system.name]["document"].pop("covariance")
+        for of_file in ("covariance", "ladder", "signal", "signal_unit"):  # rungs say more
+            numbers[system.name]["document"].pop(of_file)
         if system.name == "emps":
             numbers[system.name]["errors"] = relative = relative_errors(found)
             page += "".join(
