@@ -110,7 +110,9 @@ class Search:
         option("NUMBER", "Samples of the uncertainty, beside its corners.", "32, of a robot 8"),
     ] = UNSET_NUMBER
     starts: Annotated[int, option("NUMBER", "Default starts of the descent.")] = 8
-    steps: Annotated[int, option("NUMBER", "Steps of the descent.")] = 150
+    steps: Annotated[
+        int, option("NUMBER", "Steps of the descent.", "80, of simulated time 150")
+    ] = UNSET_NUMBER
     seed: Annotated[int, option("NUMBER", "Of the sampled uncertainty.")] = 0
     pareto: Annotated[
         int, option("NUMBER", "Points of the front over the peak allowed; 0: none.")
@@ -343,14 +345,16 @@ def _tuned(
 
     bounds = {name: value for name, value in vars(goal).items() if value is not UNSET}
     name = bounds.pop("objective")
-    samples = None if search.ensemble == UNSET_NUMBER else search.ensemble
+    samples, steps = (
+        None if number == UNSET_NUMBER else number for number in (search.ensemble, search.steps)
+    )
     own = {} if loops[0].kind.plant is None else {
         "groups": robot.groups.split(",") if robot.groups else (),
         "tracking_weight": robot.tracking_weight, "derivative": robot.derivative,
     }  # fmt: skip
     return tune(
         loops, name, uncertainty=unsure, samples=samples, starts=search.starts,
-        steps=search.steps, seed=search.seed, front=search.pareto, verify=search.verify,
+        steps=steps, seed=search.seed, front=search.pareto, verify=search.verify,
         phase=phase, **own, **bounds,
     )  # fmt: skip
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -347,7 +348,6 @@ def _solved(
         problems: rows and sides of each.
     """
     from scipy.optimize import linprog
-    from scipy.sparse import block_diag, coo_array
 
     if not problems:
         return []
@@ -355,7 +355,7 @@ def _solved(
     free = [[-np.inf, np.inf], [0.0, np.inf]]
     found = linprog(
         np.tile(np.r_[np.zeros(size), -1.0, _ELASTIC], len(problems)),
-        block_diag([coo_array(_matrix(cuts)) for cuts, _ in problems], format="csc"),
+        _side_by_side([_matrix(cuts) for cuts, _ in problems]),
         np.concatenate([np.r_[cuts.value, -cuts.excess - _AIM] for cuts, _ in problems]),
         bounds=np.concatenate([np.r_[sides.T, free] for _, sides in problems]),
     )
@@ -373,12 +373,26 @@ def _solved(
 
 
 def _matrix(cuts: _Cuts) -> np.ndarray:
-    one, nil = np.ones, np.zeros
-    above, below = (len(cuts.value), 1), (len(cuts.excess), 1)
-    return np.block([
-        [-cuts.value_slope, one(above), nil(above)],
-        [cuts.excess_slope, nil(below), -one(below)],
-    ])  # fmt: skip
+    """Rows over the unknowns (s, t, e): -slope s + t of the values, slope s - e of the excesses."""
+    above, size = cuts.value_slope.shape
+    rows = np.zeros((above + len(cuts.excess), size + 2))
+    rows[:above, :size], rows[:above, size] = -cuts.value_slope, 1.0
+    rows[above:, :size], rows[above:, size + 1] = cuts.excess_slope, -1.0
+    return rows
+
+
+def _side_by_side(blocks: list[np.ndarray]) -> Any:
+    """The block diagonal matrix of blocks with as many columns each, sparse."""
+    from scipy.sparse import csr_array
+
+    rows, width = np.concatenate(blocks), blocks[0].shape[1]
+    first = width * np.repeat(np.arange(len(blocks)), [len(block) for block in blocks])
+    columns = first[:, None] + np.arange(width)
+    ends = width * np.arange(len(rows) + 1)
+    shape = (len(rows), width * len(blocks))
+    whole = csr_array((rows.ravel(), columns.ravel(), ends), shape=shape)
+    whole.eliminate_zeros()
+    return whole.tocsc()
 
 
 def _finite(value: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -91,7 +91,7 @@ def tune(
             was given a control rate. A robot's are always sampled.
         groups: of a robot, patterns found in the names of joints or actuators: the joints of one
             share their gains; none: every joint its own.
-        starts, steps: of the descent.
+        starts, steps: of the descent; None for 80 steps, or 150 for a joint's simulated time.
         seed: of the samples.
         front: points of the front of stiffness against robustness, 0 for none.
         verify: compare with brute force.
@@ -192,7 +192,7 @@ def _of_joint(
     conversion.linear_specification(loop)  # what does not fit is said here
     nominal = _nominal(loop, CONTROL_RATE in loop.values if sampled is None else sampled)
     start = _start_of_joint(loop)
-    how = Descent(steps=steps or _joint_search.STEPS)
+    how = None if steps is None else Descent(steps=steps)
     box = KNOWN
     if isinstance(uncertainty, ControlLoop):
         nominal = joined(nominal, _drawn(uncertainty, loop, nominal.sampling))

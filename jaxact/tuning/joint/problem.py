@@ -29,6 +29,8 @@ STARTS = (
     (0.08, 0.0015), (0.15, 0.005), (0.25, 0.02), (0.25, 0.06),
     (0.40, 0.04), (0.40, 0.10), (0.60, 0.08), (0.60, 0.25),
 )  # fmt: skip
+# Between the points whose slopes make second derivatives [-].
+_APART = 1e-4
 # How much stiffer than what just keeps a joint upright the starts are, at least.
 _HELD = 1.5
 
@@ -229,6 +231,38 @@ def risk_rows(bad: np.ndarray, slope: np.ndarray, tail: float) -> tuple[np.ndarr
         )  # fmt: skip
 
 
+class _Remembered:
+    """Exact metrics of cases of which most stay where they are: only those that moved are new."""
+
+    def __init__(self, cases: Sequence[Case], timed: Any) -> None:
+        self._cases, self._timed = cases, timed
+        self._last: tuple[np.ndarray, Exact] | None = None
+
+    def __call__(self, x: np.ndarray) -> Exact:
+        """As `exact`."""
+        if self._last is None:
+            found = exact(self._cases, x, self._timed)
+        else:
+            before, found = self._last
+            moved = np.flatnonzero(np.any(x != before, axis=1))
+            if len(moved):
+                own = exact([self._cases[int(i)] for i in moved], x[moved], self._timed)
+                found = Exact(
+                    _put(found.stable, moved, own.stable),
+                    {name: _put(found.log[name], moved, new) for name, new in own.log.items()},
+                    {name: _put(found.slope[name], moved, new) for name, new in own.slope.items()},
+                )
+        self._last = x.copy(), found
+        return found
+
+
+def _put(rows: np.ndarray, where: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """A copy of the rows with others in some places."""
+    rows = rows.copy()
+    rows[where] = new
+    return rows
+
+
 def problem(cases: Sequence[Case], timed: Any = None, *, aim: bool = True) -> Problem:
     """Exact rows of cases as a function of their log-gains.
 
@@ -236,13 +270,30 @@ def problem(cases: Sequence[Case], timed: Any = None, *, aim: bool = True) -> Pr
         aim: False leaves the objective out: only the constraints are to be met.
     """
     goals = [case.goal for case in cases]
+    look = _Remembered(cases, timed)
 
     def rows(x: np.ndarray) -> Rows:
         """As `rows_of`, with an objective that is the same everywhere where none is wanted."""
-        found = rows_of(goals, x, exact(cases, x, timed))
+        found = rows_of(goals, x, look(x))
         if aim:
             return found
         nothing = np.zeros((len(x), 1)), np.zeros((len(x), 1, x.shape[1]))
         return Rows(*nothing, found.excess, found.excess_slope, found.usable)
 
     return rows
+
+
+def curvature(case: Case, x: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Second derivatives of a case's constraints by its log-gains, weighted, shape (2, 2).
+
+    They are central differences of the exact slopes.
+
+    Args:
+        x: log-gains, shape (2,).
+        weights: of the rows of `rows_of`, shape (rows,).
+    """
+    points = x + _APART * np.concatenate([np.eye(2), -np.eye(2)])
+    found = rows_of([case.goal] * 4, points, exact([case] * 4, points))
+    slopes = weights @ np.nan_to_num(found.excess_slope, posinf=0.0, neginf=0.0)
+    turned = (slopes[:2] - slopes[2:]) / (2.0 * _APART)
+    return 0.5 * (turned + turned.T)

@@ -32,7 +32,9 @@ from jaxact.tuning.phases import Phase, silent
 from jaxact.tuning.polish import MET, polish
 from jaxact.tuning.result import Outcome, Tuned, judged
 
-STARTS, SAMPLES, STEPS = 8, 32, 150
+STARTS, SAMPLES, STEPS = 8, 32, 80
+# A metric of simulated time is rougher.
+_SIMULATED_STEPS = 150
 # How often the worst interior point may join the members, and from where it is looked for.
 _EXCHANGES, _ASCENTS = 6, 24
 
@@ -135,9 +137,9 @@ def _searched(
 ) -> list[Outcome]:
     """Where the search for each case leads."""
     begun = time.perf_counter()
-    how = how or Descent(steps=STEPS)
     _check(cases, given, starts)
     timed = timed_of(cases[0].goal, [case.members for case in cases])
+    how = how or Descent(steps=STEPS if timed is None else _SIMULATED_STEPS)
     bounds = np.array([joint.log_bounds(case.goal) for case in cases])
     own = (
         None
@@ -165,15 +167,15 @@ def _searched(
     steps = how.steps + how.polish + polishing + rescues
     number = first.shape[1] * (how.steps + how.polish) + polishing + rescues
     effort = Effort(first.shape[1], brute.GRID**2)
+    ends = np.where(lost[:, None], closest.x, found.x)
+    metrics = _metrics_of_all(cases, ends)
     outcomes = []
     for i, case in enumerate(cases):
-        x = (closest if lost[i] else found).x[i]
+        x = ends[i]
         own_paths = jax.tree.map(lambda a, i=i: a[i], paths)
         tried = number * len(case.members)
         outcomes.append(
-            Outcome(
-                _gains(x), not lost[i], _metrics(case, x), own_paths, tried, steps, begun, effort
-            )
+            Outcome(_gains(x), not lost[i], metrics[i], own_paths, tried, steps, begun, effort)
         )
     return outcomes
 
@@ -186,6 +188,18 @@ def _metrics(case: Case, x: np.ndarray) -> Metrics:
     """Exact metrics of all members at log-gains x."""
     found = joint.exact([case], x[None], timed_of(case.goal, [case.members]))
     return Metrics(found.stable[0], {name: log[0] for name, log in found.log.items()})
+
+
+def _metrics_of_all(cases: Sequence[Case], x: np.ndarray) -> list[Metrics]:
+    """Exact metrics of all members of every case at its log-gains, shape (cases, 2)."""
+    if timed_of(cases[0].goal, [cases[0].members]) is not None:
+        # How long is simulated differs.
+        return [_metrics(case, own) for case, own in zip(cases, x, strict=True)]
+    found = joint.exact(cases, x)
+    return [
+        Metrics(found.stable[i], {name: log[i] for name, log in found.log.items()})
+        for i in range(len(cases))
+    ]
 
 
 def _judged(
