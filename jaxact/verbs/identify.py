@@ -20,11 +20,11 @@ from jaxact.identification.reading import ColumnMap, Columns, read_columns
 from jaxact.identification.replay import Replay, replay
 from jaxact.identification.result import Identified
 from jaxact.identification.robot import SUFFIXES, IdentifiedRobot, identify_robot
-from jaxact.parameters import CONTROL_RATE, DELAY, WN, ZETA
+from jaxact.parameters import CONTROL_RATE, DELAY
 from jaxact.plotting import identification as _pictures
 from jaxact.plotting.identification import Compared, Step
 from jaxact.verbs import notebook
-from jaxact.verbs.report_identified import compared
+from jaxact.verbs.report_identified import OF_THE_DRIVE, compared
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,8 +33,6 @@ __all__ = [
     "identification_sheet", "identify", "profile_likelihood", "replay", "replay_sheet",
     "residual_autocorrelation", "robot_sheet",
 ]  # fmt: skip
-# Of these unknowns the sheet shows the profiles, the first two that the model has.
-_OF_THE_DRIVE = (DELAY, "lag", WN, ZETA)
 # How results look is not their own layer's to know.
 Identified._repr_html_ = notebook.identified  # type: ignore[attr-defined]
 IdentifiedRobot._repr_html_ = notebook.identified_robot  # type: ignore[attr-defined]
@@ -122,11 +120,12 @@ def identification_sheet(identified: Identified, *, title: str = "", log: int = 
     """
     ladder = identified.ladder
     footer = "; ".join(log.title for log in ladder.fitted)
-    names = [e.name for e in ladder.chosen.knowledge.estimates if e.name in _OF_THE_DRIVE]
+    # The first two of the drive's numbers that the model has.
+    names = [e.name for e in ladder.chosen.knowledge.estimates if e.name in OF_THE_DRIVE]
     return _pictures.sheet(
         compared(identified, log),
         steps(identified),
-        [_profile(identified, name) for name in sorted(names, key=_OF_THE_DRIVE.index)[:2]],
+        [_profile(identified, name) for name in sorted(names, key=OF_THE_DRIVE.index)[:2]],
         title=title or f"{identified.verdict.level.value}: {ladder.chosen.rung.name}",
         footer=f"{identified.verdict.sentence}. Fitted: {footer}",
     )

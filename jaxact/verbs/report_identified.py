@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from jaxact.identification.robot import IdentifiedRobot
 from jaxact.loops import toml
 from jaxact.loops.building import joint
 from jaxact.loops.drives import ROBOT, IdentifiedDrive, load_drive
-from jaxact.parameters import KD, KP
+from jaxact.parameters import DELAY, KD, KP, WN, ZETA
 from jaxact.plotting import identification as pictures
 from jaxact.reports.page import Content
 from jaxact.verbs import report_joint
@@ -27,6 +27,8 @@ from jaxact.verbs import report_joint
 # Rows of all logs together, some 25 bytes each; a log's are thinned out to its share.
 MOST_ROWS = 16_000
 _DIGITS = 6
+OF_THE_DRIVE = (DELAY, "lag", WN, ZETA)
+"""Names of the unknowns that are the drive's dynamics."""
 _NOT_THERE = (
     "The logs are not in the drive's file: jaxact identify ... --report FILE has them over the"
     " simulation, with the frequency response and the profile likelihoods."
@@ -45,7 +47,7 @@ def content(found: Identified | IdentifiedRobot) -> Content:
     """
     if isinstance(found, IdentifiedRobot):
         share = MOST_ROWS // len(found.parts)
-        each = [_drive(part.name, part.found, share) for part in found.parts]
+        each = [_drive(part.name, part.found, share, OF_THE_DRIVE) for part in found.parts]
         return _content(found.document(), each, found.drive)
     return _content(found.document(), [_drive("", found, MOST_ROWS)], found.drive)
 
@@ -131,8 +133,13 @@ def _estimate(name: str, one: Mapping[str, Any]) -> dict[str, Any]:
     return {"name": name, **one, **ends, "unit": unit}
 
 
-def _drive(name: str, found: Identified, rows: int) -> dict[str, Any]:
-    """All that was found of one drive, with its logs thinned out to so many rows together."""
+def _drive(
+    name: str, found: Identified, rows: int, profiled: Collection[str] | None = None
+) -> dict[str, Any]:
+    """All that was found of one drive, with its logs thinned out to so many rows together.
+
+    Profile likelihoods, each of them some fits, of all numbers, or of those that are named.
+    """
     ladder, chosen = found.ladder, found.chosen
     logs = [*ladder.fitted, *ladder.validation]
     roles = ["fitted"] * len(ladder.fitted) + ["not fitted"] * len(ladder.validation)
@@ -145,7 +152,11 @@ def _drive(name: str, found: Identified, rows: int) -> dict[str, Any]:
     said = [*words.combined(chosen, logs[0]), *words.left_out(found), *words.unstable_delay(found)]
     return _read(name, found.document()) | {
         "logs": each,
-        "profiles": [_profile(found, one.name) for one in chosen.knowledge.estimates],
+        "profiles": [
+            _profile(found, one.name)
+            for one in chosen.knowledge.estimates
+            if profiled is None or one.name in profiled
+        ],
         "response": None if response is None else _rounded(dataclasses.asdict(response)),
         "autocorrelation": _rounded(pictures.correlations(unseen)),
         "notes": [*said, *words.alignment(chosen, logs[0])],

@@ -1,6 +1,7 @@
 """The drives of a robot's joints, from logs that C MuJoCo made."""
 
 import json
+import re
 import tomllib
 
 import mujoco
@@ -11,6 +12,7 @@ import jaxact as jx
 from jaxact.cli.main import main
 from jaxact.identification import links
 from jaxact.identification.log import LINKS, Log
+from jaxact.loops import toml
 from jaxact.robots.model import read
 
 ARM = """
@@ -139,6 +141,20 @@ def test_a_robot_takes_what_its_model_has_not_yet(found, folder):
     assert f"joint_damping@{both}" not in loop.values  # what is said wins
     (less,) = found.drive.left_out(robot=True)
     assert less.startswith("frictionloss of .*") and "not the 0.5 of arm.xml" in less
+
+
+def test_the_report_has_every_drive_of_the_robot(found, tmp_path):
+    text = jx.report(found, tmp_path / "drives.html").text
+    data = json.loads(re.search(r'id="data">(.*?)</script>', text)[1])
+    assert list(data) == ["identified"]  # a robot's loops are no joint's map
+    (drive,) = data["identified"]["drives"]
+    assert drive["name"] == ".*" and [one["role"] for one in drive["logs"]].count("fitted") == 2
+    delay = next(one for one in drive["estimates"] if one["name"] == "delay")
+    assert delay["low"] < 1e3 * DELAY < delay["high"]
+    assert [one["name"] for one in drive["profiles"]] == ["delay"]
+    (tmp_path / "drive.toml").write_text(toml.dumps(found.document()), encoding="utf-8")
+    again = jx.report(tmp_path / "drive.toml", tmp_path / "file.html").text
+    assert json.dumps(drive["ladder"]) in again
 
 
 def test_the_command_writes_the_drives_of_a_robot(folder, tmp_path, capsys):

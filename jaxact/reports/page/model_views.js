@@ -107,8 +107,8 @@ export function drawProfiles(container, { profiles, estimates }) {
     return { svg, whole };
   });
   container.replaceChildren(...made.map(({ whole }) => whole));
-  profiles.forEach(({ values, rises }, i) => {
-    const { name, unit, value, low, high } = estimates[i];
+  profiles.forEach(({ name, values, rises }, i) => {
+    const { unit, value, low, high } = estimates.find((one) => one.name === name);
     const [first, last] = [values[0], values[values.length - 1]];
     const place = frame(made[i].svg, {
       x: {
