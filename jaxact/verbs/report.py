@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import html
 import os
 import platform
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -101,12 +102,30 @@ def _content(subject: Any) -> page.Content:
     if made_by == ["identification"] or drive is not None:
         from jaxact.verbs import report_identified as identified
 
-        return identified.content(subject) if drive is None else identified.of_file(drive)
+        if drive is None:
+            return identified.content(subject)
+        with _whole(drive):
+            return identified.of_file(drive)
     if made_by == ["tuning"] or tuned is not None:
         from jaxact.verbs import report_tuned
 
-        return report_tuned.content(subject) if tuned is None else report_tuned.of_file(*tuned)
+        if tuned is None:
+            return report_tuned.content(subject)
+        with _whole(tuned[0]):
+            return report_tuned.of_file(*tuned)
     return report_joint.content(subject)
+
+
+@contextlib.contextmanager
+def _whole(path: Path) -> Iterator[None]:
+    """Raise UserError where a file that a person may have changed lacks what it should have."""
+    try:
+        yield
+    except UserError:
+        raise
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        kind = type(error).__name__
+        raise UserError(f"{path}: is damaged ({kind}: {error}); make it anew") from None
 
 
 def tuned_file(path: Path) -> tuple[Path, Mapping[str, Any]] | None:

@@ -104,6 +104,21 @@ def test_what_is_refused_leaves_nothing_behind(subject, out, words, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        'plant = "mass"\nunit = "m"\nestimates = {}\nloop = [{ mass = 1 }]\n',
+        '[gains]\nkp = "a"\nkd = 2\n[assumed]\nmass = 1\n',
+        "[gains]\nkp = 1\nkd = 2\n[assumed]\nmass = 1\n[[checks]]\n[[loop]]\nmass = {}\n",
+    ],
+)
+def test_a_damaged_result_is_one_line(text, tmp_path):
+    (tmp_path / "result.toml").write_text(text)
+    with pytest.raises(jx.UserError, match=r"^[^\n]*$"):
+        jx.report(tmp_path / "result.toml", tmp_path / "result.html")
+    assert not (tmp_path / "result.html").exists()
+
+
 def test_the_command_writes_and_says_so(tmp_path):
     out = tmp_path / "joint.html"
     ran = jaxact("report", "--actuator", "hyq", "--out", str(out))
