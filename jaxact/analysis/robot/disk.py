@@ -18,7 +18,6 @@ Applications 188 (1993), for the best one.
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from jaxact.analysis.robot.multiloop import Multiloop, sensitivity
 
@@ -160,6 +159,8 @@ def largest_bound(loop: Multiloop, angle: np.ndarray, S: np.ndarray) -> tuple[fl
 
     def lower(t: float) -> float:
         return -bound(sensitivity(loop, np.array([t]))[0] - half)
+
+    from scipy.optimize import minimize_scalar  # slow to import
 
     near = sorted(found, key=lambda place: -found[place])
     summits = [p for p in near if _is_summit(p, found)]

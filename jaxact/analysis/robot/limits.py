@@ -15,7 +15,6 @@ from itertools import pairwise
 
 import numpy as np
 import scipy.linalg
-from scipy.optimize import linear_sum_assignment
 
 from jaxact.analysis.robot.multiloop import Matrices, Multiloop, joined, reduced, sensitivity
 
@@ -93,6 +92,8 @@ def followed(S: np.ndarray) -> np.ndarray:
     Args:
         S: from 0 to the Nyquist frequency, shape (k, m, m).
     """
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
     values = np.linalg.eigvals(S)
     for row in range(1, len(values)):
         distance = np.abs(values[row - 1][:, None] - values[row][None])

@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
-from scipy.optimize import elementwise
 
 # Rows of a triangular system that are solved one by one before the rest is updated at once.
 _BLOCK = 16
@@ -259,6 +258,8 @@ def peaks(angle: np.ndarray, values: np.ndarray, family: Family) -> tuple[np.nda
     peak, where = values[best, columns], angle[best]
     rows, which = _local_maxima(values)
     if rows.size:
+        from scipy.optimize import elementwise  # slow to import
+
         bracket = (angle[rows - 1], angle[rows], angle[rows + 1])
         found = elementwise.find_minimum(
             lambda t, number: -family(t, number.astype(int)), bracket, args=(which,)
@@ -295,6 +296,8 @@ def zeros(angle: np.ndarray, values: np.ndarray, family: Family) -> tuple[np.nda
     rows, which = np.nonzero(values[:-1] * values[1:] < 0.0)
     if not rows.size:
         return np.zeros(0), np.zeros(0, int)
+    from scipy.optimize import elementwise  # slow to import
+
     found = elementwise.find_root(
         lambda t, number: family(t, number.astype(int)),
         (angle[rows], angle[rows + 1]),
