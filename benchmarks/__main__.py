@@ -40,8 +40,9 @@ def main() -> None:
 
 def _rows(quick: bool) -> Iterator:
     """The lines of the table, each measured as it is asked for."""
-    from benchmarks import environments, margins, robots, tuning
+    from benchmarks import commands, environments, margins, robots, tuning
 
+    yield from commands.rows(quick)
     yield from _mass(quick)
     yield from _mjx(quick)
     yield from robots.rows(quick)

@@ -1,0 +1,80 @@
+"""Whole commands that people wait for, against the time they may take; programs are kept."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+# Of the robots of MuJoCo Playground: joints, scene, options, and what may be taken by the whole
+# command and by the margins alone of a robot that is linearised already [s]; None: not limited.
+_ROBOTS = (
+    ("Go1", 12, "go1/xmls/scene_mjx_feetonly_flat_terrain.xml",
+     ("--keyframe", "home", "--delay", "0.005"), 2.0, 0.3),
+    ("OP3", 20, "op3/xmls/scene_mjx_feetonly.xml",
+     ("--keyframe", "stand_bent_knees", "--delay", "0.002", "--base", "fixed"), 3.5, None),
+    ("G1", 29, "g1/xmls/scene_mjx_feetonly_flat_terrain.xml",
+     ("--delay", "0.002", "--base", "fixed"), 4.5, 1.5),
+)  # fmt: skip
+_JOINT = ("margins", "--actuator", "hyq")
+# What that command imports, and nothing else of it.
+_IMPORTS = "import tyro, jaxact.cli.margins, jaxact.loops.building, jaxact.verbs.margins"
+
+
+def rows(quick: bool) -> Iterator:
+    """Lines of the table: margins of a joint, importing within it, and margins of robots."""
+    from benchmarks.timing import Row, seconds
+
+    repeats = 1 if quick else 5
+    joint = seconds(_python("-m", "jaxact", *_JOINT), repeats)
+    yield _within("the whole command `jaxact margins` of one joint", joint, 0.8)
+    importing = seconds(_python("-c", _IMPORTS), repeats)
+    yield Row(
+        "importing what `jaxact margins` of one joint uses", "that whole command",
+        importing, joint, "command", "none: what it costs", 0.0,
+    )  # fmt: skip
+    folder = _locomotion()
+    if folder is None:
+        print("no MuJoCo Playground: the commands of its robots are left out")
+        return
+    for name, joints, scene, options, whole, alone in _ROBOTS[: 1 if quick else None]:
+        words = ("margins", "--model", str(folder / scene), *options)
+        taken = seconds(_python("-m", "jaxact", *words), repeats)
+        yield _within(
+            f"the whole command `jaxact margins` of {name}, {joints} joints", taken, whole
+        )
+        if alone is not None:
+            evaluation = seconds(_evaluation(folder / scene, options), repeats)
+            yield _within(f"margins of {name} alone, linearised already", evaluation, alone)
+
+
+def _within(what: str, taken: float, most: float):
+    from benchmarks.timing import Row
+
+    return Row(what, f"the {most:g} s it may take", taken, most, "command", "at least 1", 1.0)
+
+
+def _python(*words: str) -> Callable[[], object]:
+    return lambda: subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL)
+
+
+def _locomotion() -> Path | None:
+    """The folder of the Playground's robots; found without importing it."""
+    found = importlib.util.find_spec("mujoco_playground")
+    if found is None or not found.submodule_search_locations:
+        return None
+    return Path(found.submodule_search_locations[0]) / "_src" / "locomotion"
+
+
+def _evaluation(model: Path, options: tuple[str, ...]) -> Callable[[], object]:
+    import jaxact
+    from jaxact.analysis.robot.margins import robot_margins
+
+    given = {
+        name.removeprefix("--"): float(value) if name == "--delay" else value
+        for name, value in zip(options[::2], options[1::2], strict=True)
+    }
+    robot = jaxact.margins(jaxact.robot(model, **given)).details[0].robot
+    return lambda: robot_margins(robot)
