@@ -30,8 +30,7 @@ _NEAR = 1.0
 _GAIN = 1e-8
 # Rows of points this many radii away still count.
 _FAR = 10.0
-_REACHES = (1e-2, 1e-3, 1e-4)
-_LOOKS = 6
+_REACHES, _LOOKS = (1e-2, 1e-3, 1e-4), 6
 
 
 @dataclass(frozen=True)
