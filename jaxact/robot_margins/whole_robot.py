@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import jax
@@ -94,6 +94,26 @@ def evaluate(specification: Specification, samples: Samples | None = None) -> li
     """
     samples = expand(specification) if samples is None else samples
     found: dict[int, WholeRobot] = {}
+    for number, case, template, values, own in linearised(specification, samples):
+        found[number] = _one(case, specification, template, values, own)
+    return [found[number] for number in range(len(samples))]
+
+
+Moved = tuple[np.ndarray, np.ndarray]
+
+
+def linearised(
+    specification: Specification, samples: Samples
+) -> Iterator[tuple[int, Case, Template, dict[str, float], Moved | None]]:
+    """Every sample with what its linear loop is made of.
+
+    Yields:
+        The sample's number, static options, what its group shares, its parameters by key, and A and
+        B of its plant where models differ from sample to sample; see `kernel.linear_loop`.
+
+    Raises:
+        UserError: as `evaluate`.
+    """
     for plan in plans.groups(specification, samples):
         numbers = np.concatenate([batch[:n] for batch, n in plans.batches(plan, samples)])
         setting, rows, moved = specification.setting, samples.take(numbers), None
@@ -103,9 +123,8 @@ def evaluate(specification: Specification, samples: Samples | None = None) -> li
         template = robot_loop.template(case, setting)
         for place, number in enumerate(numbers):
             values = {name: float(row[place]) for name, row in rows.items()}
-            own = None if moved is None else tuple(part[place] for part in moved)
-            found[int(number)] = _one(case, specification, template, values, own)
-    return [found[number] for number in range(len(samples))]
+            own = None if moved is None else (moved[0][place], moved[1][place])
+            yield int(number), case, template, values, own
 
 
 def nominal(specification: Specification) -> WholeRobot:

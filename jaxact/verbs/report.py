@@ -1,4 +1,4 @@
-"""`jaxact.report`: a loop, a sweep or a tuning as one HTML file that one can click."""
+"""`jaxact.report`: a loop, a robot, a sweep or a tuning as one HTML file that one can click."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from typing import Any
 from jaxact import __version__, files
 from jaxact.errors import UserError
 from jaxact.loops import drives
+from jaxact.loops.control_loop import ControlLoop
 from jaxact.reports import page
 from jaxact.verbs import report_joint
 
@@ -52,17 +53,19 @@ def report(
     subject: Any, out: str | os.PathLike[str] = "report.html", *, title: str = "",
     command: str = "",
 ) -> Report:  # fmt: skip
-    """Write a report of a joint: a stability map that one can click, and all that follows from it.
+    """Write a report of a loop: a stability map that one can click, and all that follows from it.
 
         jaxact.report(jaxact.joint(actuator="starleth", delay=5e-3), "joint.html")
 
     The file needs nothing else, and no network: the exact boundary, margins, growth rates,
     frequency and step responses are computed in the page, for any gains, actuator, delay and rate.
+    Of a robot, linearised: margins of all joints for any factor on gains, of groups of joints too,
+    delay, actuators and several control rates, and the joints that shake first.
 
     Args:
-        subject: a joint's loop or loops, their margins, a sweep, a tuned result or what
-            `jaxact.identify` found; or the path of the results of a sweep or a tuning, of an
-            identified drive, or of a TOML file that describes or lists loops.
+        subject: a joint's or a robot's loop or loops, their margins, a sweep, a tuned result or
+            what `jaxact.identify` found; or the path of a robot's model, of the results of a sweep
+            or a tuning, of an identified drive, or of a TOML file that describes or lists loops.
         out: HTML file to write; one that is there is replaced.
         title: above the page, "" for what the specification says.
         command: that made it, to be shown.
@@ -71,7 +74,8 @@ def report(
         Where it is; as the last line of a notebook's cell, the page itself.
 
     Raises:
-        UserError: a robot, too many loops, or a place that cannot be read or written.
+        UserError: too many loops, a robot that cannot be used, or a place that cannot be read or
+            written.
     """
     path = Path(out)
     check_output(path)
@@ -91,6 +95,24 @@ def check_output(path: Path) -> None:
     files.check_output(path)
 
 
+# Files that are of a robot.
+_MODELS = (".xml", ".urdf", ".mjcf")
+
+
+def _is_robot(subject: Any) -> bool:
+    """Whether it is a robot, its margins, its tuning, or what describes it."""
+    if isinstance(subject, ControlLoop):
+        return subject.kind.plant is not None
+    if isinstance(subject, str | os.PathLike):
+        path = Path(subject)
+        described = path.suffix == ".toml" and path.is_file()
+        text = path.read_text(encoding="utf-8", errors="replace") if described else ""
+        return path.suffix.lower() in _MODELS or "[plant]" in text
+    text = getattr(subject, "attrs", {}).get("specification_toml", "")
+    own = hasattr(subject, "of_joints") or getattr(subject, "robot", None) is not None
+    return own or "[plant]" in text
+
+
 def _content(subject: Any) -> page.Content:
     """The page of whatever a report can be of; only what it is of is imported."""
     made_by = type(subject).__module__.split(".")[1:2]
@@ -106,6 +128,10 @@ def _content(subject: Any) -> page.Content:
             return identified.content(subject)
         with _whole(drive):
             return identified.of_file(drive)
+    if tuned is None and _is_robot(subject):
+        from jaxact.verbs import report_robot
+
+        return report_robot.content(*report_robot.robot_of(subject))
     if made_by == ["tuning"] or tuned is not None:
         from jaxact.verbs import report_tuned
 

@@ -31,7 +31,7 @@ _MOST_LOOPS = 200
 # Of a sweep: so many with all their numbers take half a megabyte.
 _MOST_CELLS = 30_000
 _IN_A_CELL = ("growth_rate", "limit_cycle_amplitude", "limit_cycle_frequency")
-ROBOT = "a report is of a joint, and this is a robot; see its margins instead"
+ROBOT = "these are results of a robot; report its model, its specification or its margins instead"
 OF_LOOP = (*LINEAR, SETPOINT_DELAY, CONTROL_RATE)
 
 Window = tuple[float, float]

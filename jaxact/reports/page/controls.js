@@ -99,8 +99,12 @@ const toValue = ({ log, range: [low, high] }, place) =>
  *
  * Gives `show(values)`, which sets all controls without calling back.
  */
-export function controls(container, start, window, unit, changed) {
-  const shows = table(start, window, unit).map((row) => control(container, row, changed));
+export const controls = (container, start, window, unit, changed) =>
+  sliders(container, table(start, window, unit), changed);
+
+/** The same of rows {name, label, unit, factor, log, range, infinite}. */
+export function sliders(container, rows, changed) {
+  const shows = rows.map((row) => control(container, row, changed));
   return (values) => shows.forEach((show) => show(values));
 }
 

@@ -1,0 +1,286 @@
+// Small dense complex matrices: {n, re, im}, square, row by row.
+
+const ITERATIONS = 60;
+const SWEEPS = 30;
+const EPSILON = 2 ** -52;
+
+/** A matrix of zeros. */
+export const zeros = (n) => ({ n, re: new Float64Array(n * n), im: new Float64Array(n * n) });
+
+/** c I + d M, of real c and d. */
+export function shifted(M, c, d) {
+  const found = zeros(M.n);
+  for (let k = 0; k < M.re.length; k++) [found.re[k], found.im[k]] = [d * M.re[k], d * M.im[k]];
+  for (let i = 0; i < M.n; i++) found.re[i * (M.n + 1)] += c;
+  return found;
+}
+
+/** Swap rows a and b of an array with n columns, from one column on. */
+function swap(array, n, a, b, from) {
+  for (let j = from; j < n; j++) {
+    const kept = array[a * n + j];
+    array[a * n + j] = array[b * n + j];
+    array[b * n + j] = kept;
+  }
+}
+
+/** The pivots of Gauss's elimination with row exchanges; `M` becomes its triangular factors. */
+function eliminated({ n, re, im }, exchanged) {
+  for (let k = 0; k < n; k++) {
+    let [best, largest] = [k, -1];
+    for (let i = k; i < n; i++) {
+      const size = re[i * n + k] ** 2 + im[i * n + k] ** 2;
+      if (size > largest) [best, largest] = [i, size];
+    }
+    if (best !== k) {
+      swap(re, n, k, best, 0);
+      swap(im, n, k, best, 0);
+    }
+    exchanged(k, best);
+    const [pr, pi] = [re[k * n + k] / largest, -im[k * n + k] / largest];
+    for (let i = k + 1; i < n; i++) {
+      const [x, y] = [re[i * n + k], im[i * n + k]];
+      const fr = x * pr - y * pi;
+      const fi = x * pi + y * pr;
+      [re[i * n + k], im[i * n + k]] = [fr, fi];
+      for (let j = k + 1; j < n; j++) {
+        const [a, b] = [re[k * n + j], im[k * n + j]];
+        re[i * n + j] -= fr * a - fi * b;
+        im[i * n + j] -= fr * b + fi * a;
+      }
+    }
+  }
+}
+
+/** The direction of det M: a complex number of modulus 1. */
+export function direction(M) {
+  const copy = { n: M.n, re: M.re.slice(), im: M.im.slice() };
+  let sign = 1;
+  eliminated(copy, (k, best) => (sign = best === k ? sign : -sign));
+  let found = { re: sign, im: 0 };
+  for (let i = 0; i < M.n; i++) {
+    const [x, y] = [copy.re[i * (M.n + 1)], copy.im[i * (M.n + 1)]];
+    const size = Math.hypot(x, y) || 1;
+    found = {
+      re: (found.re * x - found.im * y) / size,
+      im: (found.re * y + found.im * x) / size,
+    };
+  }
+  return found;
+}
+
+/** M^-1. */
+export function inverse(M) {
+  const { n } = M;
+  const factors = { n, re: M.re.slice(), im: M.im.slice() };
+  const found = shifted(zeros(n), 1, 0);
+  eliminated(factors, (k, best) => {
+    if (best === k) return;
+    swap(found.re, n, k, best, 0);
+  });
+  const { re, im } = factors;
+  const less = (i, k, fr, fi) => {
+    for (let j = 0; j < n; j++) {
+      const [a, b] = [found.re[k * n + j], found.im[k * n + j]];
+      found.re[i * n + j] -= fr * a - fi * b;
+      found.im[i * n + j] -= fr * b + fi * a;
+    }
+  };
+  for (let i = 1; i < n; i++) for (let k = 0; k < i; k++) less(i, k, re[i * n + k], im[i * n + k]);
+  for (let i = n - 1; i >= 0; i--) {
+    for (let k = i + 1; k < n; k++) less(i, k, re[i * n + k], im[i * n + k]);
+    const [x, y] = [re[i * n + i], im[i * n + i]];
+    const size = x * x + y * y;
+    for (let j = 0; j < n; j++) {
+      const [a, b] = [found.re[i * n + j], found.im[i * n + j]];
+      found.re[i * n + j] = (a * x + b * y) / size;
+      found.im[i * n + j] = (b * x - a * y) / size;
+    }
+  }
+  return found;
+}
+
+/** Singular values, the largest first, by Jacobi's rotations of columns (Hestenes). */
+export function singularValues(M) {
+  const { n } = M;
+  // Columns as rows, so that each lies together.
+  const [re, im] = [M.re, M.im].map((part) => {
+    const turned = new Float64Array(n * n);
+    for (let i = 0; i < n; i++) for (let j = 0; j < n; j++) turned[j * n + i] = part[i * n + j];
+    return turned;
+  });
+  for (let sweep = 0, largest = 1; sweep < SWEEPS && largest > 1e-9; sweep++) {
+    largest = 0;
+    for (let p = 0; p + 1 < n; p++) {
+      for (let q = p + 1; q < n; q++) largest = Math.max(largest, rotated(re, im, n, p * n, q * n));
+    }
+  }
+  const sizes = new Float64Array(n);
+  for (let j = 0; j < n; j++) {
+    let square = 0;
+    for (let k = j * n; k < (j + 1) * n; k++) square += re[k] * re[k] + im[k] * im[k];
+    sizes[j] = Math.sqrt(square);
+  }
+  return sizes.sort().reverse();
+}
+
+/** Turn two columns until they are orthogonal; gives how little they were. */
+function rotated(re, im, n, p, q) {
+  let [a, b, cr, ci] = [0, 0, 0, 0];
+  for (let k = 0; k < n; k++) {
+    const [xr, xi, yr, yi] = [re[p + k], im[p + k], re[q + k], im[q + k]];
+    a += xr * xr + xi * xi;
+    b += yr * yr + yi * yi;
+    cr += xr * yr + xi * yi;
+    ci += xr * yi - xi * yr;
+  }
+  const size = Math.hypot(cr, ci);
+  const share = size / Math.sqrt(a * b || 1);
+  if (share <= 1e-12) return 0;
+  const tau = (b - a) / (2 * size);
+  const t = (tau >= 0 ? 1 : -1) / (Math.abs(tau) + Math.sqrt(1 + tau * tau));
+  const c = 1 / Math.sqrt(1 + t * t);
+  const [sr, si] = [(c * t * cr) / size, (c * t * ci) / size];
+  for (let k = 0; k < n; k++) {
+    const [xr, xi, yr, yi] = [re[p + k], im[p + k], re[q + k], im[q + k]];
+    re[p + k] = c * xr - (sr * yr + si * yi);
+    im[p + k] = c * xi - (sr * yi - si * yr);
+    re[q + k] = c * yr + (sr * xr - si * xi);
+    im[q + k] = c * yi + (sr * xi + si * xr);
+  }
+  return share;
+}
+
+/** Eigenvalues [{re, im}], by elimination to Hessenberg's form and the shifted QR method. */
+export function eigenvalues(M) {
+  const { n } = M;
+  const [re, im] = [M.re.slice(), M.im.slice()];
+  reduced(re, im, n);
+  const found = [];
+  let [end, tries] = [n - 1, 0];
+  while (end >= 0) {
+    let first = end;
+    for (; first > 0; first--) {
+      const size = (i, j) => Math.abs(re[i * n + j]) + Math.abs(im[i * n + j]);
+      const around = size(first - 1, first - 1) + size(first, first);
+      if (size(first, first - 1) <= EPSILON * around) break;
+    }
+    if (first === end) {
+      found.push({ re: re[end * (n + 1)], im: im[end * (n + 1)] });
+      [end, tries] = [end - 1, 0];
+    } else {
+      if (tries >= ITERATIONS) return Array.from({ length: n }, () => ({ re: NaN, im: NaN }));
+      iterated(re, im, n, first, end, tries++);
+    }
+  }
+  return found;
+}
+
+/** Hessenberg's form by elimination with exchanges, in place. */
+function reduced(re, im, n) {
+  for (let k = 1; k + 1 < n; k++) {
+    let [best, largest] = [k, 0];
+    for (let i = k; i < n; i++) {
+      const size = Math.hypot(re[i * n + k - 1], im[i * n + k - 1]);
+      if (size > largest) [best, largest] = [i, size];
+    }
+    if (largest === 0) continue;
+    if (best !== k) {
+      for (const part of [re, im]) {
+        swap(part, n, k, best, k - 1);
+        for (let i = 0; i < n; i++) {
+          const kept = part[i * n + k];
+          part[i * n + k] = part[i * n + best];
+          part[i * n + best] = kept;
+        }
+      }
+    }
+    const [x, y] = [re[k * n + k - 1], im[k * n + k - 1]];
+    const size = x * x + y * y;
+    for (let i = k + 1; i < n; i++) {
+      const [a, b] = [re[i * n + k - 1], im[i * n + k - 1]];
+      if (a === 0 && b === 0) continue;
+      const fr = (a * x + b * y) / size;
+      const fi = (b * x - a * y) / size;
+      [re[i * n + k - 1], im[i * n + k - 1]] = [0, 0];
+      for (let j = k; j < n; j++) {
+        const [u, v] = [re[k * n + j], im[k * n + j]];
+        re[i * n + j] -= fr * u - fi * v;
+        im[i * n + j] -= fr * v + fi * u;
+      }
+      for (let j = 0; j < n; j++) {
+        const [u, v] = [re[j * n + i], im[j * n + i]];
+        re[j * n + k] += fr * u - fi * v;
+        im[j * n + k] += fr * v + fi * u;
+      }
+    }
+  }
+}
+
+/** The root of a complex number with a real part of at least 0. */
+function root(x, y) {
+  const size = Math.hypot(x, y);
+  const re = Math.sqrt(0.5 * (size + Math.abs(x)));
+  const im = re > 0 ? y / (2 * re) : 0;
+  return x >= 0 ? [re, im] : [Math.abs(im), y >= 0 ? re : -re];
+}
+
+/** Wilkinson's shift: the eigenvalue of the last two rows that is nearer to the last entry. */
+function shift(re, im, n, end) {
+  const at = (i, j) => [re[i * n + j], im[i * n + j]];
+  const [[ar, ai], [br, bi]] = [at(end - 1, end - 1), at(end - 1, end)];
+  const [[cr, ci], [dr, di]] = [at(end, end - 1), at(end, end)];
+  const [hr, hi] = [0.5 * (ar - dr), 0.5 * (ai - di)];
+  const [pr, pi] = [br * cr - bi * ci, br * ci + bi * cr];
+  let [sr, si] = root(hr * hr - hi * hi + pr, 2 * hr * hi + pi);
+  if (hr * sr + hi * si < 0) [sr, si] = [-sr, -si];
+  const [qr, qi] = [hr + sr, hi + si];
+  const size = qr * qr + qi * qi || 1;
+  return [dr - (pr * qr + pi * qi) / size, di - (pi * qr - pr * qi) / size];
+}
+
+/** One step of the QR method between two rows, by Givens's rotations. */
+function iterated(re, im, n, first, end, tries) {
+  let [sr, si] = shift(re, im, n, end);
+  if (tries === 10 || tries === 20) {
+    sr = Math.hypot(re[end * n + end - 1], im[end * n + end - 1]);
+    si = 0;
+  }
+  for (let i = first; i <= end; i++) {
+    re[i * (n + 1)] -= sr;
+    im[i * (n + 1)] -= si;
+  }
+  const turns = [];
+  for (let k = first; k < end; k++) {
+    const [xr, xi] = [re[k * (n + 1)], im[k * (n + 1)]];
+    const [yr, yi] = [re[(k + 1) * n + k], im[(k + 1) * n + k]];
+    const size = Math.sqrt(xr * xr + xi * xi + yr * yr + yi * yi) || 1;
+    // (a, b; -conj b, conj a) with conj a = x / size, conj b = y / size
+    const [ar, ai, br, bi] = [xr / size, -xi / size, yr / size, -yi / size];
+    turns.push([ar, ai, br, bi]);
+    for (let j = k; j <= end; j++) {
+      const [u, v] = [k * n + j, (k + 1) * n + j];
+      const [ur, ui, vr, vi] = [re[u], im[u], re[v], im[v]];
+      re[u] = ar * ur - ai * ui + br * vr - bi * vi;
+      im[u] = ar * ui + ai * ur + br * vi + bi * vr;
+      re[v] = -br * ur - bi * ui + ar * vr + ai * vi;
+      im[v] = -br * ui + bi * ur + ar * vi - ai * vr;
+    }
+  }
+  turns.forEach(([ar, ai, br, bi], at) => {
+    const k = first + at;
+    for (let i = first; i <= Math.min(k + 1, end); i++) {
+      const [u, v] = [i * n + k, i * n + k + 1];
+      const [ur, ui, vr, vi] = [re[u], im[u], re[v], im[v]];
+      // times the rotation's adjoint
+      re[u] = ur * ar + ui * ai + vr * br + vi * bi;
+      im[u] = ui * ar - ur * ai + vi * br - vr * bi;
+      re[v] = -(ur * br - ui * bi) + vr * ar - vi * ai;
+      im[v] = -(ur * bi + ui * br) + vr * ai + vi * ar;
+    }
+  });
+  for (let i = first; i <= end; i++) {
+    re[i * (n + 1)] += sr;
+    im[i * (n + 1)] += si;
+  }
+}

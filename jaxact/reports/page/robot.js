@@ -1,0 +1,256 @@
+// The report of a robot: everything on the page follows gains, delay, actuators and control rate.
+
+import { fill } from "./chart.js";
+import { sliders } from "./controls.js";
+import { closedLoop, delayLimit, gainLimit, ranges, responses } from "./robot_loop.js";
+import * as margins from "./robot_margins.js";
+import { openRobot, plantOf } from "./robot_response.js";
+import * as views from "./robot_views.js";
+import * as words from "./robot_words.js";
+
+const SETTLE_AFTER = 120;
+const SPEAK_AFTER = 500;
+const SLICE = 25;
+const COLUMNS = 25;
+const FACTORS = [0.05, 50];
+
+/** Start the part with its data, in the document or in a shadow root that has its elements. */
+export function start(data, host) {
+  const by = (id) => host.getElementById(id);
+  const plants = new Map();
+  const groups = Object.entries(data.groups);
+  const kept = { open: null, coarse: null, map: null };
+  let state = beginning(0);
+  let window = windowOf(state);
+  let asked = 0;
+  let running = 0;
+  let place = null;
+  let show = () => {};
+
+  function beginning(loop) {
+    const { drives, rate } = data.loops[loop];
+    const factors = Object.fromEntries(
+      groups.flatMap(([, __], i) => [
+        [`kp_${i}`, 1],
+        [`kd_${i}`, 1],
+      ]),
+    );
+    const [wn, zeta, delay] = [drives.wn[0], drives.zeta[0], Math.min(...drives.delay)];
+    return { loop, rate, gain_scale: 1, delay, wn, zeta, ...factors };
+  }
+
+  function windowOf({ delay }) {
+    return { delay: [0, Math.max(0.02, 2.5 * delay)], factor: FACTORS };
+  }
+
+  /** The parameters of the joints at the point. */
+  function drivesOf() {
+    const own = data.loops[state.loop].drives;
+    const later = state.delay - Math.min(...own.delay);
+    const wn = own.wn.map((one) => moved(one, own.wn[0], state.wn));
+    const zeta = own.zeta.map((one) => moved(one, own.zeta[0], state.zeta));
+    const [kp, kd] = [own.kp, own.kd].map((gains) => gains.map((one) => one * state.gain_scale));
+    groups.forEach(([, places], i) => {
+      for (const joint of places) {
+        kp[joint] *= state[`kp_${i}`];
+        kd[joint] *= state[`kd_${i}`];
+      }
+    });
+    return { ...own, wn, zeta, kp, kd, delay: own.delay.map((one) => one + later) };
+  }
+
+  function openAt(drives) {
+    const key = `${state.loop} ${state.rate} ${drives.wn} ${drives.zeta} ${drives.delay}`;
+    if (kept.open?.key !== key) {
+      const number = data.loops[state.loop].plants[state.rate];
+      if (!plants.has(number)) plants.set(number, plantOf(data.plants[number], data.joints.length));
+      const plant = plants.get(number);
+      const open = openRobot(plant, drives, data.velocity === "differenced");
+      Object.assign(kept, { open: { key, open, plant }, coarse: null });
+    }
+    return kept.open;
+  }
+
+  function redraw() {
+    asked = 0;
+    const began = performance.now();
+    const drives = drivesOf();
+    const { open } = openAt(drives);
+    if (kept.settled?.key === JSON.stringify(state)) {
+      drawMap();
+      kept.settled.draw();
+      return;
+    }
+    kept.coarse ??= responses(open, false);
+    const loop = closedLoop(kept.coarse, drives.kp, drives.kd);
+    const unstable = loop.count(1);
+    drawMap();
+    views.drawSensitivities(by("robot-sensitivity"), margins.withSensitivities(loop), open.period);
+    say(words.quick(unstable), unstable === 0, false);
+    views.waiting(by("robot-margins"));
+    by("robot-command").value = words.command(data, state, drives);
+    by("robot-toml").value = words.toml(data, state, drives);
+    performance.measure("redraw", { start: began, end: performance.now() });
+    const own = ++running;
+    setTimeout(() => own === running && work(own, settle(drives)), SETTLE_AFTER);
+  }
+
+  /** Run a generator in slices, until something moves. */
+  function work(own, steps) {
+    if (own !== running) return;
+    const until = performance.now() + SLICE;
+    do {
+      if (steps.next().done) return;
+    } while (performance.now() < until);
+    setTimeout(() => work(own, steps), 0);
+  }
+
+  /** All numbers in full, a step after the other. */
+  function* settle(drives) {
+    const { open, plant } = openAt(drives);
+    const known = responses(open, true);
+    yield;
+    const loop = closedLoop(known, drives.kp, drives.kd);
+    yield;
+    const growth = margins.growth(loop);
+    yield;
+    margins.sharpen(loop, growth.roots);
+    yield;
+    const found = { growth };
+    if (growth.stable) found.peaks = margins.peaks(loop);
+    yield;
+    found.up = gainLimit(loop, true, growth.topples && !growth.shakes);
+    yield;
+    found.down = gainLimit(loop, false, growth.topples && !growth.shakes);
+    yield;
+    if (!growth.shakes) found.later = delayLimit(loop);
+    yield;
+    found.shape = shapeOf(loop, found, plant.inertias);
+    const said = words.verdict(found, data.joints);
+    views.showMargins(by("robot-margins"), words.rows(found));
+    by("robot-shape-says").textContent = words.shapeSays(found);
+    const points = margins.withSensitivities(loop);
+    fill(by("robot-sensitivity-data"), () => [views.sensitivityTable(points, open.period)]);
+    fill(by("robot-shape-data"), () => [views.shapeTable(data.joints, found.shape)]);
+    const draw = () => {
+      views.drawSensitivities(by("robot-sensitivity"), points, open.period);
+      views.drawShape(by("robot-shape"), data.joints, found.shape);
+    };
+    draw();
+    kept.settled = { key: JSON.stringify(state), draw };
+    say(said, growth.stable, true);
+    yield;
+    const joints = [];
+    for (let i = 0; growth.stable && i < data.joints.length; i++) {
+      joints.push(margins.ofJoint(loop, i));
+      yield;
+    }
+    by("robot-joints").replaceChildren(views.jointTable(data.joints, drives, joints, found.shape));
+    by("robot-verdict").dataset.joints = "true";
+    yield* map(drives);
+  }
+
+  /** The motion in which the loop is lost first: by delay, else by gain; as it is, if it shakes. */
+  function shapeOf(loop, { growth, later, up }, inertias) {
+    if (growth.shakes) {
+      const root = growth.roots.find(({ re, im }) => im > re);
+      return margins.growingShape(loop, root, inertias);
+    }
+    if (later) return margins.lateShape(loop, later, inertias);
+    if (up && up.t > 0) return margins.gainShape(loop, up, inertias);
+    return null;
+  }
+
+  /** Which gains are stable over the delay, a column after the other. */
+  function* map(drives) {
+    const base = { ...drives, kp: drives.kp.map((k) => k / state.gain_scale) };
+    base.kd = drives.kd.map((k) => k / state.gain_scale);
+    const key = `${state.loop} ${state.rate} ${drives.wn} ${drives.zeta} ${base.kp.map(Math.fround)} ${base.kd.map(Math.fround)} ${window.delay}`;
+    if (kept.map?.key === key) return;
+    const count = data.joints.length > 14 ? Math.ceil(COLUMNS / 2) : COLUMNS;
+    const columns = [];
+    for (let i = 0; i < count; i++) {
+      const delay = (window.delay[1] * i) / (count - 1);
+      const open = openAt(drives).open.later(delay - state.delay);
+      yield;
+      const known = responses(open, false);
+      yield;
+      const loop = closedLoop(known, base.kp, base.kd);
+      yield;
+      columns.push({ delay, ranges: ranges(loop) });
+      by("robot-drawing").textContent = `(drawing: ${Math.round((100 * (i + 1)) / count)} %)`;
+      yield;
+    }
+    by("robot-drawing").textContent = "";
+    kept.map = { key, columns };
+    drawMap();
+    fill(by("robot-map-data"), () => [views.mapTable(columns)]);
+  }
+
+  function drawMap() {
+    const columns = kept.map?.columns ?? [];
+    place = views.drawMap(by("robot-map"), { window, columns, point: state, own: data.loops[state.loop] });
+  }
+
+  function say(text, stable, settled) {
+    by("robot-verdict").textContent = text;
+    Object.assign(by("robot-verdict").dataset, { stable, settled, joints: "false" });
+    if (!settled) return;
+    setTimeout(() => {
+      if (by("robot-verdict").textContent === text) by("robot-spoken").textContent = text;
+    }, SPEAK_AFTER);
+  }
+
+  const later = () => (asked ||= requestAnimationFrame(redraw));
+
+  function changed(name, value) {
+    state[name] = value;
+    show(state);
+    later();
+  }
+
+  function take(loop) {
+    state = beginning(loop);
+    window = windowOf(state);
+    by("robot-rate").replaceChildren(
+      ...Object.keys(data.loops[loop].plants)
+        .sort((a, b) => a - b)
+        .map((rate) => new Option(`${rate} Hz`, rate, false, Number(rate) === Number(state.rate))),
+    );
+    state.rate = by("robot-rate").value;
+    const rows = words.controlRows(state, window, data.loops[loop].drives);
+    by("robot-controls").replaceChildren();
+    by("robot-groups").replaceChildren();
+    const shows = [
+      sliders(by("robot-controls"), rows, changed),
+      sliders(by("robot-groups"), words.groupRows(groups.map(([name]) => name)), changed),
+    ];
+    show = (values) => shows.forEach((one) => one(values));
+    show(state);
+    later();
+  }
+
+  data.loops.forEach(({ name }, i) => by("robot-loop").append(new Option(name, i)));
+  by("robot-loop").addEventListener("change", () => take(Number(by("robot-loop").value)));
+  by("robot-again").addEventListener("click", () => take(Number(by("robot-loop").value)));
+  by("robot-rate").addEventListener("change", () => changed("rate", by("robot-rate").value));
+  views.movable(
+    by("robot-pad"),
+    by("robot-map"),
+    () => ({ window, place, state }),
+    (delay, factor) => {
+      Object.assign(state, { delay, gain_scale: factor });
+      show(state);
+      later();
+    },
+  );
+  new ResizeObserver(later).observe(by("robot-pad"));
+  take(0);
+  redraw();
+}
+
+/** A joint's parameter where the one of the first joint is moved: all in proportion. */
+function moved(own, first, now) {
+  if (now === Infinity || first === Infinity) return first === now ? own : now;
+  return own === Infinity ? own : (own * now) / first;
+}

@@ -1,0 +1,344 @@
+// All margins of a robot at a point: of all joints at once, and of each with the others closed.
+
+import { crossing } from "./margins.js";
+import { eigenvalues, shifted, singularValues } from "./matrices.js";
+import * as robot from "./robot_loop.js";
+
+const TURN = 2 * Math.PI;
+const PEAKS = 3;
+// Factors below it are rounding.
+const NO_FACTOR = 1e-12;
+const STARTS = 24;
+const ATTEMPTS = 6;
+// Places around a root of the closed loop, in widths.
+const PLACES = [-4, -2, -1, -0.5, 0, 0.5, 1, 2, 4];
+const GOLDEN = 0.5 * (3 - Math.sqrt(5));
+// S, T = I - S and the disk margin's S - I/2, as c I + d S.
+const KINDS = [
+  [0, 1],
+  [1, -1],
+  [-0.5, 1],
+];
+
+/** S on the grid, and its singular values where they are not there yet. */
+export function withSensitivities(loop) {
+  for (const point of loop.points) {
+    if (point.S) continue;
+    point.S = robot.sensitivityOf(point.L);
+    point.peaks = KINDS.map(([c, d]) => singularValues(shifted(point.S, c, d))[0]);
+  }
+  return loop.points;
+}
+
+/** The largest value of a curve over w T, refined near its highest points on the grid: {t, value}. */
+function highest(points, value, exact) {
+  const heights = points.map(value);
+  let best = { t: points[0].t, value: -Infinity };
+  const tops = heights
+    .map((height, i) => ({ height, i }))
+    .filter(({ height, i }) => !(heights[i - 1] > height) && !(heights[i + 1] > height))
+    .sort((a, b) => b.height - a.height)
+    .slice(0, PEAKS)
+    .filter(({ height }, _, all) => height > 0.9 * all[0].height);
+  for (const { i } of tops) {
+    const [low, middle, high] = [Math.max(i - 1, 0), i, Math.min(i + 1, points.length - 1)];
+    const found = summit(exact, points[low].t, points[middle].t, points[high].t);
+    if (found.value > best.value) best = found;
+  }
+  return best;
+}
+
+/** The maximum of f between low and high, beside a point inside, by Brent's method. */
+function summit(f, low, inside, high) {
+  let [a, b, x, w, v] = [low, high, inside, inside, inside];
+  let [fx, fw, fv] = [f(x), -Infinity, -Infinity];
+  [fw, fv] = [fx, fx];
+  let [d, e] = [0, 0];
+  for (let i = 0; i < 60; i++) {
+    const middle = 0.5 * (a + b);
+    const near = 1e-9 * Math.abs(x) + 1e-13;
+    if (Math.abs(x - middle) <= 2 * near - 0.5 * (b - a)) break;
+    let parabolic = false;
+    if (Math.abs(e) > near) {
+      const [r, q] = [(x - w) * (fx - fv), (x - v) * (fx - fw)];
+      const p = (x - v) * q - (x - w) * r;
+      const u = 2 * (q - r);
+      const step = -p / u;
+      if (Math.abs(step) < Math.abs(0.5 * e) && x + step > a && x + step < b) {
+        [e, d, parabolic] = [d, step, true];
+      }
+    }
+    if (!parabolic) {
+      e = x < middle ? b - x : a - x;
+      d = GOLDEN * e;
+    }
+    const u = Math.abs(d) >= near ? x + d : x + Math.sign(d) * near;
+    const fu = f(u);
+    if (fu >= fx) {
+      if (u >= x) a = x;
+      else b = x;
+      [v, fv, w, fw, x, fx] = [w, fw, x, fx, u, fu];
+    } else {
+      if (u < x) a = u;
+      else b = u;
+      if (fu >= fw || w === x) [v, fv, w, fw] = [w, fw, u, fu];
+      else if (fu >= fv || v === x || v === w) [v, fv] = [u, fu];
+    }
+  }
+  return { t: x, value: fx };
+}
+
+/** Ms, Mt and the disk margin of changes that may mix the joints, with frequencies [rad/s]. */
+export function peaks(loop) {
+  const points = withSensitivities(loop);
+  const { period } = loop.open;
+  const [S, T, disk] = KINDS.map(([c, d], which) =>
+    highest(
+      points,
+      (point) => point.peaks[which],
+      (t) => singularValues(shifted(robot.sensitivityOf(loop.at(t)), c, d))[0],
+    ),
+  );
+  return {
+    sensitivity_peak: S.value,
+    sensitivity_peak_frequency: S.t / period,
+    complementary_peak: T.value,
+    complementary_peak_frequency: T.t / period,
+    modulus_margin: 1 / S.value,
+    unscaled_disk_margin: 1 / disk.value,
+  };
+}
+
+/** The margins of joint i while all others are closed, from S_ii; called as Python calls them. */
+export function ofJoint(loop, i) {
+  const points = withSensitivities(loop);
+  const { period, joints } = loop.open;
+  const place = i * (joints + 1);
+  const own = (S) => ({ re: S.re[place], im: S.im[place] });
+  const cached = new Map();
+  const at = (t) => {
+    if (!cached.has(t)) cached.set(t, own(robot.sensitivityOf(loop.at(t))));
+    return cached.get(t);
+  };
+  const sizes = [
+    ({ re, im }) => Math.hypot(re, im),
+    ({ re, im }) => Math.hypot(1 - re, im),
+    ({ re, im }) => Math.hypot(re - 0.5, im),
+  ];
+  const [S, T, disk] = sizes.map((size) =>
+    highest(
+      points,
+      (point) => size(own(point.S)),
+      (t) => size(at(t)),
+    ),
+  );
+  const passes = (curve) => {
+    const found = [];
+    for (let k = 1; k < points.length; k++) {
+      if (curve(own(points[k - 1].S)) > 0 === curve(own(points[k].S)) > 0) continue;
+      // The grid is a little outside the circle: on it the passage may be beside the next point.
+      const around = [1, 2].map((wide) =>
+        [k - wide, k - 1 + wide].map((i) => points[Math.min(Math.max(i, 0), points.length - 1)].t),
+      );
+      const ends = around.find(([a, b]) => curve(at(a)) > 0 !== curve(at(b)) > 0);
+      if (ends) found.push(crossing((t) => curve(at(t)), ...ends));
+    }
+    return found;
+  };
+  const critical = passes((s) => s.im).concat([points[0].t, Math.PI]).map((t) => {
+    const { re } = at(t);
+    return { t, factor: re < 0 || re > 1 ? re / (re - 1) : NaN };
+  });
+  const up = critical.filter(({ factor }) => factor > 1).sort((a, b) => a.factor - b.factor)[0];
+  const down = critical.map(({ factor }) => factor).filter((factor) => factor < 1 && factor > NO_FACTOR);
+  const turned = passes((s) => s.re - 0.5).map((t) => {
+    const { re, im } = at(t);
+    // of (S - 1) / S
+    return { t, phase: Math.atan2(im, re * re + im * im - re) };
+  });
+  const nearest = turned.sort((a, b) => Math.abs(a.phase) - Math.abs(b.phase))[0];
+  const delays = turned.map(({ t, phase }) => ((phase < 0 ? phase + TURN : phase) / t) * period);
+  return {
+    gain_margin: up ? up.factor : Infinity,
+    gain_reduction_margin: Math.max(0, ...down),
+    phase_crossover: up ? up.t / period : Infinity,
+    phase_margin: nearest ? nearest.phase : Infinity,
+    gain_crossover: nearest ? nearest.t / period : Infinity,
+    delay_margin: Math.min(Infinity, ...delays),
+    sensitivity_peak: S.value,
+    sensitivity_peak_frequency: S.t / period,
+    complementary_peak: T.value,
+    complementary_peak_frequency: T.t / period,
+    disk_margin: 1 / disk.value,
+  };
+}
+
+/**
+ * Roots of the closed loop near the circle, the fastest first: {re, im} of ln z / T [1/s], z in the
+ * upper half plane, by Newton's method for an eigenvalue -1 of L.
+ */
+function nearbyRoots(loop) {
+  const { period } = loop.open;
+  const { log } = loop.known;
+  const starts = [];
+  for (let k = 1; k + 1 < loop.points.length; k++) {
+    const [a, b, c] = [k - 1, k, k + 1].map((i) => loop.points[i]);
+    b.roots.forEach((value, i) => {
+      const [x, y] = [a.roots[i], c.roots[i]];
+      const speed = Math.hypot(y.re - x.re, y.im - x.im) / (c.t - a.t);
+      const near = ({ re, im }) => Math.hypot(1 + re, im);
+      if (near(value) > near(x) || near(value) > near(y)) return;
+      starts.push({ s: { re: log, im: b.t }, value, apart: near(value) / speed });
+    });
+  }
+  starts.sort((a, b) => a.apart - b.apart);
+  const real = [1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1].flatMap((x) => [log + x, log - x]);
+  const still = real.map((re) => ({ s: { re, im: 0 }, value: null }));
+  return [...starts.slice(0, STARTS), ...still]
+    .map(({ s, value }) => newton(loop, s, value))
+    .filter((s) => s !== null)
+    .map(({ re, im }) => ({ re: re / period, im: Math.abs(im) / period }))
+    .sort((a, b) => b.re - a.re);
+}
+
+function newton(loop, start, value) {
+  const eigenvalue = (s, near) => {
+    const size = Math.exp(s.re);
+    const L = loop.beyond(size * Math.cos(s.im), size * Math.sin(s.im));
+    const goal = near ?? { re: -1, im: 0 };
+    const far = (one) => Math.hypot(one.re - goal.re, one.im - goal.im);
+    return eigenvalues(L).reduce((a, b) => (far(b) < far(a) ? b : a));
+  };
+  let s = start;
+  let own = eigenvalue(s, value);
+  for (let i = 0; i < 25; i++) {
+    const h = 1e-6 * Math.max(Math.hypot(s.re, s.im), 1e-3);
+    const there = eigenvalue({ re: s.re + h, im: s.im }, own);
+    const [dr, di] = [(there.re - own.re) / h, (there.im - own.im) / h];
+    const size = dr * dr + di * di;
+    const [fr, fi] = [own.re + 1, own.im];
+    const step = { re: (fr * dr + fi * di) / size, im: (fi * dr - fr * di) / size };
+    const far = Math.hypot(step.re, step.im);
+    const most = 0.3 * Math.max(Math.hypot(s.re, s.im), 1e-3);
+    const share = far > most ? most / far : 1;
+    s = { re: s.re - share * step.re, im: s.im - share * step.im };
+    if (!Number.isFinite(s.re) || Math.abs(s.re) > 3 || s.im > 3.2) return null;
+    own = eigenvalue(s, i === 0 ? null : own);
+    if (far < 1e-12 * Math.max(Math.hypot(s.re, s.im), 1e-4)) {
+      return Math.hypot(own.re + 1, own.im) < 1e-6 ? s : null;
+    }
+  }
+  return null;
+}
+
+/**
+ * The growth rate {rate [1/s], frequency [rad/s]}, and whether the robot shakes or topples; the
+ * rate is null where counting does not confirm that no root is further right.
+ */
+export function growth(loop) {
+  const { period, hidden } = loop.open;
+  const own = hidden
+    .filter(({ re, im }) => Math.hypot(re - 1, im) > robot.OUTSIDE)
+    .map(({ re, im }) => ({
+      re: Math.log(Math.hypot(re, im)) / period,
+      im: Math.abs(Math.atan2(im, re)) / period,
+    }));
+  const unstable = loop.count(1);
+  let [found, sure, from] = [own, false, loop];
+  const beyond = (rate) => robot.rootsBeyond(loop, rate * period);
+  let [low, high] = [0, Infinity];
+  for (let i = 0; i < ATTEMPTS && !sure; i++) {
+    found = [...nearbyRoots(from), ...found].sort((a, b) => b.re - a.re);
+    const first = found.length ? found[0].re : -Infinity;
+    sure = found.length > 0 && beyond(first + Math.max(1e-6 * Math.abs(first), 1e-3)) === 0;
+    if (sure || i + 1 === ATTEMPTS) break;
+    // One is further right: it is looked for from a circle that is nearer to it.
+    if (high === Infinity) {
+      low = Math.max(first, unstable > 0 ? 0 : -1 / period);
+      for (high = Math.max(2 * low, 0.01 / period); beyond(high) > 0; high *= 2) low = high;
+    }
+    const middle = 0.5 * (low + high);
+    if (beyond(middle) > 0) low = middle;
+    else high = middle;
+    const known = robot.responses(loop.open, false, 0.5 * (low + high) * period);
+    from = robot.closedLoop(known, loop.kp, loop.kd);
+  }
+  const growing = found.filter(({ re }) => re * period > robot.OUTSIDE);
+  return {
+    unstable_roots: unstable,
+    stable: unstable === 0,
+    shakes: growing.some(({ re, im }) => im > re),
+    topples: growing.some(({ re, im }) => im <= re),
+    rate: sure ? found[0].re : null,
+    frequency: sure ? found[0].im : null,
+    roots: found,
+  };
+}
+
+/** Points around the roots that were found, so that no peak and no crossing is missed. */
+export function sharpen(loop, roots) {
+  const { period } = loop.open;
+  const more = roots.flatMap(({ re, im }) =>
+    PLACES.map((x) => (im + x * Math.max(Math.abs(re), 1e-6 * im)) * period),
+  );
+  loop.refine([...new Set(more.map((t) => Number(t.toPrecision(9))))]);
+}
+
+/** How the joints move where more delay makes the loop marginal. */
+export function lateShape({ open, kp, kd }, { delay, t }, inertias) {
+  const late = open.later(delay > 0 ? delay : 0);
+  const at = robot.loopOf(late.respond(Math.cos(t), Math.sin(t)), kp, kd);
+  return shape(late, at, [Math.cos(t), Math.sin(t)], inertias);
+}
+
+/** How they move where a factor on all gains does. */
+export function gainShape(loop, { factor, t }, inertias) {
+  const at = shifted(loop.at(t), 0, factor);
+  return shape(loop.open, at, [Math.cos(t), Math.sin(t)], inertias);
+}
+
+/** How they move in a growing motion, {re, im} [1/s]. */
+export function growingShape(loop, { re, im }, inertias) {
+  const { period } = loop.open;
+  const size = Math.exp(re * period);
+  const z = [size * Math.cos(im * period), size * Math.sin(im * period)];
+  return shape(loop.open, loop.beyond(...z), z, inertias);
+}
+
+/**
+ * The joints in the motion z with L there: {amplitude, of the largest, phase [rad], share} of each;
+ * `share` of the energy I |v|^2.
+ */
+function shape(open, L, [zr, zi], inertias) {
+  const P = open.respond(zr, zi);
+  // The command that returns as itself, by inverse iteration with I + L.
+  const inverse = robot.sensitivityOf(L);
+  let u = inertias.map((_, i) => [1 + 0.1 * Math.cos(7 * i), 0.1 * Math.sin(3 * i)]);
+  for (let i = 0; i < 12; i++) {
+    u = applied(inverse, u);
+    const size = Math.hypot(...u.flat());
+    u = u.map(([a, b]) => [a / size, b / size]);
+  }
+  const [moved, speed] = [applied(P.moved, u), applied(P.speed, u)];
+  const sizes = moved.map(([a, b]) => Math.hypot(a, b));
+  const largest = Math.max(...sizes);
+  const [x, y] = moved[sizes.indexOf(largest)];
+  const energy = speed.map(([a, b], i) => inertias[i] * (a * a + b * b));
+  const total = energy.reduce((a, b) => a + b, 0);
+  return moved.map(([a, b], i) => ({
+    amplitude: sizes[i] / largest,
+    phase: Math.atan2(b * x - a * y, a * x + b * y),
+    share: energy[i] / total,
+  }));
+}
+
+const applied = (M, x) =>
+  x.map((_, i) =>
+    x.reduce(
+      ([re, im], [a, b], j) => {
+        const at = i * M.n + j;
+        return [re + M.re[at] * a - M.im[at] * b, im + M.re[at] * b + M.im[at] * a];
+      },
+      [0, 0],
+    ),
+  );

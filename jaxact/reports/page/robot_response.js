@@ -1,0 +1,354 @@
+// A robot before its controllers, as they sample it: what each command does to what is measured.
+//
+//   x_(j+1) = A x_j + B f_j in a period's n physics steps, A = Q U Q^H, f_j the mean forces,
+//   (z - U^n) X(z) = sum_j U^(n-1-j) B F_j(z) u(z),
+//
+// with F_j(z) of each joint's held, delayed command behind its actuator, exactly.
+
+import { transition } from "./transition.js";
+
+// As in Python, a delay this little below a whole number of periods is that number.
+const SNAP = 64 * 2 ** -52;
+// A measurement at the end of a physics step belongs to it.
+const EARLY = 1e-4;
+
+/** Whole periods and the rest [s] of a delay. */
+function split(delay, period) {
+  const ratio = delay / period;
+  const whole = Math.floor(ratio + SNAP * (1 + ratio));
+  return [whole, Math.max(delay - whole * period, 0)];
+}
+
+/** Complex matrix of `rows` times `columns` from base64 of float64, real part then imaginary. */
+export function decoded(text, rows, columns) {
+  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  const values = new Float64Array(bytes.buffer);
+  const size = rows * columns;
+  return { rows, columns, re: values.slice(0, size), im: values.slice(size) };
+}
+
+const blank = (rows, columns) => ({
+  rows,
+  columns,
+  re: new Float64Array(rows * columns),
+  im: new Float64Array(rows * columns),
+});
+
+function product(a, b) {
+  const found = blank(a.rows, b.columns);
+  const n = b.columns;
+  for (let i = 0; i < a.rows; i++) {
+    for (let k = 0; k < a.columns; k++) {
+      const [x, y] = [a.re[i * a.columns + k], a.im[i * a.columns + k]];
+      if (x !== 0 || y !== 0) add(found, i * n, b, k * n, n, x, y);
+    }
+  }
+  return found;
+}
+
+/** n numbers of `to`, from one place on, more by (x + j y) times those of `from`. */
+function add(to, at, from, there, n, x, y) {
+  const [tr, ti, fr, fi] = [to.re, to.im, from.re, from.im];
+  for (let j = 0; j < n; j++) {
+    const [a, b] = [fr[there + j], fi[there + j]];
+    tr[at + j] += x * a - y * b;
+    ti[at + j] += x * b + y * a;
+  }
+}
+
+/**
+ * The mean force of every physics step of a period per held command, as functions of 1/z:
+ * `means(zr, zi)` gives {re, im} of `substeps` values.
+ */
+function servo({ wn, zeta, delay }, period, substeps) {
+  const step = period / substeps;
+  const [whole, switched] = split(delay, period);
+  const joint = { mass: 1, wn, zeta, joint_damping: 0, joint_stiffness: 0 };
+  const part = (time) => {
+    // The speed of a mass of 1 is the impulse.
+    const { phi, gamma } = transition(time, joint);
+    const state = (x) => [2, 3].map((i) => phi[i][2] * x[0] + phi[i][3] * x[1]);
+    return { state, impulse: phi[1].slice(2), held: [gamma[2], gamma[3]], moved: gamma[1] };
+  };
+  const whole_step = part(step);
+  // State (f, f'/wn) and impulse as rows of what they are of: state at the tick, older, newer.
+  let rows = [
+    [1, 0, 0, 0],
+    [0, 1, 0, 0],
+  ];
+  const means = [];
+  const go = (piece, input) => {
+    const impulse = [0, 1, 2, 3].map(
+      (k) =>
+        piece.impulse[0] * rows[0][k] + piece.impulse[1] * rows[1][k] + (k === input) * piece.moved,
+    );
+    const columns = [0, 1, 2, 3].map((k) => piece.state([rows[0][k], rows[1][k]]));
+    rows = [0, 1].map((i) => columns.map((c, k) => c[i] + (k === input) * piece.held[i]));
+    return impulse;
+  };
+  for (let j = 0; j < substeps; j++) {
+    const older = Math.min(Math.max(switched - j * step, 0), step);
+    let impulse = [0, 0, 0, 0];
+    const pieces = older === 0 || older === step ? [] : [part(older), part(step - older)];
+    if (!pieces.length) impulse = go(whole_step, older > 0 ? 2 : 3);
+    else [2, 3].forEach((input, i) => go(pieces[i], input).forEach((x, k) => (impulse[k] += x)));
+    means.push(impulse.map((x) => x / step));
+  }
+  const [[a, b, go0, gn0], [c, d, go1, gn1]] = rows;
+  return (zr, zi) => {
+    const size = zr * zr + zi * zi;
+    const [ir, ii] = [zr / size, -zi / size];
+    // (z - Phi) y = older / z + newer, by Cramer's rule
+    const [r0, r1] = [
+      [gn0 + go0 * ir, go0 * ii],
+      [gn1 + go1 * ir, go1 * ii],
+    ];
+    const det = times([zr - a, zi], [zr - d, zi]);
+    det[0] -= b * c;
+    const y0 = quotient(plus(times([zr - d, zi], r0), [b * r1[0], b * r1[1]]), det);
+    const y1 = quotient(plus(times([zr - a, zi], r1), [c * r0[0], c * r0[1]]), det);
+    const late = power([ir, ii], whole);
+    return means.map(([m0, m1, older, newer]) =>
+      times(late, [
+        m0 * y0[0] + m1 * y1[0] + older * ir + newer,
+        m0 * y0[1] + m1 * y1[1] + older * ii,
+      ]),
+    );
+  };
+}
+
+const times = ([a, b], [c, d]) => [a * c - b * d, a * d + b * c];
+const plus = ([a, b], [c, d]) => [a + c, b + d];
+const quotient = ([a, b], [c, d]) => {
+  const size = c * c + d * d;
+  return [(a * c + b * d) / size, (b * c - a * d) / size];
+};
+
+function power([x, y], n) {
+  const size = Math.hypot(x, y) ** n;
+  const angle = n * Math.atan2(y, x);
+  return [size * Math.cos(angle), size * Math.sin(angle)];
+}
+
+/** Where in a period, and how, a joint is measured: {whole, step, s}, null without delay. */
+function instant(delay, period, step, substeps) {
+  if (!(delay > 0)) return null;
+  const [whole, rest] = split(delay, period);
+  const at = period - rest;
+  const index = Math.min(Math.max(Math.ceil(at / step - EARLY) - 1, 0), substeps - 1);
+  return { whole, index, s: (at - index * step) / step };
+}
+
+/**
+ * A robot opened at its controllers.
+ *
+ * `plant` as the page's data have it, decoded; `drives` arrays over the joints by parameter;
+ * `differenced`: the controllers see differenced positions. Gives `respond(zr, zi)`, {q, v}: the
+ * measured positions and velocities per command, `moved` and `speed` those at the ticks; `poles` of
+ * the robot and its drives as {re, im}, `hidden` those that no command reaches; `period`, `joints`, and `whole`, the longest delay in
+ * periods.
+ */
+export function openRobot(plant, drives, differenced) {
+  const { step, substeps, inputs, outputs } = plant;
+  const [m, n] = [inputs.columns, inputs.rows];
+  const period = step * substeps;
+  const { powers, whole } = overPeriod(plant);
+  const forces = servos(drives, m, period, substeps);
+  const sensed = drives.measurement_delay.map((delay) => instant(delay, period, step, substeps));
+  const seen = sensed.some((one) => one !== null) ? rowsWithin(plant, powers) : null;
+  const filters = drives.velocity_filter.map((cutoff) => Math.exp(-cutoff * period));
+
+  function respond(zr, zi) {
+    const F = forces(zr, zi);
+    const X = blank(n, m);
+    for (let j = 0; j < substeps; j++) {
+      const from = powers[substeps - 1 - j];
+      for (let k = 0; k < m; k++) {
+        const [fr, fi] = F[k][j];
+        for (let at = k; at < n * m; at += m) {
+          X.re[at] += from.re[at] * fr - from.im[at] * fi;
+          X.im[at] += from.re[at] * fi + from.im[at] * fr;
+        }
+      }
+    }
+    solve(whole, X, zr, zi);
+    const ticks = product(outputs, X);
+    const [q, v] = [part(ticks, 0, m), part(ticks, 1, m)];
+    const found = { q, v, moved: q, speed: v };
+    if (seen || differenced) Object.assign(found, { q: copied(q), v: copied(v) });
+    if (seen) measureLate(found, X, F, [zr, zi]);
+    if (differenced) difference(found, zr, zi);
+    return found;
+  }
+
+  function measureLate(found, X, F, z) {
+    const rows = new Map();
+    const after = (steps) => {
+      if (!rows.has(steps)) rows.set(steps, seen(steps, X, F));
+      return rows.get(steps);
+    };
+    sensed.forEach((one, i) => {
+      if (one === null) return;
+      const [lr, li] = power(quotient([1, 0], z), one.whole + 1);
+      const [before, then] = [after(one.index), after(one.index + 1)];
+      const { s } = one;
+      const rise = s * s * (3 - 2 * s);
+      const [b0, b1] = [step * s * (1 - s) * (1 - s), -step * s * s * (1 - s)];
+      for (let at = i * m, speed = (m + i) * m; at < (i + 1) * m; at++, speed++) {
+        const [q, v] = ["re", "im"].reduce(
+          ([own, rate], part) => [
+            [...own, (1 - rise) * before[part][at] + rise * then[part][at] + b0 * before[part][speed] + b1 * then[part][speed]],
+            [...rate, (1 - s) * before[part][speed] + s * then[part][speed]],
+          ],
+          [[], []],
+        );
+        [found.q.re[at], found.q.im[at]] = times([lr, li], q);
+        [found.v.re[at], found.v.im[at]] = times([lr, li], v);
+      }
+    });
+  }
+
+  function difference(found, zr, zi) {
+    const back = quotient([1, 0], [zr, zi]);
+    filters.forEach((pole, i) => {
+      const gain = (1 - pole) / period;
+      const rate = quotient(
+        [gain * (1 - back[0]), -gain * back[1]],
+        [1 - pole * back[0], -pole * back[1]],
+      );
+      for (let at = i * m; at < (i + 1) * m; at++) {
+        [found.v.re[at], found.v.im[at]] = times(rate, [found.q.re[at], found.q.im[at]]);
+      }
+    });
+  }
+
+  const poles = [];
+  for (let i = 0; i < n; i++) poles.push({ re: whole.re[i * (n + 1)], im: whole.im[i * (n + 1)] });
+  poles.push(...drivePoles(drives, filters, period, differenced));
+  const slow = Math.max(...drives.delay.map((d, i) => d + drives.output_delay[i]));
+  const delays = slow + Math.max(...drives.measurement_delay);
+  const hidden = Array.from(plant.hidden.re, (re, i) => power([re, plant.hidden.im[i]], substeps)).map(
+    ([re, im]) => ({ re, im }),
+  );
+  const later = (extra) =>
+    openRobot(plant, { ...drives, delay: drives.delay.map((own) => own + extra) }, differenced);
+  return { respond, later, joints: m, period, poles, hidden, drives, delays: delays / period };
+}
+
+const known = new WeakMap();
+
+/** U^j Q^H B of every physics step j, and U^n; computed once for a plant. */
+function overPeriod(plant) {
+  if (!known.has(plant)) {
+    const { triangular, inputs, substeps } = plant;
+    const powers = [inputs];
+    let whole = triangular;
+    for (let j = 1; j < substeps; j++) {
+      powers.push(product(triangular, powers[j - 1]));
+      whole = product(triangular, whole);
+    }
+    known.set(plant, { powers, whole });
+  }
+  return known.get(plant);
+}
+
+/** Roots of the actuators and the filters over a period, those at 0 left out. */
+function drivePoles(drives, filters, period, differenced) {
+  const found = differenced ? filters.filter((x) => x > 0).map((re) => ({ re, im: 0 })) : [];
+  drives.wn.forEach((wn, i) => {
+    if (wn === Infinity) return;
+    const [x, zeta] = [wn * period, drives.zeta[i]];
+    const apart = x * Math.sqrt(Math.abs(zeta * zeta - 1));
+    for (const sign of [-1, 1]) {
+      const size = Math.exp(-zeta * x + (zeta > 1 ? sign * apart : 0));
+      const angle = zeta > 1 ? 0 : sign * apart;
+      found.push({ re: size * Math.cos(angle), im: size * Math.sin(angle) });
+    }
+  });
+  return found;
+}
+
+/** The forces of all joints, computed once for joints that are driven alike: [joint][step]. */
+function servos(drives, m, period, substeps) {
+  const kinds = new Map();
+  const which = Array.from({ length: m }, (_, i) => {
+    const own = {
+      wn: drives.wn[i],
+      zeta: drives.zeta[i],
+      delay: drives.delay[i] + drives.output_delay[i],
+    };
+    const key = `${own.wn} ${own.zeta} ${own.delay}`;
+    if (!kinds.has(key)) kinds.set(key, servo(own, period, substeps));
+    return key;
+  });
+  return (zr, zi) => {
+    const found = new Map([...kinds].map(([key, one]) => [key, one(zr, zi)]));
+    return which.map((key) => found.get(key));
+  };
+}
+
+const copied = ({ n, re, im }) => ({ n, re: re.slice(), im: im.slice() });
+
+const part = (rows, which, m) => ({
+  n: m,
+  re: rows.re.slice(which * m * m, (which + 1) * m * m),
+  im: rows.im.slice(which * m * m, (which + 1) * m * m),
+});
+
+/** Positions and velocities of the joints after some physics steps of a period, per command. */
+function rowsWithin({ outputs, triangular, substeps }, powers) {
+  const through = [outputs];
+  for (let j = 0; j < substeps; j++) through.push(product(through[j], triangular));
+  const pulses = powers.map((one) => product(outputs, one));
+  const m = powers[0].columns;
+  return (steps, X, F) => {
+    const found = product(through[steps], X);
+    for (let j = 0; j < steps; j++) {
+      const pulse = pulses[steps - 1 - j];
+      for (let k = 0; k < m; k++) {
+        const [fr, fi] = F[k][j];
+        for (let at = k; at < 2 * m * m; at += m) {
+          found.re[at] += pulse.re[at] * fr - pulse.im[at] * fi;
+          found.im[at] += pulse.re[at] * fi + pulse.im[at] * fr;
+        }
+      }
+    }
+    return found;
+  };
+}
+
+/** X <- (z - U)^-1 X of a triangular U. */
+function solve(U, X, zr, zi) {
+  const [n, m] = [X.rows, X.columns];
+  const [re, im] = [X.re, X.im];
+  for (let i = n - 1; i >= 0; i--) {
+    for (let k = i + 1; k < n; k++) {
+      const [x, y] = [U.re[i * n + k], U.im[i * n + k]];
+      if (x !== 0 || y !== 0) add(X, i * m, X, k * m, m, x, y);
+    }
+    let [x, y] = [zr - U.re[i * (n + 1)], zi - U.im[i * (n + 1)]];
+    // On a root, which a joint or an object that nothing holds has at 1 exactly.
+    if (x === 0 && y === 0) x = 1e-16;
+    const size = x * x + y * y;
+    for (let j = i * m; j < (i + 1) * m; j++) {
+      const [a, b] = [re[j], im[j]];
+      re[j] = (a * x + b * y) / size;
+      im[j] = (b * x - a * y) / size;
+    }
+  }
+}
+
+/** A plant of the page's data, ready for `openRobot`. */
+export function plantOf(stored, joints) {
+  const { states, step, substeps, inertias } = stored;
+  const hidden = atob(stored.hidden).length / 16;
+  return {
+    step,
+    substeps,
+    inertias,
+    triangular: decoded(stored.triangular, states, states),
+    inputs: decoded(stored.inputs, states, joints),
+    outputs: decoded(stored.outputs, 2 * joints, states),
+    hidden: decoded(stored.hidden, 1, hidden),
+  };
+}

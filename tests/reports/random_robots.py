@@ -1,0 +1,71 @@
+"""Robots with what Python says of them, as the tests of a robot's page read them."""
+
+from pathlib import Path
+
+import numpy as np
+
+import jaxact as jx
+from jaxact import files
+from jaxact.analysis.robot import multiloop
+from jaxact.verbs import report_robot
+
+ROOT = Path(__file__).resolve().parents[2]
+QUADRUPED = ROOT / "experiments" / "quadruped" / "quadruped.xml"
+GAINS = {"kp": 100.0, "kd": 3.0}
+# Model, keyframe, base, and the parameters of the drives: whole and broken delays, several physics
+# steps in a period, differenced velocities, ideal actuators, drives that shake.
+CASES = (
+    (QUADRUPED, "stand", "fixed", {**GAINS, "delay": 2e-3, "control_rate": 500.0, "wn": 400.0,
+                                   "zeta": 0.6}),
+    (QUADRUPED, "stand", "free", {**GAINS, "delay": 3.3e-3, "output_delay": 1e-3,
+                                  "measurement_delay": 1.7e-3, "control_rate": 200.0, "wn": 110.0,
+                                  "zeta": 0.9}),
+    (QUADRUPED, "stand", "fixed", {"kp": 300.0, "kd": 15.0, "measurement_delay": 2e-3,
+                                   "control_rate": 250.0, "velocity": "differenced",
+                                   "velocity_filter": 300.0}),
+)  # fmt: skip
+PUBLIC = ROOT / ".robots" / "mujoco_playground" / "_src" / "locomotion"
+PUBLIC_CASES = tuple(
+    (PUBLIC / name / "xmls" / scene, keyframe, base, parameters)
+    for name, scene, keyframe, base in (
+        ("go1", "scene_mjx_feetonly_flat_terrain.xml", "home", "free"),
+        ("op3", "scene_mjx_feetonly.xml", None, "fixed"),
+        ("g1", "scene_mjx_feetonly_flat_terrain.xml", "knees_bent", "fixed"),
+    )
+    for parameters in (
+        {"delay": 2e-3, "control_rate": 500.0, "wn": 800.0, "zeta": 0.45},
+        {"delay": 1.3e-3, "measurement_delay": 1.7e-3, "control_rate": 200.0, "wn": 300.0,
+         "zeta": 0.9},
+    )
+)  # fmt: skip
+FREQUENCIES = 12
+
+
+def rows(cases=CASES, *, seed=0):
+    """A row for each robot: the page's data, singular values at random frequencies, margins."""
+    rng = np.random.default_rng(seed)
+    return [files.plain(_row(*case, rng)) for case in cases]
+
+
+def _row(model, keyframe, base, parameters, rng):
+    loop = jx.robot(model, keyframe=keyframe, base=base, **parameters)
+    (found,) = jx.margins(loop).details
+    closed = multiloop.multiloop(*found.robot.matrices, found.robot.period)
+    angle = np.append(np.exp(rng.uniform(np.log(1e-2), np.log(np.pi), FREQUENCIES)), np.pi)
+    S = multiloop.sensitivity(closed, angle)
+    own = found.margins
+    first = own.first_to_shake
+    return {
+        "robot": f"{model.stem}, {base}, {parameters}",
+        "data": report_robot.content(loop).parts["robot"],
+        "angle": angle.tolist(),
+        "S": np.linalg.svd(S, compute_uv=False).tolist(),
+        "T": np.linalg.svd(np.eye(S.shape[-1]) - S, compute_uv=False).tolist(),
+        "unstable_roots": own.unstable_roots,
+        "growth_rate": own.growth_rate,
+        "verdict": own.verdict,
+        "whole": None if own.whole is None else vars(own.whole),
+        "joints": [vars(joint) for joint in own.joints],
+        "first": None if first is None else first.tolist(),
+        "more_gain": None if own.changes.more_gain is None else own.changes.more_gain.value,
+    }

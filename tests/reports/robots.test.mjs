@@ -1,0 +1,135 @@
+// A robot's mathematics in the page against robots that Python has looked at.
+//
+//   pytest tests/reports/test_robot_report.py
+//
+// pytest writes Python's robots to a file and names it in JAXACT_ROBOTS.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { test } from "node:test";
+
+import { eigenvalues, inverse, shifted, singularValues, zeros } from "../../jaxact/reports/page/matrices.js";
+import * as closed from "../../jaxact/reports/page/robot_loop.js";
+import * as margins from "../../jaxact/reports/page/robot_margins.js";
+import { openRobot, plantOf } from "../../jaxact/reports/page/robot_response.js";
+
+const EXACT = 1e-6;
+const LIMIT = 1e-4;
+const SHARE = 0.02;
+const given = process.env.JAXACT_ROBOTS;
+const skip = !given && "run by pytest";
+const rows = given
+  ? JSON.parse(readFileSync(given), (_, value) => (value === "inf" ? Infinity : value))
+  : [];
+
+function near(own, other, tolerance, words) {
+  if (own === other) return;
+  assert.ok(Math.abs(own - other) <= tolerance * Math.abs(other), `${words}: ${own}, not ${other}`);
+}
+
+const random = (n) => {
+  const M = zeros(n);
+  for (let k = 0; k < n * n; k++) [M.re[k], M.im[k]] = [Math.sin(7 * k * k + 1), Math.cos(3 * k * k)];
+  return M;
+};
+
+test("eigenvalues, singular values and the inverse of a matrix", () => {
+  for (const n of [1, 2, 3, 8, 20]) {
+    const M = random(n);
+    const roots = eigenvalues(M);
+    const trace = { re: 0, im: 0 };
+    for (let i = 0; i < n; i++) {
+      trace.re += M.re[i * (n + 1)];
+      trace.im += M.im[i * (n + 1)];
+    }
+    for (const part of ["re", "im"]) {
+      const sum = roots.reduce((all, one) => all + one[part], 0);
+      assert.ok(Math.abs(sum - trace[part]) < 1e-12 * n * n);
+    }
+    const square = M.re.reduce((all, x, k) => all + x * x + M.im[k] * M.im[k], 0);
+    const sizes = singularValues(M);
+    near(sizes.reduce((all, x) => all + x * x, 0), square, 1e-12, "Frobenius");
+    near(singularValues(inverse(M))[0], 1 / sizes[n - 1], 1e-9, "of the inverse");
+    // M - l I is singular
+    for (const { re, im } of roots) {
+      const less = shifted(M, -re, 1);
+      for (let i = 0; i < n; i++) less.im[i * (n + 1)] -= im;
+      assert.ok(singularValues(less)[n - 1] < 1e-11 * sizes[0]);
+    }
+  }
+});
+
+function closedOf({ data }) {
+  const [own] = data.loops;
+  const plant = plantOf(data.plants[own.plants[own.rate]], data.joints.length);
+  const open = openRobot(plant, own.drives, data.velocity === "differenced");
+  const loop = closed.closedLoop(closed.responses(open, true), own.drives.kp, own.drives.kd);
+  return { loop, plant };
+}
+
+test("robots have Python's singular values", { skip }, () => {
+  for (const row of rows) {
+    const { loop } = closedOf(row);
+    row.angle.forEach((t, k) => {
+      const S = closed.sensitivityOf(loop.at(t));
+      const both = { S, T: shifted(S, 1, -1) };
+      for (const name of ["S", "T"]) {
+        singularValues(both[name]).forEach((value, i) => {
+          const far = Math.abs(value - row[name][k][i]);
+          assert.ok(far < EXACT * row[name][k][0], `${row.robot}: ${name} ${value} at ${t}`);
+        });
+      }
+    });
+  }
+});
+
+test("robots have Python's margins", { skip }, () => {
+  for (const row of rows) {
+    const { loop, plant } = closedOf(row);
+    const growth = margins.growth(loop);
+    assert.equal(growth.unstable_roots, row.unstable_roots, row.robot);
+    assert.notEqual(growth.rate, null, row.robot);
+    near(growth.rate, row.growth_rate, EXACT, `${row.robot}: growth rate`);
+    const words = [growth.shakes && "shakes", growth.topples && "topples"].filter((one) => one);
+    assert.equal(words.join(" and ") || "stable", row.verdict, row.robot);
+    if (!row.whole) continue;
+    margins.sharpen(loop, growth.roots);
+    const found = margins.peaks(loop);
+    for (const name of ["sensitivity_peak", "complementary_peak", "unscaled_disk_margin"]) {
+      near(found[name], row.whole[name], EXACT, `${row.robot}: ${name}`);
+    }
+    const up = closed.gainLimit(loop, true);
+    near(up?.factor ?? Infinity, row.whole.gain_margin, LIMIT, `${row.robot}: gain margin`);
+    const down = closed.gainLimit(loop, false);
+    near(down?.factor ?? 0, row.whole.gain_reduction_margin, LIMIT, `${row.robot}: gains down`);
+    const later = closed.delayLimit(loop);
+    near(later?.delay ?? Infinity, row.whole.delay_margin, LIMIT, `${row.robot}: delay margin`);
+    if (later && row.first) {
+      // Which of two legs that are alike is named is rounding.
+      const own = margins.lateShape(loop, later, plant.inertias);
+      for (const [name, places] of Object.entries(row.data.groups)) {
+        const sum = (share) => places.reduce((all, i) => all + share(i), 0);
+        const [here, there] = [sum((i) => own[i].share), sum((i) => row.first[i])];
+        assert.ok(Math.abs(here - there) < SHARE, `${row.robot}: ${name}: ${here}, not ${there}`);
+      }
+    }
+    ofJoints(loop, row);
+  }
+});
+
+function ofJoints(loop, row) {
+  const names = ["sensitivity_peak", "complementary_peak", "disk_margin", "phase_margin", "delay_margin", "gain_margin"];
+  row.joints.forEach((joint, i) => {
+    const own = margins.ofJoint(loop, i);
+    for (const name of names) near(own[name], joint[name], EXACT, `${row.robot}: ${name} of ${joint.name}`);
+  });
+}
+
+test("ranges of a map change where the margins are", { skip }, () => {
+  const row = rows.find(({ whole }) => whole);
+  const { loop } = closedOf(row);
+  const found = closed.ranges(loop);
+  const here = found.find(({ low, high }) => low < 1 && high > 1);
+  assert.equal(here.unstable, 0);
+  near(here.high, row.whole.gain_margin, 1e-2, "where gains become too high");
+});

@@ -1,0 +1,202 @@
+"""The report of a robot: its mathematics in node, the page in a browser, and what is refused."""
+
+import json
+import os
+import shlex
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, browser
+from command_line import jaxact
+from quickly import compiled_quickly as compiled_quickly
+from random_robots import CASES, PUBLIC, PUBLIC_CASES, QUADRUPED, rows
+
+import jaxact as jx
+from jaxact.verbs import report_robot
+
+FOLDER = Path(__file__).parent
+LARGEST = 3_000_000  # bytes
+POINTS = 4
+LIMIT = 1e-4
+PATIENCE = 60.0  # [s] for numbers in full
+
+needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
+needs_browser = pytest.mark.skipif(
+    CHROMIUM is None, reason="needs chromium (apt-get install chromium)"
+)
+
+TYPE = """(() => {
+  for (const [name, value] of Object.entries(VALUES)) {
+    const input = document.getElementById(`control-${name}-number`);
+    input.value = value;
+    input.dispatchEvent(new Event("change"));
+  }
+})()"""
+READ = """(() => {
+  const row = { says: document.getElementById("robot-verdict").textContent };
+  for (const line of document.querySelectorAll("#robot-margins tr")) {
+    row[line.dataset.name] = line.querySelector("td").dataset.value;
+  }
+  return row;
+})()"""
+
+
+def checked_by_node(cases, folder):
+    file = folder / "robots.json"
+    file.write_text(json.dumps(rows(cases)))
+    ran = subprocess.run(
+        ["node", "--test", str(FOLDER / "robots.test.mjs")],
+        capture_output=True, text=True, env=os.environ | {"JAXACT_ROBOTS": str(file)},
+    )  # fmt: skip
+    assert ran.returncode == 0, ran.stdout
+    assert "# skipped 0" in ran.stdout
+
+
+@needs_node
+def test_the_page_computes_what_python_computes(tmp_path):
+    checked_by_node(CASES, tmp_path)
+
+
+@needs_node
+@pytest.mark.exhaustive
+@pytest.mark.skipif(not PUBLIC.is_dir(), reason="needs the public robots in .robots")
+def test_the_page_computes_what_python_computes_of_public_robots(tmp_path):
+    checked_by_node(PUBLIC_CASES, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def loop():
+    return jx.robot(
+        QUADRUPED, keyframe="stand", base="fixed", kp=100, kd=3, delay=2e-3, wn=400, zeta=0.6,
+        control_rate=500,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def report(loop, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "robot.html"
+    return jx.report(loop, path, title="<script>alert(1)</script>").path
+
+
+@pytest.fixture(scope="module")
+def page():
+    with browser() as opened:
+        yield opened
+
+
+def settled(page, name="settled"):
+    """Wait for the numbers in full."""
+    deadline = time.monotonic() + PATIENCE
+    asked = f"document.getElementById('robot-verdict').dataset.{name}"
+    while page.run(asked) != "true" and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert page.run(asked) == "true"
+    return page.run(READ)
+
+
+@needs_browser
+def test_the_page_follows_its_sliders_as_python_does(page, report, loop):
+    page.open(report)
+    rng = np.random.default_rng(1)
+    moved = {
+        "gain_scale": np.exp(rng.uniform(np.log(0.3), np.log(3.0), POINTS)).round(3),
+        "delay": rng.uniform(0.0, 8.0, POINTS).round(3),
+        "wn": rng.uniform(150.0, 900.0, POINTS).round(1),
+        "zeta": rng.uniform(0.3, 1.2, POINTS).round(3),
+    }
+    found = []
+    for point in range(POINTS):
+        values = {name: float(column[point]) for name, column in moved.items()}
+        page.run(TYPE.replace("VALUES", json.dumps(values)))
+        time.sleep(0.05)
+        found.append(settled(page))
+    theirs = jx.margins(loop.replace(**moved | {"delay": 1e-3 * moved["delay"]}))
+    compared = 0
+    for own, detail in zip(found, theirs.details, strict=True):
+        margins = detail.margins
+        assert own["stable"] == str(margins.stable).lower()
+        assert float(own["growth_rate"]) == pytest.approx(margins.growth_rate, rel=1e-6)
+        if margins.whole is None:
+            continue
+        for name in ("sensitivity_peak", "complementary_peak", "unscaled_disk_margin"):
+            assert float(own[name]) == pytest.approx(getattr(margins.whole, name), rel=1e-6), name
+        for name in ("gain_margin", "delay_margin"):
+            assert float(own[name]) == pytest.approx(getattr(margins.whole, name), rel=LIMIT), name
+        compared += 1
+    assert compared > 0
+    assert page.requests == [report.as_uri()] and page.said == []
+    assert report.stat().st_size < LARGEST
+
+
+@needs_browser
+def test_what_is_copied_computes_the_same(page, report, tmp_path):
+    page.open(report)
+    page.run(TYPE.replace("VALUES", json.dumps({"kp_0": 0.5, "delay": 3})))
+    time.sleep(0.05)
+    own = settled(page)
+    command = shlex.split(page.run("document.getElementById('robot-command').value"))
+    (tmp_path / "robot.toml").write_text(page.run("document.getElementById('robot-toml').value"))
+    for arguments in (command[2:], ["--spec", str(tmp_path / "robot.toml")]):
+        ran = jaxact("margins", *arguments, "--json")
+        assert ran.returncode == 0, ran.stderr
+        theirs = json.loads(ran.stdout)["growth_rate"]
+        assert float(own["growth_rate"]) == pytest.approx(theirs, rel=1e-6)
+
+
+@needs_browser
+def test_keys_and_pointer_move_the_point_and_widths_and_colours_are_accessible(page, report):
+    page.open(report)
+    settled(page, "joints")
+    number = "Number(document.getElementById('control-gain_scale-number').value)"
+    page.run("document.getElementById('robot-pad').focus()")
+    page.press("ArrowUp", shift=True)
+    assert page.run(number) > 1.5
+    assert "shake" in settled(page)["says"] or "Stable" in settled(page)["says"]
+    page.run("document.getElementById('robot-again').click()")
+    assert page.run(number) == 1
+    assert page.run("document.querySelector('h1').textContent") == "<script>alert(1)</script>"
+    assert page.run("document.querySelectorAll('#robot-joints tbody tr').length") == 12
+    for width in (1280, 390):
+        for dark in (False, True):
+            page.open(report, width=width, dark=dark)
+            settled(page, "joints")
+            assert page.violations() == []
+            assert page.run("document.documentElement.scrollWidth") <= width
+
+
+def test_joints_that_differ_in_their_side_only_are_a_group():
+    names = ["FL_hip_joint", "FR_hip_joint", "left_knee", "right_knee", "l_sho_pitch", "waist"]
+    assert report_robot.groups(names) == {
+        "hip_joint": [0, 1], "knee": [2, 3], "sho_pitch": [4], "waist": [5],
+    }  # fmt: skip
+
+
+MESH = '<mujoco><asset><mesh name="m" file="gone.stl"/></asset><worldbody><body><joint name="j"/>' \
+    '<geom type="mesh" mesh="m"/></body></worldbody></mujoco>'  # fmt: skip
+PASSIVE = '<mujoco><worldbody><body><joint name="j"/><geom size=".1"/></body></worldbody></mujoco>'
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments", "words"),
+    [
+        (MESH, (), "gone.stl"),
+        (PASSIVE, (), "actuator"),
+        ("not XML", (), "robot.xml"),
+        (PASSIVE, ("--mass", "3"), "--mass"),
+        (None, (), "no such file"),
+        (None, ("--spec", "nothing.toml"), "nothing.toml"),
+    ],
+    ids=["mesh", "passive", "damaged", "mass", "missing", "both"],
+)
+def test_a_robot_that_cannot_be_used_is_one_line(text, arguments, words, tmp_path):
+    model = tmp_path / "robot.xml"
+    if text is not None:
+        model.write_text(text)
+    ran = jaxact("report", str(model), *arguments, "--out", str(tmp_path / "robot.html"))
+    assert ran.returncode == 2 and ran.stderr.count("\n") == 1
+    assert ran.stderr.startswith("jaxact: ") and words in ran.stderr
+    assert not (tmp_path / "robot.html").exists()
