@@ -91,7 +91,7 @@ def test_tuned_gains_have_the_ends_of_what_was_uncertain_as_loops(tmp_path):
         (jx.joint(kp=-10.0, joint_stiffness=40.0), "joint.html", "logarithms"),
         (jx.joint(kp=list(range(1, 300))), "joint.html", "at most 200 loops"),
         (jx.robot("experiments/quadruped/quadruped.xml"), "robot.pdf", "an .html file"),
-        ("experiments/quadruped/nothing.xml", "robot.html", "no such file"),
+        ("experiments/quadruped/nothing.xml", "robot.html", "no such model file"),
         (3, "joint.html", "cannot be of a int"),
         (xr.Dataset(), "joint.html", "not of a sweep"),
         ("nothing.toml", "joint.html", "cannot be read"),
