@@ -37,6 +37,8 @@ from jaxact.parameters import (
     ZETA,
 )
 
+INITIAL_FORCE = "initial_force"
+"""What the drive gives beyond what holds the joint as a log begins in motion [N or N m]."""
 _NO_LIMIT = 1e15
 # Intervals are a little longer than nothing [s]: so a joint that stands knows where it would move.
 _NO_TIME = 1e-15
@@ -137,7 +139,7 @@ def simulate(
         values: inertia [kg or kg m^2] (with links armature, beside theirs), gain, wn [rad/s],
             zeta, delay [s], force_limit [N or N m], friction by `_friction`, gravity [N m], zero
             [rad], offset [N or N m], kp and kd where the recording has none, initial_position,
-            initial_velocity.
+            initial_velocity, initial_force.
         recording: the log.
         structure: static.
 
@@ -191,9 +193,10 @@ def _begin(values: Mapping[str, Any], recording: Recording, structure: Structure
     period = (recording.time[-1] - recording.time[0]) / (recording.time.shape[0] - 1)
     number = structure.difference_ticks
     seen = tuple(position - velocity * period * (late + 1) for late in range(number))
-    # The force that holds the joint where it is: it stood there before the log began.
+    # The force that holds the joint where it is, where it stood before the log began.
     force = values["gravity"] * jnp.sin(position - values["zero"]) if structure.gravity else zero
     force = force if recording.links is None else recording.links.force[0]
+    force = force + jnp.nan_to_num(values.get(INITIAL_FORCE, 0.0))
     return _Carry(
         position=position,
         velocity=velocity,
@@ -273,12 +276,11 @@ def _move(
     position, velocity = carry.position, carry.velocity
     load = values["offset"]
     pull = jnp.zeros_like(load)
+    middle = position + 0.5 * length * velocity
     if structure.gravity:
-        middle = position + 0.5 * length * velocity
         pull = values["gravity"] * jnp.sin(middle - values["zero"])
         load = load - pull
     if links is not None:
-        middle = position + 0.5 * length * velocity
         pull = links.force + links.stiffness * (middle - links.position)
         load = load - pull
     asked = impulse / length
@@ -299,9 +301,8 @@ def _move(
     change = jnp.where(stops, sliding - velocity, 1.0)
     rest = jnp.where(stops, length * sliding / change, 0.0)
     _, back = _friction(values, ~forwards, 0.0, asked, pull)
-    turned = sliding + jnp.where(forwards, rest, -rest) * (dry + back) / inertia
-    turned = jnp.where(forwards, jnp.minimum(turned, 0.0), jnp.maximum(turned, 0.0))
-    after = jnp.where(stops, turned, sliding)
+    turned = jnp.minimum(rest * (dry + back) / inertia - jnp.abs(sliding), 0.0)
+    after = jnp.where(stops, jnp.where(forwards, turned, -turned), sliding)
     moved = moved + 0.5 * rest * (after - sliding)
     return _Carry(moved, after, force, rate, carry.commands, carry.ticks, carry.seen)
 

@@ -49,7 +49,7 @@ class Family:
         stimulus: the signal of a log that moves it, shape (rows,).
         signal: its name, "force" or "position".
         unit: of the signal.
-        nuisances: unknowns that every log has for itself.
+        nuisances: (logs, whether they are only tried) -> unknowns that every log has for itself.
     """
 
     rungs: tuple[Rung, ...]
@@ -62,7 +62,7 @@ class Family:
     stimulus: Callable[[Log], np.ndarray]
     signal: str
     unit: str
-    nuisances: Callable[[Sequence[Log]], tuple[Unknown, ...]] = lambda logs: ()
+    nuisances: Callable[[Sequence[Log], bool], tuple[Unknown, ...]] = lambda logs, tried: ()
 
 
 # A first-order loop is a second-order one whose other pole is 4 zeta^2 times faster.
@@ -116,7 +116,7 @@ def of_rung(family: Family, rung: Rung, logs: Sequence[Log]) -> Problem:
     known = family.unknowns(logs)
     measured = [family.measured(log) for log in logs]
     moved = np.concatenate([rows - rows.mean() for rows in measured])
-    own = family.nuisances(logs)
+    own = family.nuisances(logs, False)
     return Problem(
         unknowns=(*(known[name] for name in rung.free), *own),
         numbers={**family.neutral, **dict(rung.fixed)},
@@ -139,7 +139,7 @@ def predicted(family: Family, log: Log, values: Mapping[str, float]) -> np.ndarr
         log: any.
         values: of the model.
     """
-    own = tuple(replace(unknown, log=0) for unknown in family.nuisances([log]))
+    own = tuple(replace(unknown, log=0) for unknown in family.nuisances([log], True))
     measured = family.measured(log)
     with jax.enable_x64(True):
         inputs = family.inputs(log)

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.identification import inspection, joint_motion, starts
-from jaxact.identification.joint_motion import Recording, Structure
+from jaxact.identification.joint_motion import INITIAL_FORCE, Recording, Structure
 from jaxact.identification.log import LINKS, Log, filled
 from jaxact.identification.model import (
     DYNAMICS,
@@ -45,6 +45,8 @@ GRAVITY = 9.81
 _MOST_TICKS_OF_DELAY = 6
 # Logs that are few each begin where the fit puts them; of many, where they were measured.
 _MOST_FREE_BEGINNINGS = 3
+# Share of its highest speed from which on a joint is in motion.
+_IN_MOTION = 0.15
 # The longest time over which friction and gravity are integrated in one step [s].
 _LONGEST_STEP = 2.5e-3
 
@@ -70,7 +72,7 @@ _NEUTRAL: dict[str, float] = {
     "stribeck": 0.0, "stribeck_speed": 1.0, "gravity": 0.0, "zero": 0.0, "offset": 0.0,
     KP: 1.0, KD: 0.0, **NEUTRAL_DRIVE,
     # Not known: where the log begins.
-    INITIAL_POSITION: math.nan, INITIAL_VELOCITY: math.nan,
+    INITIAL_POSITION: math.nan, INITIAL_VELOCITY: math.nan, INITIAL_FORCE: math.nan,
 }  # fmt: skip
 _POSITIVE = frozenset(("inertia", "armature", "viscous", "coulomb", "stribeck_speed", KP, WN, ZETA))
 
@@ -260,8 +262,8 @@ class Context:
         )  # fmt: skip
         return {unknown.name: unknown for unknown in sought}
 
-    def nuisances(self, logs: Sequence[Log]) -> tuple[Unknown, ...]:
-        """Where each of a few logs begins."""
+    def nuisances(self, logs: Sequence[Log], tried: bool) -> tuple[Unknown, ...]:
+        """Where each of a few logs begins, and with which force where it begins in motion."""
         if len(logs) > _MOST_FREE_BEGINNINGS:
             return ()
         found = []
@@ -269,10 +271,14 @@ class Context:
             position, velocity = beginning(log)
             room = 0.05 * float(np.ptp(log["position"]))
             fast = max(float(np.max(np.abs(starts.speed(log)))), 1e-9)
-            for name, value, reach, unit in (
+            each = [
                 (INITIAL_POSITION, position, room, log.unit),
                 (INITIAL_VELOCITY, velocity, fast, f"{log.unit}/s"),
-            ):
+            ]
+            if tried or abs(velocity) > _IN_MOTION * fast:
+                force = 100.0 * max(float(np.max(np.abs(starts.asked(log, self)))), 1e-9)
+                each.append((INITIAL_FORCE, 0.0, force, "N m" if log.unit == "rad" else "N"))
+            for name, value, reach, unit in each:
                 found.append(
                     Unknown(f"{name}[{number}]", unit, value - reach, value + reach, (value,),
                             log=number)

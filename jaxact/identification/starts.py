@@ -43,8 +43,8 @@ def _motions(log: Log, gravity: bool) -> np.ndarray:
 
 def _needed(log: Log, context: Context, late: int) -> np.ndarray:
     """The force that arrives at the joint `late` rows after it was asked for, shape (rows,)."""
-    asked = _force(log, context)
-    force = np.append(np.full(late, asked[0]), asked[: len(asked) - late])
+    told = asked(log, context)
+    force = np.append(np.full(late, told[0]), told[: len(told) - late])
     if context.robot:
         force = force - log[LINKS[0]] * _smooth(log, log["position"], 2) - log[LINKS[1]]
     return force
@@ -88,7 +88,7 @@ def guess(logs: Sequence[Log], context: Context) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _force(log: Log, context: Context) -> np.ndarray:
+def asked(log: Log, context: Context) -> np.ndarray:
     """The force that a log's command, or its controller, asks for at each row."""
     if not context.structure.closed:
         return log["command"]

@@ -107,6 +107,16 @@ def test_dry_friction_that_is_not_overcome_holds_against_the_command():
     np.testing.assert_allclose(moved, 0.5 * (6.0 - 5.0) / 0.7 * time**2, atol=1e-5)
 
 
+def test_a_log_that_begins_in_motion_begins_with_the_force_of_its_drive():
+    time = np.arange(ROWS) * PERIOD
+    values = _values(wn=50.0, zeta=1.0, delay=0.0, initial_force=3.0)
+    position, _ = joint_motion.simulate(values, _recording(time), OPEN)
+    # A critically damped drive, left alone: f = 3 (1 + 50 t) exp(-50 t).
+    w = 50.0
+    fallen = (w * time + 3.0) * np.exp(-w * time) + 2.0 * w * time - 3.0
+    np.testing.assert_allclose(position, 3.0 / 0.7 / w**2 * fallen, atol=1e-12)
+
+
 def test_friction_that_differs_with_direction():
     there = _coasting(viscous=3.0, viscous_back=9.0)[1]
     np.testing.assert_allclose(there, _coasting(viscous=3.0)[1])
