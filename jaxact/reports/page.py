@@ -21,7 +21,7 @@ from jaxact import files
 _FOLDER = resources.files("jaxact.reports") / "page"
 _IMPORT = re.compile(r'^import \{([^}]*)\} from "\./(\w+)\.js";\n', re.MULTILINE)
 _WHOLE = re.compile(r'^import \* as (\w+) from "\./(\w+)\.js";\n', re.MULTILINE)
-_EXPORT = re.compile(r"^export ((?:async )?(?:function|const|class) (\w+))", re.MULTILINE)
+_EXPORT = re.compile(r"^export ((?:async )?(?:function[*]?|const|class) (\w+))", re.MULTILINE)
 
 
 @dataclass(frozen=True)

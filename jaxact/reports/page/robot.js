@@ -11,7 +11,8 @@ import * as words from "./robot_words.js";
 const SETTLE_AFTER = 120;
 const SPEAK_AFTER = 500;
 const SLICE = 25;
-const COLUMNS = 25;
+// Columns of the map less one, for few and for many joints: powers of two.
+const [COLUMNS, FEWER, MANY] = [32, 16, 14];
 const FACTORS = [0.05, 50];
 
 /** Start the part with its data, in the document or in a shadow root that has its elements. */
@@ -112,18 +113,22 @@ export function start(data, host) {
     yield;
     const loop = closedLoop(known, drives.kp, drives.kd);
     yield;
-    const growth = margins.growth(loop);
+    const growth = yield* margins.growth(loop);
     yield;
     margins.sharpen(loop, growth.roots);
     yield;
     const found = { growth };
+    for (const point of loop.points) {
+      margins.withSensitivity(point);
+      yield;
+    }
     if (growth.stable) found.peaks = margins.peaks(loop);
     yield;
     found.up = gainLimit(loop, true, growth.topples && !growth.shakes);
     yield;
     found.down = gainLimit(loop, false, growth.topples && !growth.shakes);
     yield;
-    if (!growth.shakes) found.later = delayLimit(loop);
+    if (!growth.shakes) found.later = yield* delayLimit(loop);
     yield;
     found.shape = shapeOf(loop, found, plant.inertias);
     const said = words.verdict(found, data.joints);
@@ -161,34 +166,40 @@ export function start(data, host) {
     return null;
   }
 
-  /** Which gains are stable over the delay, a column after the other. */
+  /** Which gains are stable over the delay, a column after the other between those that are there. */
   function* map(drives) {
     const base = { ...drives, kp: drives.kp.map((k) => k / state.gain_scale) };
     base.kd = drives.kd.map((k) => k / state.gain_scale);
     const key = `${state.loop} ${state.rate} ${drives.wn} ${drives.zeta} ${base.kp.map(Math.fround)} ${base.kd.map(Math.fround)} ${window.delay}`;
-    if (kept.map?.key === key) return;
-    const count = data.joints.length > 14 ? Math.ceil(COLUMNS / 2) : COLUMNS;
-    const columns = [];
-    for (let i = 0; i < count; i++) {
-      const delay = (window.delay[1] * i) / (count - 1);
+    if (kept.map?.key !== key) kept.map = { key, columns: [] };
+    const { columns } = kept.map;
+    const parts = data.joints.length > MANY ? FEWER : COLUMNS;
+    if (columns.length > parts) return;
+    for (const i of inHalves(parts).slice(columns.length)) {
+      const delay = (window.delay[1] * i) / parts;
       const open = openAt(drives).open.later(delay - state.delay);
       yield;
       const known = responses(open, false);
       yield;
       const loop = closedLoop(known, base.kp, base.kd);
       yield;
-      columns.push({ delay, ranges: ranges(loop) });
-      by("robot-drawing").textContent = `(drawing: ${Math.round((100 * (i + 1)) / count)} %)`;
+      const found = [];
+      for (const range of ranges(loop, window.factor[1])) {
+        found.push(range);
+        yield;
+      }
+      columns.push({ delay, ranges: found });
+      const left = columns.length <= parts;
+      const share = Math.round((100 * columns.length) / (parts + 1));
+      by("robot-drawing").textContent = left ? `(drawing: ${share} %)` : "";
+      drawMap();
       yield;
     }
-    by("robot-drawing").textContent = "";
-    kept.map = { key, columns };
-    drawMap();
-    fill(by("robot-map-data"), () => [views.mapTable(columns)]);
+    fill(by("robot-map-data"), () => [views.mapTable(inOrder(columns))]);
   }
 
   function drawMap() {
-    const columns = kept.map?.columns ?? [];
+    const columns = inOrder(kept.map?.columns ?? []);
     place = views.drawMap(by("robot-map"), { window, columns, point: state, own: data.loops[state.loop] });
   }
 
@@ -247,6 +258,17 @@ export function start(data, host) {
   new ResizeObserver(later).observe(by("robot-pad"));
   take(0);
   redraw();
+}
+
+const inOrder = (columns) => columns.toSorted((a, b) => a.delay - b.delay);
+
+/** 0 to a power of two: both ends, the middle, the middles between these, ... */
+function inHalves(parts) {
+  const found = [0, parts];
+  for (let step = parts; step > 1; step /= 2) {
+    for (let i = step / 2; i < parts; i += step) found.push(i);
+  }
+  return found;
 }
 
 /** A joint's parameter where the one of the first joint is moved: all in proportion. */

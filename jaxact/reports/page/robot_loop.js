@@ -68,15 +68,12 @@ export function responses(open, fine, log = OUTSIDE) {
   return { open, at, log, points: angles(open, fine, log).map(at) };
 }
 
-/** The angle from complex a to b, in (-pi, pi]. */
-const turn = (a, b) => Math.atan2(a.re * b.im - a.im * b.re, a.re * b.re + a.im * b.im);
-
 /**
  * A closed loop with gains `kp`, `kd` of the joints, on the grid of `responses`.
  *
  * `count(g)` is the number of roots outside with all gains times g; `at(t)` L on the unit circle,
- * `beyond(zr, zi)` anywhere; `points`: {t, L, roots}, the eigenvalues of L there, in the same order
- * from point to point; `refine(angles)` puts more in.
+ * `beyond(zr, zi)` anywhere; `points`: {t, L, roots, before}, the eigenvalues of L there, and those
+ * of the point before in their order; `refine(angles)` puts more in.
  */
 export function closedLoop(known, kp, kd) {
   const { open } = known;
@@ -87,22 +84,22 @@ export function closedLoop(known, kp, kd) {
   const points = known.points.map(own);
   const origin = own(known.at(0));
   const outside = open.poles.filter(({ re, im }) => Math.hypot(re, im) > Math.exp(known.log)).length;
-  points.forEach((one, i) => (one.roots = matched(i ? points[i - 1] : origin, one)));
+  const follow = (one, i) => (one.before = matched(one, i ? points[i - 1] : origin));
+  points.forEach(follow);
 
   function count(g) {
-    let [total, before, low] = [0, origin, 0];
+    let [total, low] = [0, 0];
     for (let i = 0; i < points.length; i++) {
-      const { t, roots } = points[i];
-      const { sum, largest } = turned(before.roots, roots, g);
+      const { t, roots, before } = points[i];
+      const { sum, largest } = turned(before, roots, g);
       if (largest > LARGEST_TURN && t - low > 1e-8 * t && points.length < MOST_POINTS) {
-        const made = own(known.at(0.5 * (low + t)));
-        made.roots = matched(before, made);
-        points.splice(i, 0, made);
-        reordered(points, i);
+        points.splice(i, 0, own(known.at(0.5 * (low + t))));
+        follow(points[i], i);
+        follow(points[i + 1], i + 1);
         i--;
         continue;
       }
-      [total, before, low] = [total + sum, points[i], t];
+      [total, low] = [total + sum, t];
     }
     return outside - Math.round(total / Math.PI);
   }
@@ -113,7 +110,7 @@ export function closedLoop(known, kp, kd) {
     const added = more.filter((t) => t > points[0].t && t < Math.PI && !all.has(t));
     points.push(...added.map((t) => own(known.at(t))));
     points.sort((a, b) => a.t - b.t);
-    points.forEach((one, i) => (one.roots = matched(i ? points[i - 1] : origin, one)));
+    points.forEach(follow);
   }
 
   const beyond = (zr, zi) => loopOf(open.respond(zr, zi), kp, kd);
@@ -124,40 +121,43 @@ export function closedLoop(known, kp, kd) {
 /** By how much the factors 1 + g l_i turn between two points, together and the one that turns most. */
 function turned(before, after, g) {
   let [sum, largest] = [0, 0];
-  before.forEach(({ re, im }, i) => {
-    const angle = turn({ re: 1 + g * re, im: g * im }, { re: 1 + g * after[i].re, im: g * after[i].im });
+  for (let i = 0; i < before.length; i++) {
+    const [a, b] = [before[i], after[i]];
+    const [ar, ai, br, bi] = [1 + g * a.re, g * a.im, 1 + g * b.re, g * b.im];
+    const angle = Math.atan2(ar * bi - ai * br, ar * br + ai * bi);
     sum += angle;
     largest = Math.max(largest, Math.abs(angle));
-  });
+  }
   return { sum, largest };
 }
 
-/** After a point was put in, the order of the eigenvalues is passed on as far as it changed. */
-function reordered(points, from) {
-  for (let k = from + 1; k < points.length; k++) {
-    const roots = matched(points[k - 1], points[k]);
-    if (roots.every((one, i) => one === points[k].roots[i])) return;
-    points[k].roots = roots;
-  }
-}
-
-/** The eigenvalues of a point in the order of those of the point before: the nearest ones first. */
-function matched({ roots: before }, { roots }) {
+/** The eigenvalues of a point in the order of those of another: the nearest ones first. */
+export function matched({ roots: goals }, { roots }) {
   const n = roots.length;
-  const pairs = [];
-  for (let i = 0; i < n; i++) {
+  const size = ({ re, im }) => Math.sqrt(re * re + im * im);
+  const [found, sizes] = [new Array(n).fill(null), roots.map(size)];
+  const [taken, nearest, apart] = [new Uint8Array(n), new Int32Array(n), new Float64Array(n)];
+  const look = (i) => {
+    const { re, im } = goals[i];
+    const own = size(goals[i]);
+    let [best, place] = [Infinity, -1];
     for (let j = 0; j < n; j++) {
-      const apart = Math.hypot(before[i].re - roots[j].re, before[i].im - roots[j].im);
-      const size = Math.hypot(before[i].re, before[i].im) + Math.hypot(roots[j].re, roots[j].im);
-      pairs.push([apart / (size || 1), i, j]);
+      if (taken[j]) continue;
+      const [x, y, both] = [re - roots[j].re, im - roots[j].im, own + sizes[j] || 1];
+      const far = (x * x + y * y) / (both * both);
+      if (place < 0 || far < best) [best, place] = [far, j];
     }
-  }
-  pairs.sort((a, b) => a[0] - b[0]);
-  const found = new Array(n).fill(null);
-  const taken = new Array(n).fill(false);
-  for (const [, i, j] of pairs) {
-    if (found[i] !== null || taken[j]) continue;
-    [found[i], taken[j]] = [roots[j], true];
+    [apart[i], nearest[i]] = [best, place];
+  };
+  for (let i = 0; i < n; i++) look(i);
+  for (let k = 0; k < n; k++) {
+    let first = -1;
+    for (let i = 0; i < n; i++) {
+      if (found[i] === null && (first < 0 || apart[i] < apart[first])) first = i;
+    }
+    found[first] = roots[nearest[first]];
+    taken[nearest[first]] = 1;
+    for (let i = 0; i < n; i++) if (found[i] === null && nearest[i] === nearest[first]) look(i);
   }
   return found;
 }
@@ -167,7 +167,7 @@ function crossings({ points }, curve) {
   const found = [];
   for (let k = 1; k < points.length; k++) {
     const [a, b] = [points[k - 1], points[k]];
-    a.roots.forEach((before, i) => {
+    b.before.forEach((before, i) => {
       const after = b.roots[i];
       const [x, y] = [curve(before), curve(after)];
       if (x > 0 === y > 0) return;
@@ -228,22 +228,21 @@ function factors(loop) {
 
 /**
  * Ranges of factors on all gains with the number of roots that are unstable, and of those that
- * swing, if none does at the lowest gains: {low, high, unstable, shaking}; for a map, not refined.
+ * swing, if none does at the lowest gains: {low, high, unstable, shaking}, one after the other up to
+ * a factor; for a map, not refined.
  */
-export function ranges(loop) {
+export function* ranges(loop, most = Infinity) {
   const together = grouped(factors(loop).sort((a, b) => a.factor - b.factor), (one) => Math.log(one.factor));
-  const found = [];
   let [low, shaking, before] = [0, 0, null];
-  for (let i = 0; i <= together.length; i++) {
-    const [first, last] = [together[i]?.[0].factor ?? Infinity, together[i]?.[0]];
+  for (let i = 0; i <= together.length && low <= most; i++) {
+    const first = together[i]?.[0].factor ?? Infinity;
     const middle = low === 0 ? 0.5 * Math.min(first, 2) : Math.sqrt(low * Math.min(first, 4 * low));
     const unstable = loop.count(middle);
     if (before !== null && together[i - 1][0].t > 0) shaking += unstable - before;
-    found.push({ low, high: first, unstable, shaking });
-    [low, before] = [last ? together[i][together[i].length - 1].factor : Infinity, unstable];
-    if (last) found[found.length - 1].high = low;
+    const high = together[i]?.at(-1).factor ?? Infinity;
+    yield { low, high, unstable, shaking };
+    [low, before] = [high, unstable];
   }
-  return found;
 }
 
 /** Crossings in their order that are so near to each other that they are looked at together. */
@@ -309,9 +308,9 @@ function limited(loop, candidates, sign, at, [start, beyond], before) {
 
 /**
  * The smallest delay of all commands at which one more motion grows: {delay [s], t}, null if none;
- * the delay is NaN where counting the roots does not confirm it.
+ * the delay is NaN where counting the roots does not confirm it. In steps.
  */
-export function delayLimit(loop) {
+export function* delayLimit(loop) {
   const { open, kp, kd } = loop;
   const { period } = open;
   const guesses = crossings(loop, (l) => l.re * l.re + l.im * l.im - 1)
@@ -329,6 +328,7 @@ export function delayLimit(loop) {
     for (const found of marginal(loop, guess)) {
       if (!best || found.delay < best.delay) best = found;
     }
+    yield;
   }
   if (!best) return null;
   const before = loop.count(1);
@@ -345,6 +345,7 @@ export function delayLimit(loop) {
     const middle = 0.5 * (low + high);
     if (grows(middle)) high = middle;
     else low = middle;
+    yield;
   }
   return { delay: high * period, t: best.t };
 }
@@ -392,8 +393,7 @@ export function rootsBeyond(loop, log) {
     return { roots: eigenvalues(loopOf(P, kp, kd)) };
   };
   const between = (low, a, high, b, depth) => {
-    b.roots = matched(a, b);
-    const { sum, largest } = turned(a.roots, b.roots, 1);
+    const { sum, largest } = turned(a.roots, matched(a, b), 1);
     if (largest < LARGEST_TURN || depth > 40) return sum;
     const middle = 0.5 * (low + high);
     const c = at(middle);

@@ -1,7 +1,7 @@
 // All margins of a robot at a point: of all joints at once, and of each with the others closed.
 
 import { crossing } from "./margins.js";
-import { eigenvalues, shifted, singularValues } from "./matrices.js";
+import { eigenvalues, largestSingularValue, shifted } from "./matrices.js";
 import * as robot from "./robot_loop.js";
 
 const TURN = 2 * Math.PI;
@@ -12,6 +12,8 @@ const STARTS = 24;
 const ATTEMPTS = 6;
 // Places around a root of the closed loop, in widths.
 const PLACES = [-4, -2, -1, -0.5, 0, 0.5, 1, 2, 4];
+// A root is real whose imaginary part is below this share of its real one.
+const REAL = 1e-9;
 const GOLDEN = 0.5 * (3 - Math.sqrt(5));
 // S, T = I - S and the disk margin's S - I/2, as c I + d S.
 const KINDS = [
@@ -20,13 +22,16 @@ const KINDS = [
   [-0.5, 1],
 ];
 
-/** S on the grid, and its singular values where they are not there yet. */
+/** S of a point of the grid, and its largest singular values, where they are not there yet. */
+export function withSensitivity(point) {
+  if (point.S) return;
+  point.S = robot.sensitivityOf(point.L);
+  point.peaks = KINDS.map(([c, d]) => largestSingularValue(shifted(point.S, c, d)));
+}
+
+/** The grid with S. */
 export function withSensitivities(loop) {
-  for (const point of loop.points) {
-    if (point.S) continue;
-    point.S = robot.sensitivityOf(point.L);
-    point.peaks = KINDS.map(([c, d]) => singularValues(shifted(point.S, c, d))[0]);
-  }
+  loop.points.forEach(withSensitivity);
   return loop.points;
 }
 
@@ -96,7 +101,7 @@ export function peaks(loop) {
     highest(
       points,
       (point) => point.peaks[which],
-      (t) => singularValues(shifted(robot.sensitivityOf(loop.at(t)), c, d))[0],
+      (t) => largestSingularValue(shifted(robot.sensitivityOf(loop.at(t)), c, d)),
     ),
   );
   return {
@@ -177,14 +182,15 @@ export function ofJoint(loop, i) {
  * Roots of the closed loop near the circle, the fastest first: {re, im} of ln z / T [1/s], z in the
  * upper half plane, by Newton's method for an eigenvalue -1 of L.
  */
-function nearbyRoots(loop) {
+function* nearbyRoots(loop) {
   const { period } = loop.open;
   const { log } = loop.known;
   const starts = [];
   for (let k = 1; k + 1 < loop.points.length; k++) {
     const [a, b, c] = [k - 1, k, k + 1].map((i) => loop.points[i]);
+    const after = robot.matched(b, c);
     b.roots.forEach((value, i) => {
-      const [x, y] = [a.roots[i], c.roots[i]];
+      const [x, y] = [b.before[i], after[i]];
       const speed = Math.hypot(y.re - x.re, y.im - x.im) / (c.t - a.t);
       const near = ({ re, im }) => Math.hypot(1 + re, im);
       if (near(value) > near(x) || near(value) > near(y)) return;
@@ -194,11 +200,13 @@ function nearbyRoots(loop) {
   starts.sort((a, b) => a.apart - b.apart);
   const real = [1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1].flatMap((x) => [log + x, log - x]);
   const still = real.map((re) => ({ s: { re, im: 0 }, value: null }));
-  return [...starts.slice(0, STARTS), ...still]
-    .map(({ s, value }) => newton(loop, s, value))
-    .filter((s) => s !== null)
-    .map(({ re, im }) => ({ re: re / period, im: Math.abs(im) / period }))
-    .sort((a, b) => b.re - a.re);
+  const found = [];
+  for (const { s, value } of [...starts.slice(0, STARTS), ...still]) {
+    const root = newton(loop, s, value);
+    if (root) found.push({ re: root.re / period, im: Math.abs(root.im) / period });
+    yield;
+  }
+  return found.sort((a, b) => b.re - a.re);
 }
 
 function newton(loop, start, value) {
@@ -231,11 +239,14 @@ function newton(loop, start, value) {
   return null;
 }
 
+/** The frequency of a root [rad/s]: 0 of a real one, which Newton's method leaves at rounding. */
+const turning = ({ re, im }) => (im > REAL * Math.abs(re) ? im : 0);
+
 /**
  * The growth rate {rate [1/s], frequency [rad/s]}, and whether the robot shakes or topples; the
- * rate is null where counting does not confirm that no root is further right.
+ * rate is null where counting does not confirm that no root is further right. In steps.
  */
-export function growth(loop) {
+export function* growth(loop) {
   const { period, hidden } = loop.open;
   const own = hidden
     .filter(({ re, im }) => Math.hypot(re - 1, im) > robot.OUTSIDE)
@@ -248,7 +259,7 @@ export function growth(loop) {
   const beyond = (rate) => robot.rootsBeyond(loop, rate * period);
   let [low, high] = [0, Infinity];
   for (let i = 0; i < ATTEMPTS && !sure; i++) {
-    found = [...nearbyRoots(from), ...found].sort((a, b) => b.re - a.re);
+    found = [...(yield* nearbyRoots(from)), ...found].sort((a, b) => b.re - a.re);
     const first = found.length ? found[0].re : -Infinity;
     sure = found.length > 0 && beyond(first + Math.max(1e-6 * Math.abs(first), 1e-3)) === 0;
     if (sure || i + 1 === ATTEMPTS) break;
@@ -262,6 +273,7 @@ export function growth(loop) {
     else high = middle;
     const known = robot.responses(loop.open, false, 0.5 * (low + high) * period);
     from = robot.closedLoop(known, loop.kp, loop.kd);
+    yield;
   }
   const growing = found.filter(({ re }) => re * period > robot.OUTSIDE);
   return {
@@ -270,7 +282,7 @@ export function growth(loop) {
     shakes: growing.some(({ re, im }) => im > re),
     topples: growing.some(({ re, im }) => im <= re),
     rate: sure ? found[0].re : null,
-    frequency: sure ? found[0].im : null,
+    frequency: sure ? turning(found[0]) : null,
     roots: found,
   };
 }
