@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.identification import forces, inspection, motion
+from jaxact.identification import between_rows, forces, inspection, motion
 from jaxact.identification.fitting import ADAM, LEAST_SQUARES, METHODS
 from jaxact.identification.ladder import climb
 from jaxact.identification.log import Log, renewed, stretches
@@ -90,6 +90,8 @@ def identify(
         ladder = climb(
             family, fitted, held, loss=loss, method=method, bootstrap=bootstrap, report=progress
         )
+        if plant != "none":
+            ladder = between_rows.doubted(ladder, plant, control_rate)
         return Identified(plant, ladder, inspected(ladder), judge(ladder), control_rate)
 
 

@@ -151,7 +151,7 @@ def usable_band(stimulus: np.ndarray, answer: np.ndarray, rate: float) -> float 
 
     Source: Bendat, Piersol, "Random Data", 4th ed., section 6.1 (coherence).
     """
-    length = max(64, min(1024, len(stimulus) // 8))
+    length = min(max(64, min(1024, len(stimulus) // 8)), len(stimulus))
     frequency, coherence = _signal.coherence(stimulus, answer, fs=rate, nperseg=length)
     coherent = coherence[1:] > _COHERENT
     if not coherent[:3].any():

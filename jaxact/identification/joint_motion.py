@@ -357,6 +357,7 @@ def recording(
     command_limit: float,
     ticks_per_row: int,
     controlled: int,
+    lines: bool = False,
     links: tuple[np.ndarray, ...] | None = None,
 ) -> Recording:
     """A log cut into ticks.
@@ -370,6 +371,7 @@ def recording(
         command_limit: of the controller's output.
         ticks_per_row: into which each time between rows is cut.
         controlled: the controller runs at every so many ticks.
+        lines: setpoint, command and feedforward lie on lines between the rows.
         links: of a robot: inertia, force and stiffness as in `Links`, at each row.
     """
     share = np.arange(ticks_per_row) / ticks_per_row
@@ -379,15 +381,18 @@ def recording(
     def each(values: np.ndarray) -> jax.Array:
         return jnp.asarray(np.append(np.repeat(values[:-1], ticks_per_row), values[-1]))
 
+    def asked(values: np.ndarray) -> jax.Array:
+        return jnp.asarray(np.interp(fine, time, values)) if lines else each(values)
+
     def between(values: np.ndarray) -> jax.Array:
         middle = fine + 0.5 * np.diff(fine, append=fine[-1])
         return jnp.asarray(np.interp(middle, time, values))
 
     return Recording(
         time=jnp.asarray(fine),
-        setpoint=each(setpoint),
-        feedforward=each(feedforward),
-        command=each(command),
+        setpoint=asked(setpoint),
+        feedforward=asked(feedforward),
+        command=asked(command),
         strength=each(strength),
         controls=jnp.asarray(np.arange(len(fine)) % controlled == 0),
         row=jnp.asarray(np.arange(len(time)) * ticks_per_row),

@@ -78,6 +78,7 @@ class Ladder:
         fitted: logs that were fitted.
         validation: logs that were not.
         kept_apart: whether validation is the end of the fitted logs, for want of others.
+        shown: frequency up to which rows show what a faster loop did [Hz]; None where all is shown.
     """
 
     family: Family
@@ -86,6 +87,7 @@ class Ladder:
     fitted: tuple[Log, ...]
     validation: tuple[Log, ...]
     kept_apart: bool
+    shown: float | None = None
 
 
 def split(logs: Sequence[Log], validation: Sequence[Log]) -> tuple[list[Log], list[Log], bool]:
@@ -131,9 +133,13 @@ def climb(
         found.append(_candidate(family, rung, fitted, held, (loss, method), found))
     found = [without_delay(one, found) for one in found]
     chosen = choose(found, floor)
-    best = settled(chosen.fit, loss=loss) if method == LEAST_SQUARES else chosen.fit
+    rung, best = chosen.rung, chosen.fit
+    if family.beside:
+        rung = replace(rung, free=(*rung.free, *family.beside))
+        best = solve(of_rung(family, rung, fitted), loss=loss, method=method, start=best.values)
+    best = settled(best, loss=loss) if method == LEAST_SQUARES else best
     known = _knowledge.of_fit(best, bootstrap=bootstrap)
-    refined = without_delay(_tried(family, chosen.rung, best, known, held), found)
+    refined = without_delay(_tried(family, rung, best, known, held), found)
     ordered = sorted(found, key=lambda one: (one.size, one.rung.name))
     return Ladder(
         family,
@@ -206,7 +212,12 @@ def without_delay(one: Candidate, every: Sequence[Candidate]) -> Candidate:
         else e
         for e in one.knowledge.estimates
     )
-    return replace(one, knowledge=replace(one.knowledge, estimates=estimates))
+    lag = one.knowledge.lag
+    if lag is not None and beside.knowledge.lag is not None:
+        # Their sum is known no better than the model with a delay knows it.
+        value, deviation = beside.knowledge.lag
+        lag = lag[0], max(lag[1], abs(value - lag[0]) + deviation)
+    return replace(one, knowledge=replace(one.knowledge, estimates=estimates, lag=lag))
 
 
 def _candidate(

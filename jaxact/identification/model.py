@@ -49,6 +49,8 @@ class Family:
         stimulus: the signal of a log that moves it, shape (rows,).
         signal: its name, "force" or "position".
         unit: of the signal.
+        beside: names of unknowns that only the chosen model is refined with: no log tells of them
+            by themselves, and the others' intervals have to allow for them.
         nuisances: (logs, whether they are only tried) -> unknowns that every log has for itself.
     """
 
@@ -63,6 +65,7 @@ class Family:
     signal: str
     unit: str
     nuisances: Callable[[Sequence[Log], bool], tuple[Unknown, ...]] = lambda logs, tried: ()
+    beside: tuple[str, ...] = ()
 
 
 # A first-order loop is a second-order one whose other pole is 4 zeta^2 times faster.

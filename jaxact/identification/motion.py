@@ -47,6 +47,10 @@ _MOST_TICKS_OF_DELAY = 6
 _MOST_FREE_BEGINNINGS = 3
 # Share of its highest speed from which on a joint is in motion.
 _IN_MOTION = 0.15
+# Share of a controller's damping with which the search for viscous friction beside it begins.
+_OF_THE_DAMPING = 0.05
+# The time over which a joint's motion is a line at the beginning of a log [s].
+_LINE = 0.037
 # The longest time over which friction and gravity are integrated in one step [s].
 _LONGEST_STEP = 2.5e-3
 
@@ -102,13 +106,17 @@ class Simulate:
         return joint_motion.simulate(whole, recording, self.structure)
 
 
-def family(logs: Sequence[Log], plant: str, control_rate: float | None = None) -> Family:
+def family(
+    logs: Sequence[Log], plant: str, control_rate: float | None = None, *, lines: bool = False
+) -> Family:
     """The ladder for logs of a joint's motion.
 
     Args:
         logs: to be fitted.
         plant: "mass" or "pendulum".
         control_rate: at which the controller ran [Hz]; None for once a row.
+        lines: what is asked for lies on lines between the rows instead of being held from one
+            to the next.
 
     Raises:
         UserError: a log lacks the position, or both setpoint and command.
@@ -125,7 +133,7 @@ def family(logs: Sequence[Log], plant: str, control_rate: float | None = None) -
     ticks, _ = cut(first, control_rate)
     longest = ticks_of_delay(first.period, _MOST_TICKS_OF_DELAY) * ticks + 2
     structure = Structure(closed, longest, first.difference_ticks, plant == "pendulum")
-    context = Context(logs, plant, structure, sought, control_rate)
+    context = Context(logs, plant, structure, sought, control_rate, lines)
     if context.robot and sought:
         raise UserError(f"{first.title}: a robot needs kp and kd in the map, or its command")
     unit = "rad" if first.unit == "rad" else "m"
@@ -141,6 +149,8 @@ def family(logs: Sequence[Log], plant: str, control_rate: float | None = None) -
         signal="position",
         unit=unit,
         nuisances=context.nuisances,
+        # Not quite one: the drive's lag lies between them, which kp and the rest make up for.
+        beside=("viscous",) if sought else (),
     )
 
 
@@ -168,6 +178,7 @@ class Context:
     structure: Structure
     sought_gains: bool
     control_rate: float | None
+    lines: bool = False
 
     @property
     def robot(self) -> bool:
@@ -221,7 +232,7 @@ class Context:
                     # While the joint slides an offset is the asymmetry of dry friction.
                     own = tuple(name for name in own if name != "offset")
                 if self.sought_gains:
-                    # kd and viscous friction are one where no force was recorded.
+                    # kd and viscous friction are nearly one where no force was recorded.
                     terms = tuple(t for t in terms if not t.startswith("viscous"))
                 name = f"{dynamics}, {kind}"
                 made.append(Rung(name, dynamics, kind, (*own, *terms, *drive), fixed))
@@ -234,6 +245,7 @@ class Context:
         rubbing = f"{force} s/{logs[0].unit}"
         if self.sought_gains:  # all of it per unit of the inertia
             force, rubbing = f"{logs[0].unit}/s^2", "1/s"
+            guess["viscous"] = _OF_THE_DAMPING * guess[KD]
         mass = "kg m^2" if logs[0].unit == "rad" else "kg"
         speed = "rad/s" if logs[0].unit == "rad" else "m/s"
         size, coulomb = guess["size"], max(abs(guess["coulomb"]), 0.02 * guess["size"])
@@ -312,6 +324,7 @@ class Context:
             command_limit=min(limit, 1e12),
             ticks_per_row=ticks,
             controlled=controlled,
+            lines=self.lines,
             links=tuple(filled(log[name]) for name in LINKS) if self.robot else None,
         )
 
@@ -322,8 +335,12 @@ def usual_supply(logs: Sequence[Log]) -> float:
     return stated or float(np.median(np.concatenate([log["supply"] for log in logs])))
 
 
-def beginning(log: Log, rows: int = 7) -> tuple[float, float]:
-    """Position and velocity at a log's first row, by a line through its first rows."""
+def beginning(log: Log) -> tuple[float, float]:
+    """Position and velocity at a log's first row, by a line through its first rows.
+
+    Through few of those that are far apart, as the joint turns back between them.
+    """
+    rows = min(max(round(_LINE / log.period), 2), 7)
     time = log.time[:rows] - log.time[0]
     slope, start = np.polyfit(time, log["position"][:rows], 1)
     return float(start), float(slope)

@@ -94,6 +94,12 @@ def judge(ladder: Ladder) -> Verdict:
         reasons += _narrow(ladder)
     reasons += [f"{e.name} is not identified ({e.reason})" for e in chosen.knowledge.estimates
                 if not e.identified and e.name in (DELAY, WN, ZETA, "lag")]  # fmt: skip
+    if ladder.shown is not None:
+        below = None if below is None else min(below, ladder.shown)
+        reasons.append(
+            "its rows are too far apart for its loop; log faster, or state the control"
+            " rate if it is theirs"
+        )
     if not reasons:
         level = Level.GOOD
     elif below is not None and score > _LEAST_SCORE:
@@ -124,7 +130,7 @@ def _usable_band(family: Family, logs: Sequence[Log], rests: Sequence[np.ndarray
         measured = family.measured(log)
         if not np.isfinite(rest).all():
             return None
-        length = max(64, min(1024, len(log) // 6))
+        length = min(max(64, min(1024, len(log) // 6)), len(log))
         rate = 1.0 / log.period
         frequency, whole = _signal.welch(measured, rate, nperseg=length)
         _, error = _signal.welch(rest, rate, nperseg=length)
