@@ -17,6 +17,7 @@ from jaxact import __version__, files
 from jaxact.errors import UserError
 from jaxact.loops import drives
 from jaxact.loops.control_loop import ControlLoop
+from jaxact.parameters import KD, KP
 from jaxact.reports import page
 from jaxact.verbs import report_joint
 
@@ -163,7 +164,8 @@ def tuned_file(path: Path) -> tuple[Path, Mapping[str, Any]] | None:
         document = tomllib.loads(own.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
-    return (own, document) if {"gains", "assumed"} <= document.keys() or own != path else None
+    meant = own != path or {"gains", "assumed"} <= document.keys() or {KP, KD} <= document.keys()
+    return (own, document) if meant else None
 
 
 def _versions() -> str:

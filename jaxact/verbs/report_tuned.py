@@ -63,7 +63,10 @@ def _front(text: str) -> list[dict[str, Any]]:
 def _content(document: Mapping[str, Any], front: Sequence[Mapping[str, Any]]) -> Content:
     gains, guaranteed = document.get("gains"), document.get("guaranteed", {})
     if not isinstance(gains, Mapping) or not {KP, KD} <= gains.keys():
-        raise UserError("these are not a joint's tuned gains: there is no [gains] with kp and kd")
+        raise UserError(
+            "these are not a joint's tuned gains: there is no [gains] with kp and kd; of a robot "
+            "report the model with them: `jaxact report robot.xml --gains gains.toml`"
+        )
     sides = {"before": document["before"]} if "before" in document else {}
     sides |= {"tuned": gains}
     points = {name: (float(one[KP]), float(one[KD])) for name, one in sides.items()}

@@ -125,3 +125,11 @@ def test_it_fits_the_window_and_axe_finds_no_violation(page, report, width, dark
     page.open(report, width=width, dark=dark)
     assert page.run("document.documentElement.scrollWidth") <= width
     assert page.violations() == []
+
+
+def test_a_robots_gains_are_refused_with_what_to_report_instead(tmp_path):
+    (tmp_path / "gains.toml").write_text("[kp]\nhip = 30.0\n[kd]\nhip = 1.0\n", encoding="utf-8")
+    for path in (tmp_path, tmp_path / "gains.toml"):
+        with pytest.raises(jx.UserError, match=r"robot\.xml --gains gains\.toml"):
+            jx.report(path, tmp_path / "robot.html")
+    assert not (tmp_path / "robot.html").exists()
