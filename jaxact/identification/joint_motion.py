@@ -8,7 +8,7 @@ the joint's viscous damping; dry friction brakes until the joint comes to rest, 
 or turns back. Of second order in the step, exact without friction and gravity.
 """
 
-from __future__ import annotations
+from __future__ import annotations  # noqa: I001
 
 import math
 from collections.abc import Mapping
@@ -25,17 +25,9 @@ from jaxact.drive.controller import Controller, Setpoint
 from jaxact.identification import free_response
 from jaxact.identification.schedule import schedule
 from jaxact.parameters import (
-    DELAY,
-    FEEDFORWARD,
-    FORCE_LIMIT,
-    INITIAL_POSITION,
-    INITIAL_VELOCITY,
-    KD,
-    KP,
-    SETPOINT,
-    WN,
+    DELAY, FEEDFORWARD, FORCE_LIMIT, INITIAL_POSITION, INITIAL_VELOCITY, KD, KP, SETPOINT, WN,
     ZETA,
-)
+)  # fmt: skip
 
 INITIAL_FORCE = "initial_force"
 """What the drive gives beyond what holds the joint as a log begins in motion [N or N m]."""
