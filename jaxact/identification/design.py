@@ -25,7 +25,8 @@ import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
 from jaxact.identification import joint_motion, torque_loop
-from jaxact.identification.joint_motion import Recording, Structure
+from jaxact.identification.joint_motion import Structure
+from jaxact.identification.recording import Recording
 from jaxact.parameters import DELAY, FORCE_LIMIT, KP, MASS, WN, ZETA
 
 PLANTS = ("none", MASS)

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.identification import inspection, joint_motion, starts
-from jaxact.identification.joint_motion import INITIAL_FORCE, Recording, Structure
+from jaxact.identification.joint_motion import INITIAL_FORCE, Structure
 from jaxact.identification.log import LINKS, Log, filled
 from jaxact.identification.model import (
     DYNAMICS,
@@ -27,6 +27,7 @@ from jaxact.identification.model import (
     ticks_of_delay,
 )
 from jaxact.identification.problem import Unknown
+from jaxact.identification.recording import Recording, of_rows
 from jaxact.parameters import (
     FEEDFORWARD,
     FORCE_LIMIT,
@@ -312,7 +313,7 @@ class Context:
             found = inspection.saturation(log["command"]) if "command" in log else None
             limit = math.inf if found is None else found
         position, velocity = beginning(log)
-        return joint_motion.recording(
+        return of_rows(
             filled(log.time, rising=True),
             setpoint=filled(log[SETPOINT] if SETPOINT in log else zero),
             command=filled(log["command"] if "command" in log else zero),

@@ -10,6 +10,7 @@ from jaxact.drive.actuator import Actuator
 from jaxact.drive.controller import Controller, Setpoint
 from jaxact.identification import joint_motion
 from jaxact.identification.joint_motion import Structure
+from jaxact.identification.recording import of_rows
 from jaxact.loops import loop as loops
 from jaxact.plants.mass import Mass
 
@@ -32,7 +33,7 @@ def _values(**changes):
 
 def _recording(time, *, command=None, setpoint=None, position=0.0, velocity=0.0, ticks=1):
     zero = np.zeros(len(time))
-    return joint_motion.recording(
+    return of_rows(
         time, setpoint=zero if setpoint is None else setpoint,
         command=zero if command is None else command, feedforward=zero, strength=zero + 1.0,
         position=zero + position, velocity=velocity, gains=(400.0, 20.0), command_limit=1e12,
