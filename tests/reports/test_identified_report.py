@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, browser
+from browser import in_browser
 from quickly import compiled_quickly as compiled_quickly
 from test_report_verb import data_of
 
@@ -16,9 +16,6 @@ from jaxact.verbs.report_identified import MOST_ROWS, thinned
 HOSTILE = '<script>alert(1)</script> "it\'s" <b>'
 MASS, KP, KD, TICK = 0.7, 400.0, 20.0, 2e-3
 LARGEST = 1_000_000  # bytes
-in_browser = pytest.mark.skipif(
-    CHROMIUM is None, reason="needs chromium (apt-get install chromium)"
-)
 
 
 def _log(name, seed, rows=500):
@@ -46,12 +43,6 @@ def found():
 @pytest.fixture(scope="module")
 def report(found, tmp_path_factory):
     return jx.report(found, tmp_path_factory.mktemp("identified") / "drive.html")
-
-
-@pytest.fixture(scope="module")
-def page():
-    with browser() as opened:
-        yield opened
 
 
 def test_the_page_has_the_logs_the_ladder_the_intervals_and_the_loop(found, report):

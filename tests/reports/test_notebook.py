@@ -5,7 +5,7 @@ import json
 import time
 
 import pytest
-from browser import CHROMIUM, browser
+from browser import browser, in_browser
 from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
@@ -16,9 +16,6 @@ from jaxact.verbs.widget import NAMES, widget
 
 HOSTILE = "<script>alert(1)</script>"
 PATIENCE = 60.0  # [s] for what is drawn later
-in_browser = pytest.mark.skipif(
-    CHROMIUM is None, reason="needs chromium (apt-get install chromium)"
-)
 
 # What a notebook's model has: values by name, and listeners; two widgets on one page.
 STUB = """<!doctype html><title>cell</title><div id="first"></div><div id="second"></div>

@@ -5,15 +5,13 @@ import time
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, browser
+from browser import in_browser
 from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
 from jaxact.verbs.margins import of_values
 
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None, reason="needs chromium (apt-get install chromium)"
-)
+pytestmark = in_browser
 
 POINTS = 100
 HOSTILE = "<script>alert(1)</script>"
@@ -51,12 +49,6 @@ def loop():
         actuator="starleth", delay=2e-3, measurement_delay=1e-3, kp=[400.0, 300.0],
         names=NAMES, control_rate=500,
     )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def page():
-    with browser() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, browser
+from browser import in_browser
 from command_line import jaxact
 from quickly import compiled_quickly as compiled_quickly
 from random_robots import CASES, PUBLIC, PUBLIC_CASES, QUADRUPED, rows
@@ -25,9 +25,6 @@ LIMIT = 1e-4
 PATIENCE = 60.0  # [s] for numbers in full
 
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
-needs_browser = pytest.mark.skipif(
-    CHROMIUM is None, reason="needs chromium (apt-get install chromium)"
-)
 
 TYPE = """(() => {
   for (const [name, value] of Object.entries(VALUES)) {
@@ -82,12 +79,6 @@ def report(loop, tmp_path_factory):
     return jx.report(loop, path, title="<script>alert(1)</script>").path
 
 
-@pytest.fixture(scope="module")
-def page():
-    with browser() as opened:
-        yield opened
-
-
 def settled(page, name="settled"):
     """Wait for the numbers in full."""
     deadline = time.monotonic() + PATIENCE
@@ -98,7 +89,7 @@ def settled(page, name="settled"):
     return page.run(READ)
 
 
-@needs_browser
+@in_browser
 def test_the_page_follows_its_sliders_as_python_does(page, report, loop):
     page.open(report)
     rng = np.random.default_rng(1)
@@ -132,7 +123,7 @@ def test_the_page_follows_its_sliders_as_python_does(page, report, loop):
     assert report.stat().st_size < LARGEST
 
 
-@needs_browser
+@in_browser
 def test_what_is_copied_computes_the_same(page, report, tmp_path):
     page.open(report)
     page.run(TYPE.replace("VALUES", json.dumps({"kp_0": 0.5, "delay": 3})))
@@ -147,7 +138,7 @@ def test_what_is_copied_computes_the_same(page, report, tmp_path):
         assert float(own["growth_rate"]) == pytest.approx(theirs, rel=1e-6)
 
 
-@needs_browser
+@in_browser
 def test_keys_and_pointer_move_the_point_and_widths_and_colours_are_accessible(page, report):
     page.open(report)
     settled(page, "joints")

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
-from browser import CHROMIUM, browser
+from browser import in_browser
 from quickly import compiled_quickly as compiled_quickly
 from test_report_verb import data_of
 
@@ -22,9 +22,6 @@ GO = """(async () => {
   }
   await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
 })()"""
-in_browser = pytest.mark.skipif(
-    CHROMIUM is None, reason="needs chromium (apt-get install chromium)"
-)
 
 
 @pytest.fixture(scope="module")
@@ -37,12 +34,6 @@ def maps():
 @pytest.fixture(scope="module")
 def report(maps, tmp_path_factory):
     return jx.report(maps, tmp_path_factory.mktemp("sweep") / "sweep.html")
-
-
-@pytest.fixture(scope="module")
-def page():
-    with browser() as opened:
-        yield opened
 
 
 def test_cells_are_the_sweeps_in_the_order_of_the_loops(maps, report):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, browser
+from browser import in_browser
 from quickly import compiled_quickly as compiled_quickly
 from test_report_verb import data_of
 
@@ -12,9 +12,6 @@ from jaxact.verbs import tuning_front
 
 HOSTILE = '<script>alert(1)</script> \\"it\'s\\" <b>'
 LARGEST = 1_000_000  # bytes
-in_browser = pytest.mark.skipif(
-    CHROMIUM is None, reason="needs chromium (apt-get install chromium)"
-)
 
 
 @pytest.fixture(scope="module")
@@ -28,12 +25,6 @@ def tuned():
 @pytest.fixture(scope="module")
 def report(tuned, tmp_path_factory):
     return jx.report(tuned, tmp_path_factory.mktemp("tuned") / "tuned.html")
-
-
-@pytest.fixture(scope="module")
-def page():
-    with browser() as opened:
-        yield opened
 
 
 def test_the_page_has_the_certificate_the_worst_members_and_the_front(tuned, report):

@@ -2,6 +2,7 @@
 
 import { drawCells } from "./cells.js";
 import { draw, frame, line, table } from "./chart.js";
+import { draggable } from "./dragging.js";
 import { fields, levelLine, QUANTITIES, regionAbove } from "./levels.js";
 import { gainUnits } from "./words.js";
 
@@ -98,19 +99,7 @@ export function mapTable(edges, unit) {
 export function movable(pad, svg, window, place, point, moved) {
   const clamp = (value, [low, high]) => Math.min(Math.max(value, low), high);
   const go = (kp, kd) => moved(clamp(kp, window.kp), clamp(kd, window.kd));
-  const follow = (event) => {
-    const box = svg.getBoundingClientRect();
-    const scale = svg.viewBox.baseVal.width / box.width;
-    go(...place().invert((event.clientX - box.left) * scale, (event.clientY - box.top) * scale));
-  };
-  svg.addEventListener("pointerdown", (event) => {
-    svg.setPointerCapture(event.pointerId);
-    pad.focus({ preventScroll: true });
-    follow(event);
-  });
-  svg.addEventListener("pointermove", (event) => {
-    if (svg.hasPointerCapture(event.pointerId)) follow(event);
-  });
+  draggable(pad, svg, (x, y) => go(...place().invert(x, y)));
   pad.addEventListener("keydown", (event) => {
     const directions = {
       ArrowLeft: [-1, 0],

@@ -1,6 +1,7 @@
 // Pictures and tables of a robot: the map over delay and gains, singular values, motions, joints.
 
 import { draw, frame, line, table } from "./chart.js";
+import { draggable } from "./dragging.js";
 import { degrees } from "./words.js";
 
 const MAP_HEIGHT = 430;
@@ -92,22 +93,9 @@ export function movable(pad, svg, now, moved) {
     const { window } = now();
     moved(clamp(delay, window.delay), clamp(factor, window.factor));
   };
-  const follow = (event) => {
-    const box = svg.getBoundingClientRect();
-    const scale = svg.viewBox.baseVal.width / box.width;
-    const [ms, factor] = now().place.invert(
-      (event.clientX - box.left) * scale,
-      (event.clientY - box.top) * scale,
-    );
+  draggable(pad, svg, (x, y) => {
+    const [ms, factor] = now().place.invert(x, y);
     go(ms / 1000, factor);
-  };
-  svg.addEventListener("pointerdown", (event) => {
-    svg.setPointerCapture(event.pointerId);
-    pad.focus({ preventScroll: true });
-    follow(event);
-  });
-  svg.addEventListener("pointermove", (event) => {
-    if (svg.hasPointerCapture(event.pointerId)) follow(event);
   });
   pad.addEventListener("keydown", (event) => {
     const across = { ArrowLeft: -1, ArrowRight: 1 }[event.key] ?? 0;
