@@ -124,3 +124,16 @@ def test_a_robots_gains_are_refused_with_what_to_report_instead(tmp_path):
         with pytest.raises(jx.UserError, match=r"robot\.xml --gains gains\.toml"):
             jx.report(path, tmp_path / "robot.html")
     assert not (tmp_path / "robot.html").exists()
+
+
+@in_browser
+def test_gains_without_others_before_stand_alone(page, tmp_path):
+    loop = jx.joint(actuator="starleth", delay=1e-3, control_rate=500)
+    jx.report(jx.tune(loop, max_peak=1.6, starts=2, steps=60), tmp_path / "alone.html")
+    page.open(tmp_path / "alone.html")
+    seen = page.run(
+        '[...document.querySelectorAll("#compared th, #compared label, #compared td")]'
+        '.filter((one) => one.checkVisibility()).map((one) => one.tagName)'
+    )  # fmt: skip
+    assert seen.count("LABEL") == 1
+    assert seen.count("TD") == seen.count("TH")

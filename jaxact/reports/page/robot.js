@@ -234,7 +234,7 @@ export function start(data, host) {
     by("robot-groups").replaceChildren();
     const shows = [
       sliders(by("robot-controls"), rows, changed),
-      sliders(by("robot-groups"), words.groupRows(groups.map(([name]) => name)), changed),
+      sliders(by("robot-groups"), words.groupRows(groups, data.loops[loop].drives), changed),
     ];
     show = (values) => shows.forEach((one) => one(values));
     show(state);

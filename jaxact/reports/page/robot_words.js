@@ -136,16 +136,19 @@ export function controlRows(start, window, drives) {
 }
 
 /** Sliders of the groups: factors on kp and on kd. */
-export const groupRows = (names) =>
-  names.flatMap((name, i) =>
-    ["kp", "kd"].map((gain) => ({
-      name: `${gain}_${i}`,
-      label: `${gain} of ${name}`,
-      unit: "×",
-      log: true,
-      range: [0.1, 10],
-      factor: 1,
-    })),
+export const groupRows = (groups, drives) =>
+  groups.flatMap(([name, places], i) =>
+    ["kp", "kd"]
+      // A factor on gains that are zero, kd hidden in the joints' damping say, would move nothing.
+      .filter((gain) => places.some((joint) => drives[gain][joint] !== 0))
+      .map((gain) => ({
+        name: `${gain}_${i}`,
+        label: `${gain} of ${name}`,
+        unit: "×",
+        log: true,
+        range: [0.1, 10],
+        factor: 1,
+      })),
   );
 
 /** Values by key that say what the joints have: once where they have it in common. */

@@ -59,9 +59,9 @@ export function start(data, host) {
     by("tuned-toml").value = `[gains]\nkp = ${right.kp}\nkd = ${right.kd}`;
     by("tuned-command").value = command(parameters, right.kp, right.kd, data.unit);
     fill(by("tuned-data"), () =>
-      [left, right].flatMap(({ name }, i) => {
-        const { curves, step } = i ? both.right : both.left;
-        return [views.curveTable(name, curves), views.stepTable(step, name)];
+      (sides.length === 1 ? ["right"] : ["left", "right"]).flatMap((side) => {
+        const { name } = chosen()[side];
+        return [views.curveTable(name, both[side].curves), views.stepTable(both[side].step, name)];
       }),
     );
     if (data.front.length) drawFront();
@@ -107,6 +107,12 @@ export function start(data, host) {
     by("tuned-right").append(new Option(name, i, i === last, i === last));
   });
   by("front-section").hidden = data.front.length === 0;
+  if (sides.length === 1) {
+    // Nothing was given to start from: there is nothing to compare with.
+    by("compared-head").textContent = "What the gains do";
+    for (const one of host.querySelectorAll(".of-two")) one.hidden = true;
+    by("compared").classList.add("single");
+  }
   for (const id of ["tuned-loop", "tuned-left", "tuned-right"]) {
     by(id).addEventListener("change", redraw);
   }
