@@ -23,6 +23,7 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
 import jax  # noqa: E402
 
 from jaxact.cli import _xla  # noqa: E402
+from jaxact.compilation import programs  # noqa: E402
 from jaxact.sweeping import memory  # noqa: E402
 
 _MAPPINGS = 25_000  # of memory, beyond which compiled functions are let go of
@@ -61,6 +62,7 @@ def mappings_do_not_run_out():
     yield
     maps = Path("/proc/self/maps")
     if maps.exists() and maps.read_bytes().count(b"\n") > _MAPPINGS:
+        programs.let_go()
         jax.clear_caches()
         gc.collect()
 

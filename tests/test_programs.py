@@ -367,10 +367,30 @@ def test_programs_that_were_not_used_for_longest_make_room(folder, monkeypatch):
         assert _made(X, name=name)[1] == anew, name
 
 
-def test_a_program_lets_go_of_what_it_compiled_first():
-    """Of arrays of ever other shapes; else a process runs out of mappings of memory."""
-    double = Program(lambda x: 2.0 * x)
-    for size in range(1, programs.KEPT + 4):
+def test_a_process_lets_go_of_the_programs_that_it_has_not_used_for_longest():
+    """Whichever functions they are of; else it runs out of mappings of memory."""
+    traced = []
+
+    def counted(factor):
+        def function(x):
+            traced.append((factor, x.size))
+            return factor * x
+
+        return Program(function)
+
+    double, triple = counted(2.0), counted(3.0)
+    first = jnp.ones(1)
+    for size in range(1, programs.KEPT):
         assert np.all(np.asarray(double(jnp.ones(size))) == 2.0)
-    assert [len(known) for known in double._compiled.values()] == [programs.KEPT]
-    assert np.all(np.asarray(double(jnp.ones(1))) == 2.0)
+        double(first)  # is in use throughout
+    for size in (1, 2, 3):
+        assert np.all(np.asarray(triple(jnp.ones(size))) == 3.0)
+    assert len(set(traced)) == len(traced) == programs.KEPT + 2
+    double(first)
+    double(jnp.ones(programs.KEPT - 1))
+    assert len(traced) == programs.KEPT + 2
+    double(jnp.ones(2))
+    assert traced[-1] == (2.0, 2)
+    programs.let_go()
+    double(first)
+    assert traced[-1] == (2.0, 1)

@@ -18,6 +18,7 @@ import secrets
 import stat
 import warnings
 import zlib
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -28,10 +29,9 @@ from jaxact.files import shared, writers
 FOLDER = "JAXACT_PROGRAMS"
 """Environment variable: the folder. Unset: nothing is kept."""
 
-KEPT = 32
-"""Programs of one function, and as many shapes of the inputs of each, that a process keeps: each
-takes some hundred mappings of memory, of which Linux gives a process 65,530, and XLA crashes where
-none is left."""
+KEPT = 100
+"""Programs that a process keeps, those that were used last: each takes some hundred mappings of
+memory, of which Linux gives a process 65,530, and XLA crashes where none is left."""
 
 MOST = 2**30
 """Bytes of all programs that are kept; those that were not used for longest make room."""
@@ -44,6 +44,15 @@ _LAPACK = "lapack_"
 # How object code begins, on Linux and on macOS. There is none in what XLA has not compiled itself
 # but loaded from JAX's own cache; such a program could be loaded once more, but not be run.
 _OBJECT_CODE = (b"\x7fELF", b"\xcf\xfa\xed\xfe")
+
+
+# Of all functions together, since the mappings are the process's.
+_in_use: OrderedDict[Any, Callable] = OrderedDict()
+
+
+def let_go() -> None:
+    """Give up the compiled programs of this process, and their memory; the kept ones stay kept."""
+    _in_use.clear()
 
 
 class Program:
@@ -64,7 +73,6 @@ class Program:
         functools.update_wrapper(self, function)
         self._function = function
         self._builds = builds
-        self._compiled: dict[Any, dict[Any, Callable]] = {}
 
     def __call__(self, *inputs: Any, **static: Any) -> Any:
         """Run it."""
@@ -77,8 +85,15 @@ class Program:
             inputs: trees of arrays.
             static: static arguments; `devices` among them is on how many it runs, the first ones.
         """
-        known = _recent(self._compiled, frozenset(static.items()), dict)
-        return _recent(known, _shapes(inputs), lambda: self._found(inputs, static))
+        key = (self, frozenset(static.items()), _shapes(inputs))
+        found = _in_use.get(key)
+        if found is None:
+            found = _in_use[key] = self._found(inputs, static)
+            for old in list(_in_use)[:-KEPT]:
+                _in_use.pop(old, None)
+        with contextlib.suppress(KeyError):  # another thread let go of it
+            _in_use.move_to_end(key)
+        return found
 
     def _found(self, inputs: Any, static: dict[str, Any]) -> Callable:
         """The program, from the folder or compiled."""
@@ -100,17 +115,6 @@ class Program:
 def building(function: Callable) -> Program:
     """A decorator: the program of what the function gives for its static arguments."""
     return Program(function, builds=True)
-
-
-def _recent(store: dict, key: Any, make: Callable[[], Any]) -> Any:
-    """The value of a key, made where it is new; the oldest ones go."""
-    if key not in store:
-        made = make()
-        store[key] = made
-        for old in list(store)[:-KEPT]:
-            store.pop(old, None)
-        return made
-    return store[key]
 
 
 def _shapes(inputs: Any) -> Any:
