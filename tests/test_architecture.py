@@ -22,10 +22,10 @@ PACKAGE = ROOT / "jaxact"
 
 # Folders are layers, from low to high; a module imports only from its own layer and lower ones.
 LAYERS = (
-    "errors", "status", "files", "units", "parameters", "engines", "matrix_exponential",
-    "compilation", "drive", "robots", "gains", "plants", "analysis", "loops", "simulation",
-    "robot_margins", "sweeping", "tuning", "identification", "environments", "plotting", "reports",
-    "verbs", "cli", "__main__",
+    "errors", "status", "files", "reportable", "units", "parameters", "engines",
+    "matrix_exponential", "compilation", "drive", "robots", "gains", "plants", "analysis", "loops",
+    "simulation", "robot_margins", "sweeping", "tuning", "identification", "environments",
+    "plotting", "reports", "verbs", "cli", "__main__",
 )  # fmt: skip
 MOST_AT_ROOT = 10
 # Theory and simulation are written independently, so that each can catch the other's mistakes.

@@ -20,7 +20,7 @@ def main() -> None:
         columns=HERE / "ak80.toml",
         joint="elbow",
     )
-    print(found.report)
+    print(found)
     # The drive in front of a knee of 0.05 kg m^2, first with gains somebody chose.
     loop = jx.joint(drive=found, inertia=0.05, kp=20.0, kd=0.6)
     print(f"\nwith kp 20, kd 0.6:\n{jx.margins(loop)}")

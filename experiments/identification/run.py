@@ -138,7 +138,7 @@ def table(system: System, found: Identified, rungs: list[dict[str, object]]) -> 
             f" {'yes' if row['identified'] else 'no'} | {1e3 * row['effective_lag']:.3g} |"
             f" {row['gain_margin']:.3g} | {1e3 * row['delay_margin']:.3g} |"
         )
-    return [*lines, "", "```text", found.report, "```", ""]
+    return [*lines, "", "```text", str(found), "```", ""]
 
 
 PAGE = f"""# How simple may the model of an actuator be?

@@ -141,7 +141,7 @@ def main(
             progress=lambda name: progress(f"fitting: {name}"),
         )  # fmt: skip
     _write(found, out, picture)
-    print(found.report)
+    print(found)
     print(f"wrote {out}")
     print(f"wrote {picture}")
     if report is not None:

@@ -20,6 +20,7 @@ from jaxact.loops.building import joint
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.loops.drives import IdentifiedDrive
 from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, POSITION_RESOLUTION
+from jaxact.reportable import Reportable
 
 # Of a loop only one controller's gains can be.
 _OTHER_GAINS = "the gains of other logs than the first"
@@ -28,8 +29,8 @@ _STATED = ("inertia", "gravity")
 
 
 @dataclass(frozen=True)
-class Identified:
-    """An identified drive; printed, it is its report.
+class Identified(Reportable):
+    """An identified drive; printed, it is what was found in words and a table.
 
     Attributes:
         plant: "none" for the force loop alone, "mass" or "pendulum".
@@ -171,16 +172,11 @@ class Identified:
             },
         }
 
-    @property
-    def report(self) -> str:
-        """What was found, as text."""
+    def __str__(self) -> str:
+        """What was found, in words and a table."""
         from jaxact.identification.report import text
 
         return text(self)
-
-    def __str__(self) -> str:
-        """The report."""
-        return self.report
 
 
 def _model_value(unknown: Unknown, value: float) -> float:

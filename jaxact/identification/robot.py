@@ -41,6 +41,7 @@ from jaxact.parameters import (
     WN,
     ZETA,
 )
+from jaxact.reportable import Reportable
 from jaxact.robots import model as _models
 from jaxact.robots.mounting import FIXED
 from jaxact.robots.robot import Joint, Robot
@@ -79,8 +80,8 @@ class Part:
 
 
 @dataclass(frozen=True)
-class IdentifiedRobot:
-    """The identified drives of a robot's joints; printed, they are its report.
+class IdentifiedRobot(Reportable):
+    """The identified drives of a robot's joints; printed, they are what was found.
 
     Attributes:
         robot: on which they were identified, its base fixed.
@@ -166,8 +167,7 @@ class IdentifiedRobot:
         }[parameter]  # fmt: skip
         return max(float(rows[joint.dof]) for joint in joints)
 
-    @property
-    def report(self) -> str:
+    def __str__(self) -> str:
         """What was found, as text."""
         lines = []
         for part in self.parts:
@@ -183,10 +183,6 @@ class IdentifiedRobot:
         if vague:
             lines += ["", f"the delay is not identifiable from these logs: {', '.join(vague)}"]
         return "\n".join(lines)
-
-    def __str__(self) -> str:
-        """The report."""
-        return self.report
 
 
 def identify_robot(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxact.parameters import KP
+from jaxact.reportable import Reportable
 from jaxact.tuning.certificate import (
     Certificate,
     Check,
@@ -54,7 +55,7 @@ class OfRobot:
 
 
 @dataclass(frozen=True, repr=False)
-class Tuned:
+class Tuned(Reportable):
     """Tuned gains of a joint, an ensemble or a robot, and what is known of them.
 
     Attributes:

@@ -55,7 +55,7 @@ def identify(
     """Find the drive behind logs: its dynamics, delay, friction, and how well each is known.
 
         found = jaxact.identify("log.csv", "pendulum", validate="other.csv", columns="map.toml")
-        print(found.report)
+        print(found)
         jaxact.margins(found.loop)
 
     A ladder of models is fitted by least squares on the logs' own time stamps, and each is tried

@@ -22,6 +22,7 @@ from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop, is_traced
 from jaxact.parameters import CONTROL_RATE, KP
+from jaxact.reportable import Reportable
 from jaxact.verbs import margin_tables, notebook
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ _STEPS = 16
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, repr=False)
-class LoopMargins:
+class LoopMargins(Reportable):
     """Margins of a joint's loops; each metric is an attribute, an array of the batch's shape.
 
     `stable`, `unstable_roots`, `gain_margin`, `phase_margin` [rad], `delay_margin` [s],
@@ -114,7 +115,7 @@ class LoopMargins:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, repr=False)
-class BothMargins:
+class BothMargins(Reportable):
     """Margins in continuous time and of the sampled loop, side by side; a pytree of arrays.
 
     Attributes:

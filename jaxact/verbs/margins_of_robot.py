@@ -15,6 +15,7 @@ from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.parameters import KD, KP
+from jaxact.reportable import Reportable
 from jaxact.robot_margins import whole_robot
 from jaxact.robot_margins.whole_robot import WholeRobot
 from jaxact.verbs import naming, notebook, robot_tables
@@ -42,7 +43,7 @@ _UNITS = {
 
 
 @dataclass(frozen=True, repr=False)
-class RobotLoopMargins:
+class RobotLoopMargins(Reportable):
     """Margins of a robot's loop, or of a batch of them; each metric is an array.
 
     Of all joints at once, of the batch's shape: `stable`, `growth_rate`, `shaking_rate`,

@@ -13,14 +13,26 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from jaxact import reportable
 from jaxact.errors import UserError
 
 if TYPE_CHECKING:
+    import xarray as xr
     from matplotlib.figure import Figure
 
 # More loops than this cannot be told apart in one picture.
 _MOST_LOOPS = 8
 _DPI = 90
+
+
+def _report(result: Any, out: Any, **options: Any) -> reportable.Report:
+    from jaxact.verbs.report import report  # of results too, which it imports
+
+    return report(result, out, **options)
+
+
+# How results look is not their own layer's to know.
+reportable.written_by(_report)
 
 
 def shown(text: str, picture: Callable[[], Figure] | None = None, *, words: str = "") -> str:
@@ -31,7 +43,7 @@ def shown(text: str, picture: Callable[[], Figure] | None = None, *, words: str 
         picture: makes the figure; what it refuses is not shown.
         words: what the picture shows, for those who cannot see it.
     """
-    found = f"<pre>{html.escape(text)}</pre>"
+    found = f'<pre style="overflow-x: auto">{html.escape(text)}</pre>'
     if picture is None:
         return found
     from jaxact.plotting import theme
@@ -40,7 +52,11 @@ def shown(text: str, picture: Callable[[], Figure] | None = None, *, words: str 
         image = io.BytesIO()
         picture().savefig(image, format="png", dpi=_DPI, facecolor="white")
         data = base64.b64encode(image.getvalue()).decode()
-        found += f'<img alt="{html.escape(words)}" src="data:image/png;base64,{data}">'
+        # No wider than what it stands in, on a narrow screen.
+        style = "max-width: 100%; height: auto; background: white"
+        found += (
+            f'<img alt="{html.escape(words)}" style="{style}" src="data:image/png;base64,{data}">'
+        )
     return found
 
 
@@ -126,3 +142,23 @@ def identified_robot(found: Any) -> str:
     from jaxact.verbs.identify import robot_sheet
 
     return shown(str(found), lambda: robot_sheet(found), words="measured and simulated by joint")
+
+
+def simulated(run: xr.Dataset) -> Figure:
+    """A simulated loop over time, or the loops of a batch; of a robot the joint that errs most."""
+    from jaxact.verbs import plot
+
+    joint = None
+    if "joint" in run.dims:
+        off = abs(run.position - run.setpoint).max([d for d in run.position.dims if d != "joint"])
+        joint = str(run.joint.values[int(off.fillna(0.0).argmax())])
+    figure = _figure(9.0, 5.0)
+    if run.verdict.ndim:
+        axes = figure.subplots(2, 1, sharex=True)
+        plot.step(run, joint=joint, axes=axes, legend=run.verdict.size <= _MOST_LOOPS)
+    else:
+        axes = figure.subplots(3, 1, sharex=True)
+        plot.trajectory(run, joint=joint, axes=axes)
+    if joint is not None:
+        axes[0].set_title(joint)
+    return figure

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import html
 import os
 import platform
 import tomllib
@@ -18,36 +17,12 @@ from jaxact.errors import UserError
 from jaxact.loops import drives
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.parameters import KD, KP
+from jaxact.reportable import Report
 from jaxact.reports import page
 from jaxact.verbs import report_joint
 
 # In a folder of `jaxact tune`.
 GAINS = "gains.toml"
-_HEIGHT = 900  # of the page in a notebook [px]
-
-
-@dataclasses.dataclass(frozen=True)
-class Report:
-    """A report that was written; a path, and in a notebook the page itself.
-
-    Attributes:
-        path: of the file.
-        text: what is in it.
-    """
-
-    path: Path
-    text: str = dataclasses.field(repr=False)
-
-    def __fspath__(self) -> str:
-        """The path, for whatever opens files."""
-        return os.fspath(self.path)
-
-    def _repr_html_(self) -> str:
-        # A frame of its own, which may run its script and touch nothing of the notebook.
-        return (
-            f'<iframe sandbox="allow-scripts" title="{html.escape(self.path.name)}" width="100%"'
-            f' height="{_HEIGHT}" srcdoc="{html.escape(self.text)}"></iframe>'
-        )
 
 
 def report(
@@ -64,9 +39,10 @@ def report(
     delay, actuators and several control rates, and the joints that shake first.
 
     Args:
-        subject: a joint's or a robot's loop or loops, their margins, a sweep, a tuned result or
-            what `jaxact.identify` found; or the path of a robot's model, of the results of a sweep
-            or a tuning, of an identified drive, or of a TOML file that describes or lists loops.
+        subject: a joint's or a robot's loop or loops, their margins, a sweep, what
+            `jaxact.simulate` gave, a tuned result or what `jaxact.identify` found; or the path of a
+            robot's model, of the results of a sweep or a tuning, of an identified drive, or of a
+            TOML file that describes or lists loops.
         out: HTML file to write; one that is there is replaced.
         title: above the page, "" for what the specification says.
         command: that made it, to be shown.
@@ -129,6 +105,10 @@ def _content(subject: Any) -> page.Content:
             return identified.content(subject)
         with _whole(drive):
             return identified.of_file(drive)
+    if hasattr(subject, "data_vars") and "time" in subject.dims:
+        from jaxact.verbs import report_run
+
+        return report_run.content(subject)
     if tuned is None and _is_robot(subject):
         from jaxact.verbs import report_robot
 

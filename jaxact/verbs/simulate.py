@@ -86,7 +86,7 @@ def runs(
 
 
 def _dataset(loop: ControlLoop, runs: list[Single]) -> xr.Dataset:
-    import xarray as xr
+    from jaxact.verbs import results  # with xarray, which is slow to import
 
     samples = _renamed(conversion.samples(loop))
     shape = loop.shape
@@ -115,7 +115,8 @@ def _dataset(loop: ControlLoop, runs: list[Single]) -> xr.Dataset:
             name: (place.dims, place.values, place.attributes)
             for name, place in samples.coords.items()
         }
-    return xr.Dataset(variables, coords, {} if shape else {"report": run_tables.text(runs[0])})
+    attributes = {} if shape else {"report": run_tables.text(runs[0])}
+    return results.dataset(variables, coords, attributes)
 
 
 def _renamed(samples: Samples) -> Samples:

@@ -23,7 +23,7 @@ from jaxact.loops.control_loop import ControlLoop, is_traced
 from jaxact.loops.conversion import described, preset_axis
 from jaxact.loops.specification import Sampling, Specification
 from jaxact.parameters import PARAMETERS, WN, ZETA, canonical, known
-from jaxact.sweeping import execution, location, opening
+from jaxact.sweeping import execution, location
 from jaxact.verbs.sweep_options import Say, computed_by, options, settled
 
 if TYPE_CHECKING:
@@ -128,14 +128,16 @@ def sweep(
         raise UserError("resume and overwrite are for results that are kept; give out")
     where = None if out is None else location.at(os.fspath(out))
     asked = settled(asked, where, how, say if workers == "local" else None)
+    from jaxact.verbs import results  # with xarray, which is slow to import
+
     by = computed_by(how, workers=workers, address=address, budget=memory, say=say)
     with by as how, _shown(progress) as moved:
         how = dataclasses.replace(how, moved=moved)
         if where is not None:
-            return opening.opened(execution.sweep(asked, where, how).location)
+            return results.opened(execution.sweep(asked, where, how).location)
         with tempfile.TemporaryDirectory(prefix="jaxact-") as folder:
             filled = execution.sweep(asked, location.at(Path(folder) / "results"), how)
-            return opening.loaded(opening.opened(filled.location))
+            return results.loaded(results.opened(filled.location))
 
 
 def _sampling(method: str | None, number: int | None) -> Sampling:

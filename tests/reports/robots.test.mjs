@@ -11,6 +11,7 @@ import { test } from "node:test";
 import {
   eigenvalues, inverse, largestSingularValue, shifted, singularValues, zeros,
 } from "../../jaxact/reports/page/matrices.js";
+import * as limits from "../../jaxact/reports/page/robot_limits.js";
 import * as closed from "../../jaxact/reports/page/robot_loop.js";
 import * as margins from "../../jaxact/reports/page/robot_margins.js";
 import { openRobot, plantOf } from "../../jaxact/reports/page/robot_response.js";
@@ -108,11 +109,11 @@ test("robots have Python's margins", { skip }, () => {
     for (const name of ["sensitivity_peak", "complementary_peak", "unscaled_disk_margin"]) {
       near(found[name], row.whole[name], EXACT, `${row.robot}: ${name}`);
     }
-    const up = closed.gainLimit(loop, true);
+    const up = limits.gainLimit(loop, true);
     near(up?.factor ?? Infinity, row.whole.gain_margin, LIMIT, `${row.robot}: gain margin`);
-    const down = closed.gainLimit(loop, false);
+    const down = limits.gainLimit(loop, false);
     near(down?.factor ?? 0, row.whole.gain_reduction_margin, LIMIT, `${row.robot}: gains down`);
-    const later = finished(closed.delayLimit(loop));
+    const later = finished(limits.delayLimit(loop));
     near(later?.delay ?? Infinity, row.whole.delay_margin, LIMIT, `${row.robot}: delay margin`);
     if (later && row.first) {
       // Which of two legs that are alike is named is rounding.
@@ -138,7 +139,7 @@ function ofJoints(loop, row) {
 test("ranges of a map change where the margins are", { skip }, () => {
   const row = rows.find(({ whole }) => whole);
   const { loop } = closedOf(row);
-  const found = [...closed.ranges(loop)];
+  const found = [...limits.ranges(loop)];
   const here = found.find(({ low, high }) => low < 1 && high > 1);
   assert.equal(here.unstable, 0);
   near(here.high, row.whole.gain_margin, 1e-2, "where gains become too high");

@@ -42,7 +42,7 @@ def found():
 
 @pytest.fixture(scope="module")
 def report(found, tmp_path_factory):
-    return jx.report(found, tmp_path_factory.mktemp("identified") / "drive.html")
+    return found.report(tmp_path_factory.mktemp("identified") / "drive.html")
 
 
 def test_the_page_has_the_logs_the_ladder_the_intervals_and_the_loop(found, report):

@@ -45,7 +45,10 @@ def test_a_sweep_has_its_ranges_and_its_other_axes_as_loops(tmp_path):
 
 def test_gains_have_their_common_factor_and_rotary_joints_their_units(tmp_path):
     loop = jx.joint(inertia=0.02, kp=80, kd=1.5, gain_scale=2)
-    data = data_of(jx.report(jx.margins(loop), tmp_path / "joint.html"))
+    data = data_of(jx.margins(loop).report(tmp_path / "joint.html", title="<b>", command="ls"))
+    text = (tmp_path / "joint.html").read_text(encoding="utf-8")
+    assert "&lt;b&gt;" in text and "<b>" not in text and ">ls</pre>" in text
+    assert data == data_of(jx.margins(loop, sampled="both").report(tmp_path / "both.html"))
     assert data["unit"] == "rad" and not data["sampled"]
     assert (data["loops"][0]["parameters"]["kp"], data["loops"][0]["parameters"]["kd"]) == (160, 3)
     assert data["loops"][0]["parameters"]["wn"] == "inf"

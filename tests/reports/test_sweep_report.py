@@ -33,7 +33,7 @@ def maps():
 
 @pytest.fixture(scope="module")
 def report(maps, tmp_path_factory):
-    return jx.report(maps, tmp_path_factory.mktemp("sweep") / "sweep.html")
+    return maps.jaxact.report(tmp_path_factory.mktemp("sweep") / "sweep.html")
 
 
 def test_cells_are_the_sweeps_in_the_order_of_the_loops(maps, report):

@@ -24,7 +24,7 @@ def tuned():
 
 @pytest.fixture(scope="module")
 def report(tuned, tmp_path_factory):
-    return jx.report(tuned, tmp_path_factory.mktemp("tuned") / "tuned.html")
+    return tuned.report(tmp_path_factory.mktemp("tuned") / "tuned.html")
 
 
 def test_the_page_has_the_certificate_the_worst_members_and_the_front(tuned, report):

@@ -7,7 +7,7 @@ import { controls } from "./controls.js";
 import * as views from "./curve_views.js";
 import { frequencyGrid, responses } from "./frequencies.js";
 import { continuousLoop, sampledLoop } from "./loops.js";
-import { drawMap, mapLayers, mapTable, movable } from "./map_view.js";
+import { COARSE, drawMap, FINE, mapLayers, mapTable, movable } from "./map_view.js";
 import { margins } from "./margins.js";
 import { showMargins } from "./margins_table.js";
 import { rightmostRoot } from "./roots.js";
@@ -15,6 +15,7 @@ import { stepResponse, ticksOf } from "./step_response.js";
 import { command, toml, verdict } from "./words.js";
 
 const SPEAK_AFTER = 500;
+const SHARPEN_AFTER = 120;
 const MAKE = { continuous: continuousLoop, sampled: sampledLoop };
 
 /**
@@ -37,6 +38,7 @@ export function start(data, host, drawn = () => {}) {
   let place = null;
   let asked = 0;
   let speaking = 0;
+  let sharpening = 0;
 
   const kind = () => host.querySelector("input[name=kind]:checked").value;
 
@@ -46,9 +48,39 @@ export function start(data, host, drawn = () => {}) {
       const loop = MAKE[which](state.parameters);
       const grid = frequencyGrid(loop, window);
       const cached = responses(loop, grid);
-      plants[which] = { loop, grid, cached, edges: boundary(loop, cached, window) };
+      plants[which] = { loop, grid, cached };
     }
     return plants[which];
+  }
+
+  function forgetMap() {
+    layers = null;
+    clearTimeout(sharpening);
+  }
+
+  /** The map, first of a few gains, and of many as soon as no slider moves any more. */
+  function map() {
+    const which = kind();
+    const { loop, cached } = plantOf(which);
+    const quantity = by("quantity").value;
+    plants[which].edges ??= boundary(loop, cached, window);
+    layers ??= mapLayers(loop, cached, window, quantity, COARSE);
+    place = drawMap(by("map"), {
+      window,
+      unit,
+      layers,
+      edges: plants[which].edges,
+      points: data.points,
+      point: { kp: state.kp, kd: state.kd },
+      cells: cellsShown() ? data.cells : null,
+      loop: Number(by("loop").value),
+    });
+    clearTimeout(sharpening);
+    if (layers.count === FINE) return;
+    sharpening = setTimeout(() => {
+      layers = mapLayers(loop, cached, window, quantity, FINE);
+      map();
+    }, SHARPEN_AFTER);
   }
 
   function found(which) {
@@ -61,23 +93,11 @@ export function start(data, host, drawn = () => {}) {
     asked = 0;
     const began = performance.now();
     plants ??= {};
-    const chosen = plantOf(kind());
-    layers ??= mapLayers(chosen.loop, chosen.cached, window, by("quantity").value);
-    const point = { kp: state.kp, kd: state.kd };
-    place = drawMap(by("map"), {
-      window,
-      unit,
-      layers,
-      edges: chosen.edges,
-      points: data.points,
-      point,
-      cells: cellsShown() ? data.cells : null,
-      loop: Number(by("loop").value),
-    });
+    map();
     const both = { continuous: found("continuous"), sampled: found("sampled") };
     showMargins(by("margins"), both);
     say(both);
-    pictures(both, chosen.edges);
+    pictures(both, plants[kind()].edges);
     performance.measure("redraw", { start: began, end: performance.now() });
     drawn({ ...state.parameters, kp: state.kp, kd: state.kd });
   }
@@ -149,7 +169,10 @@ export function start(data, host, drawn = () => {}) {
     Object.assign(state, { kp, kd });
     const moved = Object.keys(others).some((name) => others[name] !== state.parameters[name]);
     Object.assign(state.parameters, others);
-    if (moved) plants = layers = null;
+    if (moved) {
+      plants = null;
+      forgetMap();
+    }
     show({ ...state.parameters, kp, kd });
     later();
   }
@@ -186,7 +209,7 @@ export function start(data, host, drawn = () => {}) {
   by("cells").addEventListener("change", later);
   for (const input of host.querySelectorAll("input[name=kind], #quantity")) {
     input.addEventListener("change", () => {
-      layers = null;
+      forgetMap();
       later();
     });
   }

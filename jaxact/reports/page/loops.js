@@ -95,11 +95,12 @@ export function periodMap(p) {
   return { ...whole, older, newer: late.gamma, steps, remainder };
 }
 
-/** The state some time after the beginning of a period, 0 <= time <= T. */
-export function within(p, remainder, time, x, older, newer) {
-  if (time <= remainder) return advanced(transition(time, p), x, older);
-  const switched = advanced(transition(remainder, p), x, older);
-  return advanced(transition(time - remainder, p), switched, newer);
+/** The state some time after the beginning of a period, 0 <= time <= T, by (x, older, newer). */
+export function within(p, remainder, time) {
+  const early = transition(Math.min(time, remainder), p);
+  if (time <= remainder) return (x, older) => advanced(early, x, older);
+  const late = transition(time - remainder, p);
+  return (x, older, newer) => advanced(late, advanced(early, x, older), newer);
 }
 
 /** (q0, q1, q2) of det(1 - F u) = q0 + q1 S + q2 S^2 from F - 1, shape (2, 2). */

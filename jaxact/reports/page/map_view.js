@@ -6,21 +6,26 @@ import { draggable } from "./dragging.js";
 import { fields, levelLine, QUANTITIES, regionAbove } from "./levels.js";
 import { gainUnits } from "./words.js";
 
-const COUNT = 48;
+// Gains along each axis: of the first map after a change, and of the one that replaces it.
+export const COARSE = 16;
+export const FINE = 48;
 const HEIGHT = 430;
 const STEP = 0.01;
 
-/** What of the map does not depend on the point: level lines and the stable region, in cells. */
-export function mapLayers(loop, cached, window, quantity) {
-  const { values, distance } = fields(loop, cached, window, quantity, COUNT);
+/**
+ * What of the map does not depend on the point: level lines and the stable region, in cells of
+ * `count` x `count` gains.
+ */
+export function mapLayers(loop, cached, window, quantity, count) {
+  const { values, distance } = fields(loop, cached, window, quantity, count);
   const { levels, text, field } = QUANTITIES[quantity];
   const lines = levels
-    .map((level) => ({ text: text(level), segments: levelLine(values, COUNT, field(level)) }))
+    .map((level) => ({ text: text(level), segments: levelLine(values, count, field(level)) }))
     .filter(({ segments }) => segments.length > 0);
-  return { lines, region: regionAbove(distance, COUNT) };
+  return { lines, region: regionAbove(distance, count), count };
 }
 
-const along = ([low, high], cell) => low * (high / low) ** (cell / (COUNT - 1));
+const along = ([low, high], cell, count) => low * (high / low) ** (cell / (count - 1));
 
 /**
  * Draw the map. `edges` of `boundary`, `points` [{name, kp, kd}], `point` {kp, kd}; `cells` of one
@@ -33,8 +38,15 @@ export function drawMap(svg, { window, unit, layers, edges, points, point, cells
     y: { domain: window.kd, log: true, label: `kd, damping [${damping}]` },
     height: HEIGHT,
   });
-  const at = (x, y) =>
-    `${place.x(along(window.kp, x)).toFixed(1)} ${place.y(along(window.kd, y)).toFixed(1)}`;
+  const { count } = layers;
+  const spot = (x, y) => [
+    place.x(along(window.kp, x, count)),
+    place.y(along(window.kd, y, count)),
+  ];
+  const at = (x, y) => {
+    const [across, up] = spot(x, y);
+    return `${across.toFixed(1)} ${up.toFixed(1)}`;
+  };
   const filled = layers.region.map((cell) => {
     let path = "";
     for (let i = 0; i < cell.length; i += 2) path += `${i ? "L" : "M"}${at(cell[i], cell[i + 1])}`;
@@ -46,8 +58,7 @@ export function drawMap(svg, { window, unit, layers, edges, points, point, cells
   for (const { text, segments } of layers.lines) {
     const path = segments.map(([x0, y0, x1, y1]) => `M${at(x0, y0)}L${at(x1, y1)}`).join("");
     place.inside.append(draw("path", { class: "level", d: path }));
-    const [column, row] = labelled(segments);
-    const [x, y] = [place.x(along(window.kp, column)), place.y(along(window.kd, row))];
+    const [x, y] = spot(...labelled(segments, count));
     // No label over another.
     if (labels.some((one) => Math.abs(one.y - y) < 13 && Math.abs(one.x - x) < 45)) continue;
     labels.push({ x, y });
@@ -67,8 +78,9 @@ export function drawMap(svg, { window, unit, layers, edges, points, point, cells
 }
 
 /** The topmost end of a level line, away from the edges of the map. */
-function labelled(segments) {
-  const inside = segments.filter(([x, y]) => x > 1 && x < COUNT - 4 && y < COUNT - 3);
+function labelled(segments, count) {
+  const [right, top] = [0.92 * count, 0.94 * count];
+  const inside = segments.filter(([x, y]) => x > 1 && x < right && y < top);
   return (inside.length ? inside : segments).reduce((a, b) => (b[1] > a[1] ? b : a)).slice(0, 2);
 }
 

@@ -2,7 +2,8 @@
 
 import { fill } from "./chart.js";
 import { sliders } from "./controls.js";
-import { closedLoop, delayLimit, gainLimit, ranges, responses } from "./robot_loop.js";
+import { delayLimit, gainLimit, ranges } from "./robot_limits.js";
+import { closedLoop, responses } from "./robot_loop.js";
 import * as margins from "./robot_margins.js";
 import { openRobot, plantOf } from "./robot_response.js";
 import * as views from "./robot_views.js";
@@ -10,6 +11,8 @@ import * as words from "./robot_words.js";
 
 const SETTLE_AFTER = 120;
 const SPEAK_AFTER = 500;
+// Of computing, between which the page answers [ms]: what 12 joints need at once, and the rest.
+const AT_ONCE = 60;
 const SLICE = 25;
 // Columns of the map less one, for few and for many joints: powers of two.
 const [COLUMNS, FEWER, MANY] = [32, 16, 14];
@@ -25,6 +28,7 @@ export function start(data, host) {
   let window = windowOf(state);
   let asked = 0;
   let running = 0;
+  let [busy, again] = [false, false];
   let place = null;
   let show = () => {};
 
@@ -74,36 +78,65 @@ export function start(data, host) {
 
   function redraw() {
     asked = 0;
-    const began = performance.now();
-    const drives = drivesOf();
-    const { open } = openAt(drives);
+    running += 1;
+    drawMap();
+    // Asked for again where nothing has moved, as by another width of the window.
     if (kept.settled?.key === JSON.stringify(state)) {
-      drawMap();
       kept.settled.draw();
       return;
     }
-    kept.coarse ??= responses(open, false);
-    const loop = closedLoop(kept.coarse, drives.kp, drives.kd);
-    const unstable = loop.count(1);
-    drawMap();
-    views.drawSensitivities(by("robot-sensitivity"), margins.withSensitivities(loop), open.period);
-    say(words.quick(unstable), unstable === 0, false);
+    kept.settled = null;
+    const drives = drivesOf();
     views.waiting(by("robot-margins"));
     by("robot-command").value = words.command(data, state, drives);
     by("robot-toml").value = words.toml(data, state, drives);
-    performance.measure("redraw", { start: began, end: performance.now() });
-    const own = ++running;
-    setTimeout(() => own === running && work(own, settle(drives)), SETTLE_AFTER);
+    // What moves faster than a robot with many joints is computed is skipped, not queued.
+    again = busy;
+    if (busy) return;
+    busy = true;
+    say(words.quick(null), null, false);
+    const done = () => {
+      busy = false;
+      if (again) later();
+      else settleSoon(drives);
+    };
+    work(quick(drives), done, AT_ONCE);
   }
 
-  /** Run a generator in slices, until something moves. */
-  function work(own, steps) {
-    if (own !== running) return;
-    const until = performance.now() + SLICE;
+  /** Whether it is stable, and the singular values as a first picture. */
+  function* quick(drives) {
+    const began = performance.now();
+    const { open } = openAt(drives);
+    yield;
+    kept.coarse ??= responses(open, false);
+    yield;
+    const loop = closedLoop(kept.coarse, drives.kp, drives.kd);
+    yield;
+    const unstable = loop.count(1);
+    say(words.quick(unstable), unstable === 0, false);
+    yield;
+    const points = yield* margins.outline(loop);
+    views.drawSensitivities(by("robot-sensitivity"), points, open.period);
+    performance.measure("redraw", { start: began, end: performance.now() });
+  }
+
+  function settleSoon(drives) {
+    const own = running;
+    const unmoved = () => own === running;
+    setTimeout(() => work(settle(drives), () => {}, SLICE, unmoved), SETTLE_AFTER);
+  }
+
+  /** Run a generator in slices, for as long as it is wanted. */
+  function work(steps, done, slice, wanted = () => true) {
+    if (!wanted()) return;
+    const until = performance.now() + slice;
     do {
-      if (steps.next().done) return;
+      if (steps.next().done) {
+        done();
+        return;
+      }
     } while (performance.now() < until);
-    setTimeout(() => work(own, steps), 0);
+    setTimeout(() => work(steps, done, slice, wanted), 0);
   }
 
   /** All numbers in full, a step after the other. */

@@ -21,12 +21,27 @@ const KINDS = [
   [1, -1],
   [-0.5, 1],
 ];
+const PICTURED = KINDS.slice(0, 2);
+// Of a robot with more joints a first picture has fewer points.
+const FEW_JOINTS = 12;
 
 /** S of a point of the grid, and its largest singular values, where they are not there yet. */
 export function withSensitivity(point) {
-  if (point.S) return;
+  if (point.peaks?.length === KINDS.length) return;
   point.S = robot.sensitivityOf(point.L);
   point.peaks = KINDS.map(([c, d]) => largestSingularValue(shifted(point.S, c, d)));
+}
+
+/** Points enough for a picture of S and T, with no more than it shows; in steps. */
+export function* outline({ points, open }) {
+  const stride = Math.max(1, Math.round(open.joints / FEW_JOINTS));
+  const kept = points.filter((_, i) => i % stride === 0 || i + 1 === points.length);
+  for (const point of kept) {
+    const S = robot.sensitivityOf(point.L);
+    point.peaks = PICTURED.map(([c, d]) => largestSingularValue(shifted(S, c, d)));
+    yield;
+  }
+  return kept;
 }
 
 /** The grid with S. */

@@ -2,8 +2,9 @@
 
 import { short } from "./chart.js";
 
-/** While something moves: only whether it is stable. */
-export const quick = (unstable) => (unstable === 0 ? "Stable; …" : "Unstable; …");
+/** While something moves: only whether it is stable, null before even that is known. */
+export const quick = (unstable) =>
+  unstable === null ? "…" : unstable === 0 ? "Stable; …" : "Unstable; …";
 
 const factor = (x) => `×${short(x, 3)}`;
 const ms = (x) => `${short(1000 * x, 3)} ms`;

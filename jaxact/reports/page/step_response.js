@@ -46,10 +46,11 @@ export function stepResponse(p, kp, kd, ticks) {
     x = applied(phi, x).map((value, i) => value + older[i] * old + newer[i] * now);
   }
   const positions = [];
+  const beside = within(p, remainder, part);
   for (let tick = 0; tick <= ticks; tick++) {
     const at = tick + whole;
     const [old, now] = [held(at - steps - 1), held(at - steps)];
-    positions.push(part > 0 ? within(p, remainder, part, seen[at], old, now)[0] : seen[at][0]);
+    positions.push(part > 0 ? beside(seen[at], old, now)[0] : seen[at][0]);
   }
   const time = positions.map((_, i) => i * period);
   return { time, position: positions, command: commands.slice(0, ticks + 1) };

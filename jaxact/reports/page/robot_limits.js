@@ -1,0 +1,238 @@
+// How far a robot's gains and delay may move until a root crosses the unit circle.
+//
+// A factor g on all gains is marginal where -1/g is an eigenvalue of L on the circle, a delay of d
+// periods where exp(-j w d) l_i(w) = -1; the count of roots on either side confirms each.
+
+import { eigenvalues } from "./matrices.js";
+import { loopOf, OUTSIDE, rootsBeyond } from "./robot_loop.js";
+
+// Beside a crossing, relative.
+const BESIDE = 1e-4;
+const FURTHEST = 1e6;
+// Crossings so near to each other are looked at together; of delays, eigenvalues this near to -1.
+const NEAR = 1e-3;
+const TOGETHER = 1e-2;
+const AROUND = 0.5;
+const MOST_CANDIDATES = 24;
+
+/** Where a real function of an eigenvalue passes 0 between points: {t, low, high, value}. */
+function crossings({ points }, curve) {
+  const found = [];
+  for (let k = 1; k < points.length; k++) {
+    const [a, b] = [points[k - 1], points[k]];
+    b.before.forEach((before, i) => {
+      const after = b.roots[i];
+      const [x, y] = [curve(before), curve(after)];
+      if (x > 0 === y > 0) return;
+      const share = x / (x - y);
+      const value = {
+        re: before.re + share * (after.re - before.re),
+        im: before.im + share * (after.im - before.im),
+      };
+      found.push({ t: a.t + share * (b.t - a.t), low: a.t, high: b.t, value });
+    });
+  }
+  return found;
+}
+
+/** The eigenvalue of L on the circle that is nearest to a value. */
+export function nearestRoot(loop, t, value) {
+  const far = (one) => Math.hypot(one.re - value.re, one.im - value.im);
+  return eigenvalues(loop.at(t)).reduce((a, b) => (far(b) < far(a) ? b : a));
+}
+
+/** A crossing to rounding, by regula falsi with halving. */
+function refined(loop, { low, high, t, value }, curve) {
+  let [a, b, x, guess] = [low, high, t, value];
+  let [fa, fb] = [curve(nearestRoot(loop, a, guess)), curve(nearestRoot(loop, b, guess))];
+  if (fa > 0 === fb > 0) return { t, value, sure: false };
+  for (let i = 0; i < 60 && b - a > 1e-14 * b; i++) {
+    if (!(x > a && x < b) || i % 4 === 3) x = 0.5 * (a + b);
+    guess = nearestRoot(loop, x, guess);
+    const fx = curve(guess);
+    if (fx > 0 === fa > 0) [a, fa] = [x, fx];
+    else [b, fb] = [x, fx];
+    x = (a * fb - b * fa) / (fb - fa);
+    if (Math.abs(fx) < 1e-14 * (1 + Math.abs(guess.re))) break;
+  }
+  const found = nearestRoot(loop, x, guess);
+  // Among eigenvalues that are almost equal, what looked like a passage may be two of them.
+  return { t: x, value: found, sure: Math.abs(curve(found)) < 1e-9 * (1 + Math.abs(found.re)) };
+}
+
+/** Factors on all gains at which an eigenvalue of L is -1/g: {factor, t, ...}, rising. */
+function factors(loop) {
+  const found = crossings(loop, (l) => l.im).filter(({ value }) => value.re < 0);
+  const { points } = loop;
+  for (const { re, im } of points[points.length - 1].roots) {
+    if (Math.abs(im) < 1e-6 * Math.abs(re) && re < 0) {
+      found.push({ t: Math.PI, low: Math.PI, high: Math.PI, value: { re, im: 0 } });
+    }
+  }
+  for (const { re, im } of loop.points[0].roots) {
+    if (Math.abs(im) < 1e-2 * Math.abs(re) && re < 0) {
+      found.push({ t: 0, low: 0, high: 0, value: { re, im: 0 } });
+    }
+  }
+  return found
+    .map((one) => ({ ...one, factor: -1 / one.value.re }))
+    .filter(({ factor }) => factor > 1 / FURTHEST && factor < FURTHEST);
+}
+
+/**
+ * Ranges of factors on all gains with the number of roots that are unstable, and of those that
+ * swing, if none does at the lowest gains: {low, high, unstable, shaking}, one after the other up to
+ * a factor; for a map, not refined.
+ */
+export function* ranges(loop, most = Infinity) {
+  const together = grouped(factors(loop).sort((a, b) => a.factor - b.factor), (one) => Math.log(one.factor));
+  let [low, shaking, before] = [0, 0, null];
+  for (let i = 0; i <= together.length && low <= most; i++) {
+    const first = together[i]?.[0].factor ?? Infinity;
+    const middle = low === 0 ? 0.5 * Math.min(first, 2) : Math.sqrt(low * Math.min(first, 4 * low));
+    const unstable = loop.count(middle);
+    if (before !== null && together[i - 1][0].t > 0) shaking += unstable - before;
+    const high = together[i]?.at(-1).factor ?? Infinity;
+    yield { low, high, unstable, shaking };
+    [low, before] = [high, unstable];
+  }
+}
+
+/** Crossings in their order that are so near to each other that they are looked at together. */
+function grouped(all, place) {
+  const found = [];
+  for (const one of all) {
+    const last = found[found.length - 1];
+    if (last && place(one) - place(last[0]) < NEAR * (1 + Math.abs(place(one)))) last.push(one);
+    else found.push([one]);
+  }
+  return found;
+}
+
+/**
+ * The nearest factor above or below 1 at which the number of unstable roots changes: {factor, t,
+ * before, after}, null where there is none; with `swing` where a motion that swings begins to grow.
+ */
+export function gainLimit(loop, up, swing = false) {
+  const sign = up ? 1 : -1;
+  const ahead = factors(loop)
+    .map((one) => ({ ...one, d: sign * Math.log(one.factor) }))
+    .filter(({ d }) => d > 0)
+    .sort((a, b) => a.d - b.d);
+  const together = grouped(ahead, ({ d }) => d);
+  const at = (d) => loop.count(Math.exp(sign * d));
+  let [before, start] = [loop.count(1), 0];
+  for (let i = 0; i < Math.min(together.length, MOST_CANDIDATES); i++) {
+    const last = together[i][together[i].length - 1].d;
+    const beyond = i + 1 < together.length ? 0.5 * (last + together[i + 1][0].d) : 1.5 * last + 0.1;
+    const after = at(beyond);
+    const counts = swing ? together[i][0].t > 0 && after > before : after !== before;
+    if (counts) {
+      return { ...limited(loop, together[i], sign, at, [start, beyond], before), before, after };
+    }
+    [before, start] = [after, beyond];
+  }
+  return null;
+}
+
+function limited(loop, candidates, sign, at, [start, beyond], before) {
+  const exact = candidates.map((one) => {
+    if (one.t > 0 && one.t < Math.PI) {
+      const { t, value, sure } = refined(loop, one, (l) => l.im);
+      return { t, d: sure && value.re < 0 ? sign * Math.log(-1 / value.re) : Infinity };
+    }
+    return { t: one.t, d: sign * Math.log(-1 / nearestRoot(loop, one.t, one.value).re) };
+  });
+  let { t, d } = exact.reduce((a, b) => (b.d < a.d ? b : a));
+  const near = Math.max(d, 1e-3);
+  // Slow growth shows on a circle a little outside only further beyond.
+  const beside = [1, 10, 100].some((x) => at(d + x * BESIDE * near) !== before);
+  if (!(d > 0) || !beside || at(d - BESIDE * near) !== before) {
+    let [low, high] = [start, beyond];
+    while (high - low > 1e-5 * high) {
+      const middle = 0.5 * (low + high);
+      if (at(middle) === before) low = middle;
+      else high = middle;
+    }
+    d = 0.5 * (low + high);
+  }
+  return { factor: Math.exp(sign * d), t };
+}
+
+/**
+ * The smallest delay of all commands at which one more motion grows: {delay [s], t}, null if none;
+ * the delay is NaN where counting the roots does not confirm it. In steps.
+ */
+export function* delayLimit(loop) {
+  const { open, kp, kd } = loop;
+  const { period } = open;
+  const guesses = crossings(loop, (l) => l.re * l.re + l.im * l.im - 1)
+    .map((one) => {
+      const angle = Math.atan2(-one.value.im, -one.value.re);
+      return { ...one, delay: (angle < 0 ? angle + 2 * Math.PI : angle) / one.t };
+    })
+    .sort((a, b) => a.delay - b.delay);
+  let [best, done] = [null, -1];
+  for (const guess of guesses) {
+    if (best && guess.delay > 1.1 * best.delay + 2) break;
+    // Joints that are alike cross together: all that are near are looked at from the first.
+    if (guess.delay - done < TOGETHER * (1 + done)) continue;
+    done = guess.delay;
+    for (const found of marginal(loop, guess)) {
+      if (!best || found.delay < best.delay) best = found;
+    }
+    yield;
+  }
+  if (!best) return null;
+  const before = loop.count(1);
+  const grows = (delay) => {
+    const later = open.later(delay * period);
+    return rootsBeyond({ open: later, kp, kd }, OUTSIDE) > before;
+  };
+  let [low, high] = [0, 0];
+  const beyond = [BESIDE, 10 * BESIDE, 100 * BESIDE].some((x) => grows(best.delay * (1 + x) + x));
+  if (!beyond) return { delay: NaN, t: best.t };
+  const early = [0.25, 0.5, 0.75, 1 - BESIDE].map((x) => x * best.delay).find(grows);
+  if (early === undefined) return { delay: best.delay * period, t: best.t };
+  for (high = early; high - low > 1e-6 * high; ) {
+    const middle = 0.5 * (low + high);
+    if (grows(middle)) high = middle;
+    else low = middle;
+    yield;
+  }
+  return { delay: high * period, t: best.t };
+}
+
+/** Delays [periods] and angles near a guess at which an eigenvalue of L is -1. */
+function marginal({ open, kp, kd }, { t, delay }) {
+  const at = (angle, late) => {
+    const { respond } = open.later(late * open.period);
+    return eigenvalues(loopOf(respond(Math.cos(angle), Math.sin(angle)), kp, kd));
+  };
+  const near = at(t, delay).filter(({ re, im }) => Math.hypot(re + 1, im) < AROUND);
+  return near.map((value) => newton(at, t, delay, value)).filter((found) => found !== null);
+}
+
+/** Newton's method over angle and delay, from an eigenvalue near -1. */
+function newton(at, t, delay, first) {
+  let [x, y, value] = [t, delay, first];
+  const eigenvalue = (angle, late) => {
+    const far = (one) => Math.hypot(one.re - value.re, one.im - value.im);
+    return at(angle, late).reduce((a, b) => (far(b) < far(a) ? b : a));
+  };
+  for (let i = 0; i < 20; i++) {
+    const [fr, fi] = [value.re + 1, value.im];
+    if (Math.hypot(fr, fi) < 1e-12) return { t: x, delay: y };
+    const [dx, dy] = [1e-6 * x, 1e-6 * (y + 1e-3)];
+    const [along, late] = [eigenvalue(x + dx, y), eigenvalue(x, y + dy)];
+    const [ar, ai] = [(along.re - value.re) / dx, (along.im - value.im) / dx];
+    const [br, bi] = [(late.re - value.re) / dy, (late.im - value.im) / dy];
+    const det = ar * bi - ai * br;
+    const step = [(fr * bi - fi * br) / det, (ar * fi - ai * fr) / det];
+    [x, y] = [x - step[0], Math.max(y - step[1], 0)];
+    if (!(x > 0 && x <= Math.PI && Math.abs(y - delay) < 2)) return null;
+    value = eigenvalue(x, y);
+    if (Math.hypot(step[0] / x, step[1] / (y + 1e-3)) < 1e-12) return { t: x, delay: y };
+  }
+  return null;
+}
