@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -35,6 +36,9 @@ def rows(quick: bool) -> Iterator:
         "importing what `jaxact margins` of one joint uses", "that whole command",
         importing, joint, "command", "none: what it costs", 0.0,
     )  # fmt: skip
+    with tempfile.TemporaryDirectory() as made:
+        taken = seconds(_margins_map(Path(made), 2 if quick else 10), repeats)
+    yield _within("1,000 combinations of gains and delay of a quadruped, all margins", taken, 20.0)
     folder = _locomotion()
     if folder is None:
         print("no MuJoCo Playground: the commands of its robots are left out")
@@ -58,6 +62,27 @@ def _within(what: str, taken: float, most: float):
 
 def _python(*words: str) -> Callable[[], object]:
     return lambda: subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL)
+
+
+def _margins_map(folder: Path, along: int) -> Callable[[], object]:
+    """The command that maps margins of the quadruped over kp, kd and delay, so many of each."""
+    specification = folder / "map.toml"
+    model = Path("experiments/quadruped/quadruped.xml").resolve()
+    specification.write_text(
+        f'''engine = "linear"
+[plant]
+model = "{model}"
+keyframe = "stand"
+[parameters]
+actuator = "hyq"
+[axes]
+kp = {{ min = 100, max = 3000, num = {along}, spacing = "log" }}
+kd = {{ min = 3, max = 120, num = {along}, spacing = "log" }}
+delay = {{ min = 0.0, max = 0.005, num = {along} }}
+'''
+    )
+    words = ("sweep", str(specification), "--out", str(folder / "map"), "--overwrite")
+    return _python("-m", "jaxact", *words)
 
 
 def _locomotion() -> Path | None:

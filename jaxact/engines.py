@@ -7,10 +7,11 @@ engine.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
-Name = Literal["mass", "mjx", "mujoco", "warp"]
+Name = Literal["mass", "mjx", "mujoco", "warp", "linear"]
 Asked = Literal[Name, "auto"]
 """What a specification may ask for."""
 _MIB = 2**20
@@ -24,6 +25,7 @@ class Engine:
         name: in specifications.
         title: in captions.
         robot: whether it simulates robots, or the built-in joint.
+        simulates: whether it simulates, or computes margins of the linearised robot.
         exact: whether it solves the joint's equation in closed form: by steps of any length, and
             whatever the mass.
         in_jax: whether it runs in JAX, compiled with the drive in tiles, or outside of it.
@@ -55,6 +57,7 @@ class Engine:
     memory: int
     startup: float
     worth: float
+    simulates: bool = True
     exact: bool = False
     in_jax: bool = True
     impl: str = ""
@@ -91,8 +94,15 @@ WARP = Engine(
     reproducible=False, cpu_devices=1, packages=("warp-lang",), rates=(1e4, 5e6),
     tiles=(256, 4096), work=1e4, memory=1100 * _MIB, startup=10.0, worth=1800.0,
 )  # fmt: skip
+# No rollouts: its loops are linearised in C MuJoCo, and their margins are computed; its work is
+# loops of a chunk.
+LINEAR = Engine(
+    "linear", "margins of the linearised robot", robot=True, in_jax=False, simulates=False,
+    tiles=(24, 24), work=96, memory=700 * _MIB, startup=4.0, worth=math.inf,
+    reproducible=False, rates=(40.0, 40.0),
+)  # fmt: skip
 
-ENGINES = (MASS, JOINT_IN_MJX, ROBOT_IN_MJX, MUJOCO, WARP)
+ENGINES = (MASS, JOINT_IN_MJX, ROBOT_IN_MJX, MUJOCO, WARP, LINEAR)
 AUTO: Literal["auto"] = "auto"
 """The name that stands for the engine of a robot that is expected to be the fastest."""
 
@@ -109,8 +119,8 @@ def known(name: str, *, robot: bool) -> Engine | None:
 
 
 def names(*, robot: bool) -> tuple[Name, ...]:
-    """Of the engines for robots, or for the built-in joint."""
-    return tuple(one.name for one in ENGINES if one.robot == robot)
+    """Of the engines that simulate robots, or the built-in joint."""
+    return tuple(one.name for one in ENGINES if one.robot == robot and one.simulates)
 
 
 def named(name: str) -> Engine | None:

@@ -91,6 +91,10 @@ def main(
     kept: run the same command with --resume, and only what is missing is computed. `jaxact status`
     shows how far a sweep is.
 
+    With engine = "linear" a robot's margins are computed and nothing is simulated: gain_margin,
+    delay_margin, sensitivity_peak, complementary_peak, disk_margin, ... of all joints at once, as
+    `jaxact margins --model` has them; not a number where the robot is unstable.
+
     What --set takes: a parameter (kp=400 [N/m], delay=0.002 [s], actuator=hyq), then fixed;
     a list or a range (kp='[100, 200]', kd='{min=1, max=100, num=8, spacing="log"}'), which is then
     varied; an option (engine=mass, duration=4 [s]); or a key in a section (axes.kp.num=128).

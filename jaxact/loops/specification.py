@@ -141,7 +141,8 @@ class Specification:
     Attributes:
         description: a sentence for people, shown with the results.
         engine: plant, "mass" (exact), "mjx" (MuJoCo in JAX), for robots also "mujoco" (MuJoCo in
-            C), "warp" (MJX-Warp) or "auto", the fastest of the three.
+            C), "warp" (MJX-Warp) or "auto", the fastest of the three; "linear" computes the
+            margins of the linearised robot instead of simulating it.
         plant: the robot of the MuJoCo engines, None for the built-in slide joint.
         motion: of the setpoint, None for a step.
         push: on a robot, None for none.

@@ -78,6 +78,8 @@ def exact(results: xr.Dataset) -> str:
     """
     specification = json.loads(results.attrs["specification"])
     words = [f"Exact margins, {results.attrs['margins']}"]
+    if "plant" in specification:
+        words[0] = f"Exact margins of all joints of {specification['plant']['model']}, linearised"
     if results.attrs["margins"] == "sampled":
         rates = np.unique(_parameter(results, CONTROL_RATE))
         rate = wording.quantity(rates[0], "Hz") if len(rates) == 1 else f"{len(rates)} rates"

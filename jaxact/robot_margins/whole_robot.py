@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxact.analysis.robot.delay import DelayBorne, delay_borne
@@ -95,7 +95,7 @@ def evaluate(specification: Specification, samples: Samples | None = None) -> li
     samples = expand(specification) if samples is None else samples
     found: dict[int, WholeRobot] = {}
     for number, case, template, values, own in linearised(specification, samples):
-        found[number] = _one(case, specification, template, values, own)
+        found[number] = one(case, specification, template, values, own)
     return [found[number] for number in range(len(samples))]
 
 
@@ -103,9 +103,14 @@ Moved = tuple[np.ndarray, np.ndarray]
 
 
 def linearised(
-    specification: Specification, samples: Samples
+    specification: Specification, samples: Samples, chosen: np.ndarray | None = None
 ) -> Iterator[tuple[int, Case, Template, dict[str, float], Moved | None]]:
     """Every sample with what its linear loop is made of.
+
+    Args:
+        specification: of the robot.
+        samples: of it.
+        chosen: numbers of those that are wanted, rising; None for all.
 
     Yields:
         The sample's number, static options, what its group shares, its parameters by key, and A and
@@ -115,7 +120,10 @@ def linearised(
         UserError: as `evaluate`.
     """
     for plan in plans.groups(specification, samples):
-        numbers = np.concatenate([batch[:n] for batch, n in plans.batches(plan, samples)])
+        parts = [batch[:n] for batch, n in plans.batches(plan, samples, chosen)]
+        if not parts:
+            continue
+        numbers = np.concatenate(parts)
         setting, rows, moved = specification.setting, samples.take(numbers), None
         if plan.case.varied:
             moved = mujoco_batch.moved(plan.case, setting, rows)
@@ -141,20 +149,40 @@ def _left_out(setting: Setting, scene: Scene, values: dict[str, float]) -> float
     return friction.largest(scene.robot.model) + float(np.max(np.nan_to_num(added), initial=0.0))
 
 
-def _one(
-    case: Case, specification: Specification, template: Template, values: dict[str, float], moved
-) -> WholeRobot:
+def computing(
+    case: Case, specification: Specification, values: Mapping[str, float], moved: Moved | None
+) -> Callable[[float], Any]:
+    """A function from an extra delay of all commands [s] to what `robot_loop.matrices` returns.
+
+    Args:
+        case, values, moved: of the sample, from `linearised`.
+        specification: of the robot.
+    """
     _, setting = kernel.linear_part(case, specification.setting)
-
     with jax.enable_x64(True):
-        inputs = {name: jnp.asarray(value, float) for name, value in values.items()}
-        own = None if moved is None else tuple(jnp.asarray(part, float) for part in moved)
-        none = jnp.zeros((), float)
-        run = robot_loop.matrices.compiled(inputs, own, none, case=case, setting=setting)
+        inputs = {name: np.asarray(value, float) for name, value in values.items()}
+        own = None if moved is None else tuple(np.asarray(part, float) for part in moved)
+        run = robot_loop.matrices.compiled(inputs, own, np.zeros(()), case=case, setting=setting)
 
-    def computed(extra: float):
+    def computed(extra: float) -> Any:
         with jax.enable_x64(True):
             return jax.tree.map(np.asarray, run(inputs, own, np.asarray(extra)))
+
+    return computed
+
+
+def one(
+    case: Case, specification: Specification, template: Template, values: dict[str, float],
+    moved: Moved | None,
+) -> WholeRobot:  # fmt: skip
+    """A sample's loop; its margins are computed once they are asked for.
+
+    Args:
+        specification: of the robot.
+        case, template, values, moved: of the sample, from `linearised`.
+    """
+    setting = specification.setting
+    computed = computing(case, specification, values, moved)
 
     # Newton's method asks for the same delay at several frequencies.
     @functools.lru_cache(maxsize=8)

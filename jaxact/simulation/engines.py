@@ -41,7 +41,13 @@ def resolved(specification: Specification) -> Specification:
         if specification.robot:
             others = "', '".join((AUTO, *names(robot=True)))
             raise UserError(f"engine = '{asked}': simulates no robot; use '{others}'")
-        raise UserError(f"engine = '{asked}': simulates robots; give one with [plant] model")
+        raise UserError(f"engine = '{asked}': is for robots; give one with [plant] model")
+    if chosen is not None and not chosen.simulates:
+        others = "', '".join((AUTO, *names(robot=True)))
+        raise UserError(
+            f"engine = '{asked}': computes the margins of a sweep and simulates nothing; "
+            f"use '{others}'"
+        )
     if chosen is None:
         chosen = _for_robot(specification.setting)
     elif chosen.robot:

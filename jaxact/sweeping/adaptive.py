@@ -30,6 +30,7 @@ from jaxact.sweeping.location import Location
 from jaxact.sweeping.planning import Planned
 from jaxact.sweeping.progress import State, Store
 from jaxact.sweeping.refinement import Lattice, Refinement
+from jaxact.sweeping.variables import of_margins, variables_of
 
 if TYPE_CHECKING:
     from jaxact.sweeping.computer import ChunkTask
@@ -50,6 +51,11 @@ def check(specification: Specification) -> list[Axis]:
     """The axes that are refined; raises UserError for a specification without a border to find."""
     if specification.sampling is not None:
         raise UserError("`adaptive`: refines a grid; remove the section [sampling]")
+    if of_margins(specification):
+        raise UserError(
+            f"`adaptive`: refines where verdicts change, and engine = '{specification.engine}' "
+            "computes margins, which change everywhere; leave out `adaptive`"
+        )
     ranges = [axis for axis in specification.axes if axis.listed is None]
     if not ranges:
         raise UserError("`adaptive`: no axis is a range { min, max, num } that could be refined")
@@ -334,8 +340,8 @@ def _joined(
     identity = planning.identity(specification, planned, layout, **_more(planned, width))
     attributes = _store.provenance(specification, planned.device) | origin
     attributes |= {"complete": False, "adaptive": _described(specification, grid, points, width)}
-    robot = specification.robot
-    store = Store(target, layout, specification.precision, planned.tile, robot)
+    names = variables_of(specification)
+    store = Store(target, layout, specification.precision, planned.tile, names)
     files = _store.skeleton(specification, samples, layout, _store.as_json(identity), attributes)
     if _store.identity_of(target) != identity:
         target.remove()

@@ -18,7 +18,7 @@ from jaxact.errors import UserError
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.sweeping import planning
-from jaxact.sweeping.computer import ChunkTask, Computer
+from jaxact.sweeping.computer import ChunkTask, computer_of
 from jaxact.sweeping.planning import Planned
 
 # How often a task is started again after its worker was lost.
@@ -155,6 +155,6 @@ def _plan(specification: Specification, samples: Samples, budget: int | None) ->
 
 def _compute(work: ChunkTask, number: int) -> int:
     """Compute and write a chunk, in a worker, which keeps what it has compiled."""
-    results, tile = Computer(work)(number)
+    results, tile = computer_of(work)(number)
     work.store.write(number, results, tile)
     return number

@@ -15,11 +15,13 @@ from jaxact.errors import UserError
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.sweeping.progress import Store
+from jaxact.sweeping.variables import of_margins
 
 if TYPE_CHECKING:
     from jaxact.simulation.execute import RunningBatches
     from jaxact.simulation.plans import Plan
     from jaxact.simulation.spectra import Rates
+    from jaxact.sweeping.margins_computer import MarginsComputer
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Computer:
         )
 
     @property
-    def plan(self) -> tuple[Plan, Specification]:
+    def plan(self) -> tuple[Plan, Specification] | None:
         """The plan of the largest group of samples, and the specification with its tile."""
         return max(self._groups, key=lambda group: group.batch), self._specification
 
@@ -158,6 +160,15 @@ class Computer:
 
         numbers = self._work.store.layout.numbers(number)
         return execute.growth_rates(self._groups, self._specification, self._work.samples, numbers)
+
+
+def computer_of(work: ChunkTask, helper: Executor | None = None) -> Computer | MarginsComputer:
+    """Who computes the chunks: as `Computer` where loops are simulated."""
+    if of_margins(work.specification):
+        from jaxact.sweeping.margins_computer import MarginsComputer
+
+        return MarginsComputer(work)
+    return Computer(work, helper)
 
 
 def _in_pairs(numbers: Iterable[int]) -> Iterator[tuple[int, int | None]]:

@@ -16,10 +16,11 @@ from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.sweeping import planning, progress
 from jaxact.sweeping import store as _store
-from jaxact.sweeping.computer import ChunkTask, Computer
+from jaxact.sweeping.computer import ChunkTask, computer_of
 from jaxact.sweeping.location import Location
 from jaxact.sweeping.planning import Planned
 from jaxact.sweeping.progress import State, Store
+from jaxact.sweeping.variables import variables_of
 
 if TYPE_CHECKING:
     from jaxact.simulation.plans import Plan
@@ -72,8 +73,7 @@ def fill(
         attributes |= _store.beginning(target)
     tile = int(str(wanted["tile"]))
     specification = dataclasses.replace(specification, tile=tile)
-    robot = specification.robot
-    store = Store(target, layout, specification.precision, tile, robot)
+    store = Store(target, layout, specification.precision, tile, variables_of(specification))
 
     @functools.cache
     def description() -> dict[str, bytes]:
@@ -152,7 +152,7 @@ def here(
         work.store.write(number, results, tile)
 
     with ThreadPoolExecutor(1) as writer, ThreadPoolExecutor(1) as helper:
-        compute = Computer(work, helper)
+        compute = computer_of(work, helper)
         for number, (results, tile) in compute.each(numbers):
             waiting.append((number, writer.submit(write, number, results, tile, first=not started)))
             # the first chunk is compiled for
@@ -163,7 +163,7 @@ def here(
         spent = 0.0 if started is None else time.perf_counter() - started
         while waiting:
             yield _written(*waiting.popleft())
-    if loops:
+    if loops and compute.plan is not None:
         plan, asked = compute.plan
         keep(plan, asked, loops * plan.steps / (spent * plan.devices))
 

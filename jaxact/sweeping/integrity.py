@@ -19,6 +19,7 @@ from jaxact.sweeping.checksums import ChecksumState
 from jaxact.sweeping.location import Location
 from jaxact.sweeping.progress import Finding, State, Store
 from jaxact.sweeping.store import ROOT, SECOND
+from jaxact.sweeping.variables import MARGINS, VARIABLES
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def _older(location: Location, root: Mapping[str, Any]) -> Description:
             same = False
         if not same:
             wrong.append(f"{key} is {'missing' if content is None else 'damaged'}")
-        if metadata["node_type"] == "array" and name not in _store.VARIABLES:
+        if metadata["node_type"] == "array" and name not in VARIABLES | MARGINS:
             coordinate = {f"{name}/c/{n}" for n in range(_pieces(metadata))}
             keys |= coordinate
             wrong += [f"{one} is missing" for one in coordinate if location.read(one) is None]

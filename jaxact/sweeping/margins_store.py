@@ -13,13 +13,12 @@ import numpy as np
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.sweeping import store
+from jaxact.sweeping.variables import KIND, VARIABLES
 
 if TYPE_CHECKING:
     import xarray as xr
 
-# Attribute of such a dataset: of which loops the growth rate and the verdict are.
-KIND = "margins"
-CONTINUOUS, SAMPLED = "continuous time", "sampled"
+CONTINUOUS = "continuous time"
 
 _STABLE, _UNSTABLE = 0, 2
 
@@ -53,9 +52,9 @@ def dataset(
         "growth_rate": (
             samples.dims,
             shaped(growth_rate),
-            dict(vars(store.VARIABLES["growth_rate"])),
+            dict(vars(VARIABLES["growth_rate"])),
         ),
-        "verdict": (samples.dims, shaped(verdict), dict(vars(store.VARIABLES["verdict"]))),
+        "verdict": (samples.dims, shaped(verdict), dict(vars(VARIABLES["verdict"]))),
     } | {
         name: (samples.dims, shaped(values), {"units": units})
         for name, (values, units) in metrics.items()

@@ -7,14 +7,18 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from jaxact.errors import UserError
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.sweeping import layout, memory
 from jaxact.sweeping.layout import Layout
-from jaxact.sweeping.store import as_json, numeric_versions, variables
+from jaxact.sweeping.store import as_json, numeric_versions
+from jaxact.sweeping.variables import KIND, of_margins, variables_of
 
 # Chunks of a sweep that are enough, where they would otherwise be a second of work each.
 _CHUNKS = 32
+# What the margins of some loops of a robot take in a thread [bytes].
+_OF_ROBOT = 300 * 2**20
 # Longest chunk, in seconds of work: what is lost at most when a process is killed.
 _LONGEST = 8
 
@@ -79,10 +83,12 @@ def plan(
     from jaxact.simulation import engines, plans
     from jaxact.sweeping import throughput
 
+    if of_margins(specification):
+        return _of_margins(specification, samples, budget)
     coordinates = sum(array.nbytes for array in samples.along.values() if array.size > 1)
     each = memory.per_loop(
         len(samples.along),
-        len(variables(robot=specification.robot)),
+        len(variables_of(specification)),
         8 if specification.precision == "float64" else 4,
     )
     case = plans.groups(specification, samples)[0].case
@@ -119,6 +125,43 @@ def plan(
     )
 
 
+def _of_margins(specification: Specification, samples: Samples, budget: int | None) -> Planned:
+    """Plan a sweep of margins, as `plan`."""
+    from jaxact.simulation import plans
+    from jaxact.sweeping import margins_computer
+
+    engine = specification.simulator
+    assert engine is not None and engine.rates is not None
+    asked = margins_computer.linearised(specification)
+    case = plans.groups(asked, samples)[0].case
+    threads = margins_computer.threads(specification)
+    coordinates = sum(array.nbytes for array in samples.along.values() if array.size > 1)
+    results = len(variables_of(specification)) * 8
+    least = engine.memory + 4 * coordinates + threads * _OF_ROBOT
+    if budget is None:
+        budget = max(int(memory.SHARE * memory.free()), least)
+    loops = int(engine.work) * threads
+    if budget < least + loops * results:
+        raise UserError(
+            f"memory: {memory.text(budget)} are too little; this sweep needs at least"
+            f" {memory.text(least + loops * results)}"
+        )
+    return Planned(
+        tile=min(specification.tile or engine.tiles[0], max(1, len(samples))),
+        loops=loops,
+        devices=threads,
+        engine=engine.name,
+        digest=case.model,
+        platform="cpu",
+        device=f"{threads} x cpu",
+        memory=budget,
+        peak=least + min(loops, len(samples)) * results,
+        seconds=len(samples) / (engine.rates[0] * threads),
+        startup=engine.startup,
+        measured=False,
+    )
+
+
 def identity(
     specification: Specification, planned: Planned, layout: Layout, **more: object
 ) -> dict[str, object]:
@@ -142,6 +185,7 @@ def identity(
         "versions": numeric_versions(planned.engine),
         **more,
         **({"shaking_rate": True} if specification.robot else {}),
+        **({KIND: True} if of_margins(specification) else {}),
         "tile": planned.tile,
         "precision": specification.precision,
         "shape": list(layout.shape),

@@ -21,6 +21,7 @@ from jaxact.sweeping import store as _store
 from jaxact.sweeping.layout import DamagedError, Layout
 from jaxact.sweeping.location import Entry, Location
 from jaxact.sweeping.store import PROGRESS, RECEIPT, ROOT, SECOND
+from jaxact.sweeping.variables import KIND, dtype_of, variables
 
 _RECEIPTS = f"{PROGRESS}/{RECEIPT}"
 
@@ -57,23 +58,18 @@ class Store:
         layout: how the sweep is cut into chunks.
         precision: of the results, "float32" or "float64".
         tile: loops in a tile, as planned.
-        robot: whether it has the variables that only robots have.
+        variables: names of the results of every loop, in the order of the receipts.
     """
 
     location: Location
     layout: Layout
     precision: str
     tile: int
-    robot: bool = False
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        """Names of the results of every loop, in the order of the receipts."""
-        return _store.variables(robot=self.robot)
+    variables: tuple[str, ...]
 
     def dtype(self, variable: str) -> np.dtype:
         """Type of the numbers of a variable."""
-        return _store.dtype_of(variable, self.precision)
+        return dtype_of(variable, self.precision)
 
     @property
     def _row(self) -> int:
@@ -200,7 +196,8 @@ def existing(location: Location) -> Store | None:
     try:
         layout = Layout(tuple(identity["shape"]), tuple(identity["chunk"]))
         precision, tile = identity["precision"], int(identity["tile"])
-        return Store(location, layout, precision, tile, robot=bool(identity.get("shaking_rate")))
+        robot, margins = bool(identity.get("shaking_rate")), bool(identity.get(KIND))
+        return Store(location, layout, precision, tile, variables(robot=robot, margins=margins))
     except (KeyError, TypeError, ValueError):
         return None
 

@@ -12,7 +12,6 @@ import shlex
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -29,7 +28,16 @@ from jaxact.sweeping import checksums
 from jaxact.sweeping.checksums import ChecksumState
 from jaxact.sweeping.layout import Layout
 from jaxact.sweeping.location import Location
-from jaxact.units import in_unit, turned
+from jaxact.sweeping.variables import (
+    KIND,
+    MARGINS,
+    SAMPLED,
+    VARIABLES,
+    dtype_of,
+    of_margins,
+    variables_of,
+)
+from jaxact.units import in_unit
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -46,81 +54,6 @@ _MARK = "jaxact_version"
 # Another version of these may compute other numbers.
 _NUMERIC = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scipy")
 _PACKAGES = (*_NUMERIC, "xarray", "zarr")
-
-
-@dataclass(frozen=True)
-class Variable:
-    """A result of every loop: its SI unit, its name in words, one sentence."""
-
-    units: str
-    long_name: str
-    description: str
-
-
-VARIABLES: dict[str, Variable] = {
-    "growth_rate": Variable(
-        "1/s", "growth rate", "Exponential rate of a small perturbation; negative: stable."
-    ),
-    "shaking_rate": Variable(
-        "1/s",
-        "shaking rate",
-        "Growth rate of the fastest-growing motion that swings faster than it grows or decays: of"
-        " a robot, without its toppling; negative: nothing shakes.",
-    ),
-    "verdict": Variable("1", "verdict", "What the loop did, see flag_meanings."),
-    "overshoot": Variable(
-        "1", "overshoot", "Largest excess over the setpoint, relative to the step's height."
-    ),
-    "rise_time": Variable("s", "rise time", "From 10 % to 90 % of the step."),
-    "settling_time": Variable("s", "settling time", "Last time outside 2 % of the step."),
-    "integrated_absolute_error": Variable(
-        "m s", "integrated absolute error", "Integral of |setpoint - position|."
-    ),
-    "integrated_squared_error": Variable(
-        "m^2 s", "integrated squared error", "Integral of (setpoint - position)^2."
-    ),
-    "control_effort": Variable("N^2 s", "control effort", "Integral of the squared command."),
-    "peak_force": Variable("N", "peak force", "Largest magnitude of the force."),
-    "rms_force": Variable("N", "rms force", "Root mean square of the force."),
-    "limit_cycle_amplitude": Variable(
-        "m",
-        "limit cycle amplitude",
-        "Half the peak-to-peak position at the end; 0: no limit cycle.",
-    ),
-    "limit_cycle_frequency": Variable(
-        "rad/s", "limit cycle frequency", "Angular frequency of the oscillation at the end."
-    ),
-}
-
-
-def joint_units(units: str, rotary: Sequence[bool]) -> str:
-    """The unit of a result, written for slides in `VARIABLES`, of joints of these kinds.
-
-    Args:
-        units: as `Variable.units`: "m s", "N^2 s".
-        rotary: of each joint, whether it is measured in rad and N m.
-
-    Returns:
-        `units` of slides, that of hinges ("rad s", "(N m)^2 s"), or both of a robot that has both.
-    """
-    hinge = turned(units)
-    if hinge == units or not any(rotary):
-        return units
-    return hinge if all(rotary) else f"{hinge} or {units}"
-
-
-OF_ROBOTS = ("shaking_rate",)
-"""Variables that only robots have."""
-
-
-def variables(*, robot: bool) -> tuple[str, ...]:
-    """Names of the results of every loop of a sweep, in the order of a store."""
-    return tuple(name for name in VARIABLES if robot or name not in OF_ROBOTS)
-
-
-def dtype_of(variable: str, precision: str) -> np.dtype[Any]:
-    """Type of the numbers that are kept of a variable; precision: "float32" or "float64"."""
-    return np.dtype(np.int8 if variable == "verdict" else precision)
 
 
 def skeleton(
@@ -165,7 +98,7 @@ def skeleton(
             "filters": None,
             "chunk_key_encoding": {"name": "default", "separator": "."},
         }
-        names = variables(robot=specification.robot)
+        names = variables_of(specification)
         for name in names:
             dtype = dtype_of(name, specification.precision)
             root.create_array(
@@ -256,7 +189,8 @@ def _plain(values: np.ndarray) -> np.ndarray:
 
 
 def _attributes(name: str, unit: str | None) -> dict[str, Any]:
-    attributes: dict[str, Any] = dict(vars(VARIABLES[name])) if name in VARIABLES else {}
+    known = (VARIABLES | MARGINS).get(name)
+    attributes: dict[str, Any] = {} if known is None else dict(vars(known))
     if attributes:
         attributes["units"] = in_unit(attributes["units"], unit)
     if name == "verdict":
@@ -287,6 +221,8 @@ def provenance(specification: Specification, device: str) -> dict[str, Any]:
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
+    if of_margins(specification):
+        found[KIND] = SAMPLED
     model = specification.model
     if model is not None:
         found["model_xml"] = model.read_text(encoding="utf-8", errors="replace")

@@ -14,13 +14,16 @@ from jaxact.loops import reading
 from jaxact.loops.samples import Samples, expand, explicit
 from jaxact.loops.specification import Specification
 from jaxact.simulation import execute, plans
-from jaxact.sweeping import integrity, opening, progress
+from jaxact.sweeping import integrity, margins_computer, opening, progress
 from jaxact.sweeping import store as _store
 from jaxact.sweeping.location import Location
 from jaxact.sweeping.progress import Store
+from jaxact.sweeping.variables import of_margins
 
 # Another compiler may round otherwise; near a threshold a metric then jumps.
 _TOLERANCE = {"float32": 1e-3, "float64": 1e-9}
+# Where a peak is known far less well than how high it is.
+_OF_MARGINS = 1e-4
 
 _MENDED = "`jaxact sweep ... --resume` mends it"
 
@@ -92,17 +95,17 @@ def recompute(target: Location, number: int, seed: int) -> Recomputed:
     for tile in np.unique(tiles):
         part = tiles == tile
         asked = dataclasses.replace(specification, tile=int(tile), devices=1)
-        groups = plans.groups(asked, outline, together=int(part.sum()))
-        for name, values in execute.compute(groups, asked, samples, chosen[part]).items():
+        for name, values in _computed(asked, samples, outline, chosen[part]).items():
             rows.setdefault(name, np.zeros(chosen.size, values.dtype))[part] = values
     other = _rounds_otherwise(target)
+    near = _OF_MARGINS if of_margins(specification) else _TOLERANCE[store.precision]
     differing = np.zeros(chosen.size, bool)
     for name in store.variables:
         kind = store.dtype(name)
         old, new = stored[name], rows[name].astype(kind)
         equal = (old == new) | (np.isnan(old.astype(float)) & np.isnan(new.astype(float)))
         if other and kind.kind == "f":
-            equal |= np.isclose(old, new, rtol=_TOLERANCE[store.precision], atol=1e-6)
+            equal |= np.isclose(old, new, rtol=near, atol=1e-6)
         differing |= ~equal
     wrong = int(differing.sum())
     words = f"the same to rounding ({other})" if other else "bit for bit the same"
@@ -112,6 +115,16 @@ def recompute(target: Location, number: int, seed: int) -> Recomputed:
         words="differences" if wrong else words,
         example=f"loop {chosen[differing][0]}" if wrong else "",
     )
+
+
+def _computed(
+    asked: Specification, samples: Samples, outline: Samples, numbers: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Results of some loops by variable."""
+    if of_margins(asked):
+        return margins_computer.recomputed(asked, samples, numbers)
+    groups = plans.groups(asked, outline, together=numbers.size)
+    return execute.compute(groups, asked, samples, numbers)
 
 
 def _existing(target: Location) -> Store:
@@ -164,6 +177,8 @@ def _rounds_otherwise(target: Location) -> str:
     if (there.get("versions"), there["platform"]) != (_store.numeric_versions(engine), platform):
         return "other versions or devices"
     own = engines.named(engine)
+    if own and not own.simulates:
+        return "loops that are computed together round alike"
     if platform == "gpu" and own and not own.reproducible:
         return f"{own.title} on a GPU adds up in any order"
     return ""

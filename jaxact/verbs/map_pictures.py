@@ -21,7 +21,7 @@ from jaxact.plotting import panels as _panels
 from jaxact.plotting import scatter as _scatter
 from jaxact.plotting import stability_map as _map
 from jaxact.plotting.zero_line import zero_line
-from jaxact.sweeping import agreement, margins_store
+from jaxact.sweeping import agreement, variables
 from jaxact.verbs import map_lines
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ def _small_print(
         compare: the verdicts with exact theory.
         drawn: exact boundaries are.
     """
-    exact = margins_store.KIND in computed.attrs
+    exact = variables.KIND in computed.attrs
     found = agreement.sweep_agreement(computed) if compare and not exact else None
     parts = [
         f"Shown: {', '.join(arrangement.selected)}." if arrangement.selected else "",

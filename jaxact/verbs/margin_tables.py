@@ -124,7 +124,7 @@ def store(
 
     from jaxact import __version__
     from jaxact.loops.samples import expand
-    from jaxact.sweeping import margins_store
+    from jaxact.sweeping import margins_store, variables
 
     arrays = {
         f"{prefix}{name}": (masked(name, own), UNITS[name])
@@ -135,7 +135,7 @@ def store(
         last = list(found)[-1]
         return margins_store.dataset(
             specification, expand(specification), arrays,
-            kind=margins_store.SAMPLED if last else margins_store.CONTINUOUS,
+            kind=variables.SAMPLED if last else margins_store.CONTINUOUS,
             growth_rate=found[last]["spectral_abscissa"], stable=found[last]["stable"],
         )  # fmt: skip
     loops = naming.named(loop)

@@ -89,7 +89,8 @@ def sweep(
         loop: from `jaxact.joint` or `jaxact.robot`; parameters of it that have several values, each
             along one dimension, are axes too. Or a specification, read, or a path to one.
         out: folder or URL to keep the results in, chunk by chunk; None to keep them in memory only.
-        engine: "mass" or "mjx" of a joint, "mjx", "mujoco", "warp" or "auto" of a robot.
+        engine: "mass" or "mjx" of a joint, "mjx", "mujoco", "warp" or "auto" of a robot; "linear"
+            computes the margins of a robot, linearised at its posture, and simulates nothing.
         duration: simulated time [s], 2 where nothing is given.
         precision: "float32" (the default) or "float64", of the rollouts.
         seed: of noise and of sampling.
@@ -111,8 +112,9 @@ def sweep(
             or a range from `jaxact.log` or `jaxact.linear`.
 
     Returns:
-        The results as the command line keeps them: growth rate, verdict and metrics over the axes,
-        with units, the specification and versions; in memory, or read lazily from `out`.
+        The results as the command line keeps them: growth rate, verdict and metrics over the axes
+        (of the engine "linear" margins by the names of `jaxact.margins`, NaN where a robot is
+        unstable), with units, the specification and versions; in memory, or read lazily from `out`.
 
     Raises:
         UserError: parameters that do not fit each other, and as `jaxact.sweeping.execution.sweep`.

@@ -17,7 +17,7 @@ from jaxact.sweeping.execution import SweepOptions
 from jaxact.sweeping.location import Location
 from jaxact.sweeping.planning import Planned
 from jaxact.sweeping.progress import duration
-from jaxact.sweeping.store import variables
+from jaxact.sweeping.variables import variables_of
 
 Say = Callable[[str], None]
 """Told what is measured before a long sweep."""
@@ -122,9 +122,7 @@ def forecast(asked: Specification, how: SweepOptions) -> str:
         grid = _adaptive.lattice(asked, how.width)
         fine = " x ".join(f"{n:,}" for n in grid.shape)
         first += f", refined to a grid of {fine} at the boundary"
-    size = sum(
-        layout.loops * (1 if name == "verdict" else 4) for name in variables(robot=asked.robot)
-    )
+    size = sum(layout.loops * (1 if name == "verdict" else 4) for name in variables_of(asked))
     if asked.precision == "float64":
         size *= 2
     basis = "measured on this machine" if planned.measured else "roughly; nothing measured here yet"

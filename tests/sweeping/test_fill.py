@@ -32,6 +32,7 @@ from jaxact.sweeping import (
     store,
     throughput,
     validation,
+    variables,
 )
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -76,7 +77,7 @@ def test_any_chunks_any_order_any_devices_give_the_same_bits(loops, devices, who
     assert len(jax.local_devices()) == 2
     _run(tmp_path, f"devices = {devices}\n" + NOISY, loops=loops, backwards=True)
     there, one = (opening.open_result(folder).load() for folder in (tmp_path, whole))
-    for name in store.variables(robot=False):
+    for name in variables.variables(robot=False):
         np.testing.assert_array_equal(there[name].values, one[name].values, err_msg=name)
     again = validation.recompute(opening.find(tmp_path), 20, seed=3)
     assert (again.loops, again.wrong) == (20, 0) and again.words == "bit for bit the same"

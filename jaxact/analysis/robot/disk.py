@@ -26,12 +26,12 @@ _TINY = 1e-150
 # Relative accuracy of the bound: where it is reported, and while its peak is looked for.
 _ACCURACY, _SEARCH = 1e-9, 1e-4
 # Most steps of the method of centres.
-_CENTRES = 200
-_NEWTON = 20
+CENTRES = 200
+NEWTON = 20
 # How far a new bound keeps from the one that its scaling has, as a share of the way back.
-_SHY = 0.2
-# Decrement of Newton's method at which a centre is good enough.
-_CENTRED = 0.3
+SHY = 0.2
+# Decrement of Newton's method at which a centre is good enough, and above which a step is damped.
+CENTRED, DAMPED = 0.3, 0.25
 
 
 def balanced(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -83,8 +83,8 @@ def scaled(H: np.ndarray, accuracy: float = _ACCURACY) -> tuple[float, np.ndarra
     weights *= len(H) / weights.sum()
     best = level = _largest(unit, weights)
     kept = weights
-    level *= 1.0 + _SHY
-    for _ in range(_CENTRES):
+    level *= 1.0 + SHY
+    for _ in range(CENTRES):
         weights = _centre(unit, weights, level)
         # Near the best bound F is singular but for rounding, which may lead anywhere: what was
         # found before is a bound all the same.
@@ -95,7 +95,7 @@ def scaled(H: np.ndarray, accuracy: float = _ACCURACY) -> tuple[float, np.ndarra
             best, kept = now, weights
         if level - now <= accuracy * now:
             break
-        level = now + _SHY * (level - now)
+        level = now + SHY * (level - now)
     return float(first[0] * np.sqrt(best)), np.sqrt(kept)
 
 
@@ -113,7 +113,7 @@ def _centre(H: np.ndarray, weights: np.ndarray, level: float) -> np.ndarray:
     system = np.ones((joints + 1, joints + 1))
     system[joints, joints] = 0.0
     right = np.zeros(joints + 1)
-    for _ in range(_NEWTON):
+    for _ in range(NEWTON):
         try:
             G = np.linalg.inv(np.diag(level * weights) - (H.conj().T * weights) @ H)
         except np.linalg.LinAlgError:
@@ -131,8 +131,8 @@ def _centre(H: np.ndarray, weights: np.ndarray, level: float) -> np.ndarray:
             break
         decrement = float(np.sqrt(max(step @ curvature @ step, 0.0)))
         # Damped, so that F stays positive: Newton's step for a self-concordant function.
-        weights = weights + step / (1.0 + decrement if decrement > 0.25 else 1.0)
-        if decrement < _CENTRED:
+        weights = weights + step / (1.0 + decrement if decrement > DAMPED else 1.0)
+        if decrement < CENTRED:
             break
     return weights
 

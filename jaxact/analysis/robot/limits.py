@@ -25,15 +25,15 @@ NEUTRAL = 1.5e-7
 # And those that move so little in a period.
 DRIFT = 1e-5
 # Factors further from 1 than this are none.
-_FURTHEST = 1e9
+FURTHEST = 1e9
 # Halvings of the grid's intervals, and of intervals of factors and delays.
 _HALVINGS, _BISECTIONS = 40, 44
 # How far beside a crossing stability is looked at, of its distance.
-_BESIDE = 1e-4
+BESIDE = 1e-4
 # A root that turns by less than this in a period does not turn [rad].
 _STILL = 1e-9
 # Imaginary parts below this share are rounding.
-_ROUNDING = 1e-9
+ROUNDING = 1e-9
 # Periods of delay by which a guess may be wrong; steps of Newton's method at most, how close they
 # come, and relative differences.
 _NEAR, _NEWTON, _CLOSE, _SMALL = 1.0, 20, 1e-11, 1e-7
@@ -92,17 +92,30 @@ def followed(S: np.ndarray) -> np.ndarray:
     Args:
         S: from 0 to the Nyquist frequency, shape (k, m, m).
     """
-    from scipy.optimize import linear_sum_assignment  # slow to import
-
-    values = np.linalg.eigvals(S)
-    for row in range(1, len(values)):
-        distance = np.abs(values[row - 1][:, None] - values[row][None])
-        values[row] = values[row][linear_sum_assignment(distance)[1]]
+    values = sorted_along(np.linalg.eigvals(S))
     for end in (0, -1):
         # S is a real matrix there.
-        real = np.abs(values[end].imag) < _ROUNDING * np.abs(values[end])
+        real = np.abs(values[end].imag) < ROUNDING * np.abs(values[end])
         values[end] = np.where(real, values[end].real, values[end])
     return values
+
+
+def sorted_along(values: np.ndarray) -> np.ndarray:
+    """Eigenvalues in rows, each row in the order that is nearest to the row before; shape (k, m).
+
+    Where the nearest of each is another's too, the sum of all distances decides.
+    """
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
+    apart = np.abs(values[:-1, :, None] - values[1:, None, :])
+    nearest = np.argmin(apart, axis=2)
+    alone = (np.sort(nearest, axis=1) == np.arange(values.shape[1])).all(axis=1)
+    order = np.arange(values.shape[1])
+    ordered = values.copy()
+    for row, distance in enumerate(apart):
+        order = nearest[row][order] if alone[row] else linear_sum_assignment(distance[order])[1]
+        ordered[row + 1] = values[row + 1][order]
+    return ordered
 
 
 def crossings(
@@ -134,7 +147,7 @@ def gain_factors(angle: np.ndarray, values: np.ndarray) -> list[Crossing]:
         real = values[end][values[end].imag == 0.0]
         at = float(angle[end])
         found += [Crossing(at, at, complex(s), complex(s), at, complex(s)) for s in real]
-    return [item for item in found if 1.0 / _FURTHEST < factor(item) < _FURTHEST]
+    return [item for item in found if 1.0 / FURTHEST < factor(item) < FURTHEST]
 
 
 def refined(loop: Multiloop, crossing: Crossing) -> Crossing:
@@ -196,7 +209,7 @@ def gain_limit(
         if fails(beyond) != now:
             exact = refined(loop, item)
             at = abs(math.log(factor(exact)))
-            if fails(at - _BESIDE * at) != now or fails(at + _BESIDE * at) == now:
+            if fails(at - BESIDE * at) != now or fails(at + BESIDE * at) == now:
                 # Another crossing, between two points of the grid.
                 at = _switch(fails, start, beyond)
             return math.exp(sign * at), exact.angle
@@ -247,29 +260,29 @@ def delay_limit(
     """
     # Joints that are alike have the same crossings: only the delays are compared.
     guesses = sorted(
-        ((_turn(item) / item.angle, item) for item in candidates if item.angle > 0.0),
+        ((turn(item) / item.angle, item) for item in candidates if item.angle > 0.0),
         key=lambda guess: guess[0],
     )
     best, where = math.inf, math.inf
     for guess, item in guesses:
         if guess > 1.1 * best + 2.0:
             break
-        for found in _marginal(later_by, period, item.angle, guess, best):
+        for found in marginal_delays(later_by, period, item.angle, guess, best):
             if found[0] < best:
                 best, where = found
-    early = _early(later_by, period, min(best, float(_TRIED)) * (1.0 - 1e-9), bad)
+    early = early_delay(later_by, period, min(best, float(_TRIED)) * (1.0 - 1e-9), bad)
     if early is not None:
         best, where = early
     return best * period, where
 
 
-def _turn(crossing: Crossing) -> float:
+def turn(crossing: Crossing) -> float:
     """Phase that a delay has to take away [rad], in [0, 2 pi)."""
     s = crossing.value
     return float(np.angle((s - 1.0) / s)) % (2.0 * math.pi)
 
 
-def _marginal(
+def marginal_delays(
     later_by: Callable[[float], Matrices], period: float, angle: float, guess: float, best: float
 ) -> Iterator[tuple[float, float]]:
     """The delays in periods and angles w T near a guess at which the loop is marginal.
@@ -333,7 +346,7 @@ def feedback(
     return kept, moved, np.exp(-1j * angle * whole) * (C @ moved)
 
 
-def _early(
+def early_delay(
     later_by: Callable[[float], Matrices],
     period: float,
     last: float,

@@ -12,6 +12,7 @@ Seiler, Packard, Gahinet, "An introduction to disk margins" (2020).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -175,7 +176,7 @@ def robot_margins(robot: Robot) -> RobotMargins:
         UserError: commands do not move some joints at all, so that no gain matters.
     """
     loop = _multiloop.multiloop(*robot.matrices, robot.period)
-    _demand_answers(robot, loop)
+    demand_answers(robot.names, _multiloop.sensitivity(loop, np.array([1.0]))[0])
     radius = float(np.max(np.abs(loop.roots), initial=0.0))
     unstable = int(np.sum(_modes.growing(loop.roots)))
     angle = _multiloop.grid(loop)
@@ -362,13 +363,29 @@ def _of_joint(
     )
 
 
-def _demand_answers(robot: Robot, loop: Multiloop) -> None:
-    """Refuse joints whose commands change nothing: S is I in their columns at any frequency."""
-    S = _multiloop.sensitivity(loop, np.array([1.0]))[0]
-    still = [robot.names[i] for i in np.flatnonzero((S == np.eye(len(S))).all(axis=0))]
-    if still:
-        more = f" and {len(still) - 1} more" if len(still) > 1 else ""
+def still(S: np.ndarray) -> np.ndarray:
+    """Numbers of the joints whose commands change nothing: S is I in their columns.
+
+    Args:
+        S: at one frequency, shape (m, m).
+    """
+    return np.flatnonzero((S == np.eye(len(S))).all(axis=0))
+
+
+def demand_answers(names: Sequence[str], S: np.ndarray) -> None:
+    """Refuse joints whose commands change nothing.
+
+    Args:
+        names: of all joints.
+        S: at one frequency, shape (m, m).
+
+    Raises:
+        UserError: there are such.
+    """
+    unmoved = [names[i] for i in still(S)]
+    if unmoved:
+        more = f" and {len(unmoved) - 1} more" if len(unmoved) > 1 else ""
         raise UserError(
-            f"{still[0]}{more}: the joint's command moves nothing at this posture; its gains are "
+            f"{unmoved[0]}{more}: the joint's command moves nothing at this posture; its gains are "
             "zero, or contacts or limits hold it"
         )

@@ -28,7 +28,7 @@ _BLOCK = 16
 _ENTRIES = 2_000_000
 # Of the grid: points in a decade, their least relative distance, and places around a root in
 # half-widths of its resonance.
-_PER_DECADE = 24
+PER_DECADE = 24
 _APART = 1e-7
 _AROUND = (-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0)
 # Local maxima of a curve that are refined.
@@ -227,19 +227,50 @@ def own_sensitivity(loop: Multiloop, angle: np.ndarray, joint: np.ndarray) -> np
 def grid(loop: Multiloop) -> np.ndarray:
     """Angles w T [rad] from 0 to pi, both included, dense around every root of the loop."""
     roots = np.concatenate([loop.roots, loop.opened])
-    # What is almost 0 decays within a period and has no frequency of its own.
-    rates = np.log(roots[np.abs(roots) > 1e-4])
+    return grid_of(roots, lowest(roots))
+
+
+def grid_of(roots: np.ndarray, low: float) -> np.ndarray:
+    """Angles w T [rad] from 0 to pi, both included, dense around these roots.
+
+    Args:
+        roots: shape (n,).
+        low: the lowest but 0 [rad].
+    """
+    decades = math.log10(math.pi / low)
+    spread = np.geomspace(low, math.pi, max(2, round(PER_DECADE * decades)))
+    points = np.concatenate([around(roots), spread])
+    inside = np.unique(points[(points >= low) & (points < math.pi * (1.0 - _APART))])
+    return np.concatenate([[0.0], inside[apart(inside)], [math.pi]])
+
+
+def apart(angle: np.ndarray) -> np.ndarray:
+    """Which angles of a rising row to keep: neighbours that differ by rounding make false maxima.
+
+    Ends are kept.
+    """
+    kept = np.diff(angle, prepend=0.0) > _APART * angle
+    return kept | (angle == 0.0) | (angle == math.pi)
+
+
+def around(roots: np.ndarray) -> np.ndarray:
+    """Angles w T [rad] within the resonance of every root, and its corner."""
+    rates = _rates(roots)
     corner, turning, width = np.abs(rates), np.abs(rates.imag), np.abs(rates.real)
-    around = turning[:, None] + width[:, None] * np.array(_AROUND)
+    beside = turning[:, None] + width[:, None] * np.array(_AROUND)
+    return np.concatenate([beside.ravel(), corner, turning])
+
+
+def lowest(roots: np.ndarray) -> float:
+    """Angle w T below which no root has anything [rad]."""
+    corner = np.abs(_rates(roots))
     slowest = min(1e-3, float(corner[corner > 0.0].min(initial=1e-3)))
-    lowest = max(0.03 * slowest, 1e-9)
-    decades = math.log10(math.pi / lowest)
-    spread = np.geomspace(lowest, math.pi, max(2, round(_PER_DECADE * decades)))
-    points = np.concatenate([around.ravel(), corner, turning, spread])
-    inside = np.unique(points[(points >= lowest) & (points < math.pi * (1.0 - _APART))])
-    # Neighbours that differ by rounding would make a maximum of every slope.
-    inside = inside[np.diff(inside, prepend=0.0) > _APART * inside]
-    return np.concatenate([[0.0], inside, [math.pi]])
+    return max(0.03 * slowest, 1e-9)
+
+
+def _rates(roots: np.ndarray) -> np.ndarray:
+    # What is almost 0 decays within a period and has no frequency of its own.
+    return np.log(np.asarray(roots[np.abs(roots) > 1e-4], complex))
 
 
 def peaks(angle: np.ndarray, values: np.ndarray, family: Family) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,136 @@
+"""Margins of many samples of a robot: together of those that differ in their gains only."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxact.analysis.robot.many import Member, Motion, margins_of_many, motion
+from jaxact.analysis.robot.margins import WholeMargins
+from jaxact.analysis.robot.shared_response import SharedResponse, shared_response
+from jaxact.loops.samples import Samples
+from jaxact.loops.specification import Specification
+from jaxact.loops.template import Template
+from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, base
+from jaxact.robot_margins import whole_robot
+from jaxact.robot_margins.whole_robot import Moved, WholeRobot
+from jaxact.simulation.kernel import Case
+
+Found = tuple[Motion, WholeMargins | None] | None
+Mapped = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
+_GAINS = (KP, KD, GAIN_SCALE)
+# Loops that are computed together: bounds the memory, and is what a thread gets.
+_TOGETHER = 24
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A sample, from `jaxact.robot_margins.whole_robot.linearised`."""
+
+    number: int
+    case: Case
+    template: Template
+    values: dict[str, float]
+    moved: Moved | None
+
+    @property
+    def family(self) -> tuple[object, ...]:
+        """What samples share that differ in their gains only."""
+        others = ((key, value) for key, value in self.values.items() if base(key) not in _GAINS)
+        own = None if self.moved is None else tuple(part.tobytes() for part in self.moved)
+        # Not a number stands for what the model has, and is not equal to itself.
+        return self.case, own, *((key, repr(value)) for key, value in others)
+
+
+def evaluate(
+    specification: Specification,
+    samples: Samples,
+    numbers: np.ndarray,
+    reference: Mapping[str, float],
+    mapped: Mapped = map,
+) -> list[Found]:
+    """What some samples do, and the margins of all joints at once of those that are stable.
+
+    Args:
+        specification: of the robot.
+        samples: of it.
+        numbers: of those that are wanted, rising, shape (n,).
+        reference: gains by key that frequency responses are computed with, from `reference`.
+        mapped: as `map`, perhaps by several threads.
+
+    Returns:
+        For each sample, in order; None of one without any gains, of which there is nothing to say.
+
+    Raises:
+        UserError: commands of joints with gains do not move them at all; and as
+            `jaxact.robot_margins.whole_robot.evaluate`.
+    """
+    families: dict[tuple[object, ...], list[_Row]] = {}
+    for row in whole_robot.linearised(specification, samples, numbers):
+        own = _Row(*row)
+        families.setdefault(own.family, []).append(own)
+    parts: list[tuple[SharedResponse, dict[int, WholeRobot]]] = []
+    for rows in families.values():
+        shared = _shared(specification, rows[0], reference)
+        for first in range(0, len(rows), _TOGETHER):
+            part = rows[first : first + _TOGETHER]
+            parts.append((shared, {row.number: _whole(specification, row) for row in part}))
+    found: dict[int, Found] = {}
+    for some in mapped(_of_part, parts):
+        found |= some
+    return [found[int(number)] for number in numbers]
+
+
+def _whole(specification: Specification, row: _Row) -> WholeRobot:
+    return whole_robot.one(row.case, specification, row.template, row.values, row.moved)
+
+
+def _of_part(part: tuple[SharedResponse, dict[int, WholeRobot]]) -> dict[int, Found]:
+    shared, wholes = part
+    found: dict[int, Found] = {}
+    together: dict[int, Member] = {}
+    for number, whole in wholes.items():
+        if not whole.kp.any() and not whole.kd.any():
+            found[number] = None
+        elif shared.holds(whole.robot.matrices, whole.kp, whole.kd):
+            together[number] = Member(whole.robot, whole.kp, whole.kd)
+        else:  # its drives have more than two gains
+            found[number] = _alone(whole), whole.margins.whole
+    members = margins_of_many(shared, list(together.values()))
+    return found | dict(zip(together, members, strict=True))
+
+
+def _alone(whole: WholeRobot) -> Motion:
+    return motion(np.linalg.eigvals(whole.robot.matrices[0]), whole.robot.period)
+
+
+def _shared(
+    specification: Specification, row: _Row, reference: Mapping[str, float]
+) -> SharedResponse:
+    """What the loops of a family share: its matrices with two settings of the gains."""
+
+    def with_gains(**gains: float):
+        own = {key: gains.get(base(key), value) for key, value in row.values.items()}
+        found, _, kp, kd, _ = whole_robot.computing(row.case, specification, own, row.moved)(0.0)
+        return (found.M, found.N, found.C), np.array([kp, kd])
+
+    one, of_one = with_gains(kp=1.0, kd=0.0, gain_scale=1.0)
+    other, of_other = with_gains(kp=0.0, kd=1.0, gain_scale=1.0)
+    values = {**row.values, **reference}
+    _, _, kp, kd, _ = whole_robot.computing(row.case, specification, values, row.moved)(0.0)
+    gains = np.array([of_one, of_other])
+    period = 1.0 / row.values[CONTROL_RATE]
+    return shared_response(one, other, gains, np.array([kp, kd]), period)
+
+
+def reference(samples: Samples) -> dict[str, float]:
+    """Gains in the middle of all samples, by key.
+
+    Args:
+        samples: all of a sweep's.
+    """
+    gains = {key: along for key, along in samples.along.items() if base(key) in _GAINS}
+    return {key: float(np.median(along)) for key, along in gains.items()}
