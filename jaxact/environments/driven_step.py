@@ -1,14 +1,16 @@
 """A driven step of MJX, whose whole state fits into `data.userdata`.
 
-    userdata = (begun, draws, drive)
+    userdata = (begun, draws, timing, state)
 
 Environments restore `data` at a reset, so the drive begins anew exactly when its environment does:
-zeros mean that it has not begun. What is drawn of its parameters is kept until then.
+zeros mean that it has not begun. What is drawn of its parameters is kept until then, and with it
+the coefficients that take long to compute from it. Those that follow from the model are its own at
+every step.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -16,11 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from jaxact.drive import history, threefry
 from jaxact.drive import sensor as _sensor
 from jaxact.drive import step as _drive
-from jaxact.drive import threefry
 from jaxact.drive.controller import Controller, Setpoint
-from jaxact.drive.step import DriveState
 from jaxact.environments.environment_drive import EnvironmentDrive
 from jaxact.loops import loop as _loop
 from jaxact.loops.around import Simulator
@@ -44,14 +45,24 @@ class DrivenStep:
     @property
     def size(self) -> int:
         """Length of `userdata`."""
-        joints = len(self.drive.actuators.names)
-        shape = jax.ShapeDtypeStruct((joints,), jnp.result_type(float))
-        state = jax.eval_shape(self._flat_of_rest, shape)
-        return 1 + self.drive.draws + state.shape[0]
+        return self._places[1] + _size(self._of_rest[1])
 
-    def _flat_of_rest(self, zero: jax.Array) -> jax.Array:
-        drive = _coefficients(self.drive, zero)
-        return ravel_pytree(_tick(_drive.init(drive, self.drive.options, zero, zero)))[0]
+    @property
+    def _of_rest(self) -> Any:
+        """Shapes of what `_timing` takes of a drive's coefficients, and of its state."""
+
+        def parts(zero: jax.Array) -> Any:
+            drive = _coefficients(self.drive, zero)
+            rest, _ = history.essential(_drive.init(drive, self.drive.options, zero, zero))
+            return _timing(drive), rest
+
+        return jax.eval_shape(parts, jnp.zeros(len(self.drive.actuators.names)))
+
+    @property
+    def _places(self) -> tuple[int, int]:
+        """Where in `userdata` the timing and the state begin."""
+        timing = 1 + self.drive.draws
+        return timing, timing + _size(self._of_rest[0])
 
     def fresh(self, data: Any) -> Any:
         """The data of MJX with drives that have not begun."""
@@ -73,43 +84,94 @@ class DrivenStep:
         ticks = parts.ticks(substeps)
         begun = data.userdata[0] > 0.0
         drawing, sensing = (threefry.folded(key, which) for which in range(2))
-        draws = jnp.where(begun, data.userdata[1 : 1 + parts.draws], parts.draw(drawing))
+        draws, timing = self._drawn(model, data.userdata, drawing)
         setpoint = own.setpoint(model, control, jnp)
         prepared = self._prepared(model, control, draws)
         position, velocity = prepared.plant.measure(data)
         first = held(prepared.drive.drive.controller, setpoint, position, velocity)
-        rest = _tick(_drive.init(prepared.drive, parts.options, position, velocity, command=first))
+        rest = _drive.init(prepared.drive, parts.options, position, velocity, command=first)
+        rest, whole = history.essential(rest)
         flat, unravel = ravel_pytree(rest)
-        state, tick = unravel(jnp.where(begun, data.userdata[1 + parts.draws :], flat))
+        at_timing = ravel_pytree(_timing(prepared.drive))[1]
 
-        def period(carry: Any, _: None) -> tuple[Any, None]:
-            state, tick = carry
+        # The state as one array: each array that a loop carries may be copied at every turn.
+        def period(carry: Any, number: jax.Array) -> tuple[Any, None]:
+            data, flat = carry
+            now = replace(prepared, drive=_with_timing(prepared.drive, at_timing(timing)))
             like = jnp.asarray(prepared.drive.drive.controller.kp)
-            drawn = _sensor.draw(parts.options.sensor, sensing, tick, like)
-            state, _output = _loop.step(prepared, parts.options, state, setpoint, drawn)
-            return (state, tick + 1), None
+            drawn = _sensor.draw(parts.options.sensor, sensing, number, like)
+            state = LoopState(data, whole(unravel(flat)))
+            state, _output = _loop.step(now, parts.options, state, setpoint, drawn)
+            return (state.plant, ravel_pytree(history.essential(state.drive)[0])[0]), None
 
-        carry = (LoopState(data, state), tick)
-        (after, tick), _ = jax.lax.scan(period, carry, None, length=ticks)
-        flat, _ = ravel_pytree((after.drive, tick))
-        userdata = jnp.concatenate([jnp.ones(1, flat.dtype), draws.astype(flat.dtype), flat])
-        return after.plant.replace(ctrl=control, userdata=userdata.astype(data.userdata.dtype))
+        flat = jnp.where(begun, data.userdata[self._places[1] :].astype(flat.dtype), flat)
+        (after, flat), _ = jax.lax.scan(period, (data, flat), jnp.arange(ticks))
+        userdata = jnp.concatenate([jnp.ones(1, flat.dtype), draws, timing, flat])
+        return after.replace(ctrl=control, userdata=userdata.astype(data.userdata.dtype))
+
+    def _drawn(
+        self, model: Any, userdata: jax.Array, key: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Draws, and what `_timing` takes of their coefficients as one array; kept once begun."""
+        joints, places = len(self.drive.actuators.names), self._places
+
+        def draw(carry: Any) -> Any:
+            _, key, _, _ = carry
+            draws = self.drive.draw(key)
+            drawn = self.drive.drive(draws, model)
+            drive = _drive.prepare(drawn, self.drive.options, (joints,))
+            timing, _ = ravel_pytree(_timing(drive))
+            cast = userdata.dtype
+            return True, threefry.folded(key, 0), draws.astype(cast), timing.astype(cast)
+
+        # A loop of one turn or none: mapped over environments, it is passed by where all have
+        # begun, while both sides of a condition would be computed at every step, which costs more
+        # than all else of a drive.
+        draws, timing, _ = jnp.split(userdata[1:], np.array(places) - 1)
+        carry = userdata[0] > 0.0, key, draws, timing
+        carry = jax.lax.stop_gradient(carry)
+        _, _, draws, timing = jax.lax.while_loop(lambda carry: ~carry[0], draw, carry)
+        return draws, timing
 
     def _prepared(self, model: Any, control: jax.Array, draws: jax.Array) -> Prepared:
         """The drive of these draws around the physics steps of this model."""
         own = self.drive.actuators
         motors = model.tree_replace(own.as_motors(model, damping=self.drive.damping))
         moments = own.moments(model)
+        all_driven = np.array_equal(own.controls, np.arange(control.shape[0]))
+        positions, velocities = _run(own.positions), _run(own.velocities)
 
         def advance(data: Any, force: jax.Array) -> Any:
-            driven = jnp.asarray(control).at[own.controls].set(force / moments)
+            driven = force / moments
+            if not all_driven:
+                driven = jnp.asarray(control).at[own.controls].set(driven)
             return self.advance(motors, data.replace(ctrl=driven))
 
         def measure(data: Any) -> tuple[jax.Array, jax.Array]:
-            return data.qpos[own.positions], data.qvel[own.velocities]
+            return data.qpos[positions], data.qvel[velocities]
 
         plant = Simulator(jnp.asarray(self.drive.physics_step), advance, measure, len(own.names))
         return _loop.prepare(Loop(plant, self.drive.drive(draws, model)), self.drive.options)
+
+
+def _timing(drive: _drive.Coefficients) -> Any:
+    """The coefficients that follow from the drawn parameters alone and take long to compute."""
+    return drive.responses, drive.capture
+
+
+def _size(shapes: Any) -> int:
+    return sum(part.size for part in jax.tree.leaves(shapes))
+
+
+def _with_timing(drive: _drive.Coefficients, timing: Any) -> _drive.Coefficients:
+    responses, capture = timing
+    return replace(drive, responses=responses, capture=capture)
+
+
+def _run(places: np.ndarray) -> slice | np.ndarray:
+    """The places as a slice where they follow each other: cheaper to compile and to read."""
+    first = int(places[0])
+    return slice(first, first + len(places)) if np.all(np.diff(places) == 1) else places
 
 
 def _coefficients(drive: EnvironmentDrive, zero: jax.Array) -> _drive.Coefficients:
@@ -118,10 +180,6 @@ def _coefficients(drive: EnvironmentDrive, zero: jax.Array) -> _drive.Coefficien
     values |= {KP: zero, KD: zero, FEEDFORWARD: 0.0, POLICY_RATE: np.inf}
     values[CONTROL_RATE] = float(drive.low[CONTROL_RATE])
     return _drive.prepare(drive_of(values), drive.options, zero.shape)
-
-
-def _tick(state: DriveState) -> tuple[DriveState, jax.Array]:
-    return state, jnp.zeros((), jnp.int32)
 
 
 def held(

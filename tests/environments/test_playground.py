@@ -191,6 +191,46 @@ def test_what_an_environment_draws_stays_until_it_is_reset(four):
 
 
 @pytest.mark.exhaustive
+def test_one_environment_of_four_begins_anew(four):
+    """The others keep what they have drawn, and it what follows from its own draw."""
+    env, states, controls = four
+    with jax.enable_x64(True):
+        step = jax.jit(jax.vmap(env.step))
+        state, control = states[-1], jnp.asarray(controls[-1])
+        begun = jnp.arange(4)[:, None] != 2
+        emptied = state.data.replace(userdata=jnp.where(begun, state.data.userdata, 0.0))
+        mixed = step(state.replace(data=emptied), control).data
+        whole = step(state, control).data
+        assert (mixed.userdata[:, 0] == 1.0).all() and mixed.userdata[2, 1] != whole.userdata[2, 1]
+        others = np.array([0, 1, 3])
+        for name in ("userdata", "qpos", "qfrc_actuator"):
+            found, expected = getattr(mixed, name)[others], getattr(whole, name)[others]
+            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+        alone = emptied.replace(userdata=jnp.zeros_like(emptied.userdata))
+        alone = step(state.replace(data=alone), control).data
+        np.testing.assert_allclose(mixed.userdata[2], alone.userdata[2], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.exhaustive
+def test_the_gradient_through_steps_is_that_of_differences():
+    with jax.enable_x64(True):
+        text = leg().replace("<option ", '<option iterations="1" ls_iterations="4" ')
+        env = playground(Leg(text), wn=(60.0, 200.0), delay=(0.0, 0.02))
+        first = jax.jit(env.reset)(jax.random.PRNGKey(1))
+
+        def cost(action):
+            state, _ = jax.lax.scan(lambda s, _: (env.step(s, action), None), first, None, length=4)
+            return jnp.sum(state.data.qpos**2)
+
+        action, compiled = jnp.array([0.2, -0.3]), jax.jit(cost)
+        found = jax.jit(jax.grad(cost))(action)
+        for number, moved in enumerate(1e-5 * np.eye(2)):
+            difference = (compiled(action + moved) - compiled(action - moved)) / 2e-5
+            np.testing.assert_allclose(found[number], difference, rtol=1e-6, atol=1e-9)
+        assert np.abs(found).max() > 1e-3
+
+
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("full_reset", (False, True))
 def test_drives_begin_anew_with_their_episode(full_reset):
     """Through Playground's wrapper: with the first command held before, and another draw."""
