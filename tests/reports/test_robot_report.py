@@ -20,7 +20,7 @@ from jaxact.verbs import report_robot
 
 FOLDER = Path(__file__).parent
 LARGEST = 3_000_000  # bytes
-POINTS = 4
+FEW, MANY = 4, 40
 LIMIT = 1e-4
 PATIENCE = 60.0  # [s] for numbers in full
 
@@ -90,17 +90,18 @@ def settled(page, name="settled"):
 
 
 @in_browser
-def test_the_page_follows_its_sliders_as_python_does(page, report, loop):
+@pytest.mark.parametrize("points", [FEW, pytest.param(MANY, marks=pytest.mark.exhaustive)])
+def test_the_page_follows_its_sliders_as_python_does(page, report, loop, points):
     page.open(report)
     rng = np.random.default_rng(1)
     moved = {
-        "gain_scale": np.exp(rng.uniform(np.log(0.3), np.log(3.0), POINTS)).round(3),
-        "delay": rng.uniform(0.0, 8.0, POINTS).round(3),
-        "wn": rng.uniform(150.0, 900.0, POINTS).round(1),
-        "zeta": rng.uniform(0.3, 1.2, POINTS).round(3),
+        "gain_scale": np.exp(rng.uniform(np.log(0.3), np.log(3.0), points)).round(3),
+        "delay": rng.uniform(0.0, 8.0, points).round(3),
+        "wn": rng.uniform(150.0, 900.0, points).round(1),
+        "zeta": rng.uniform(0.3, 1.2, points).round(3),
     }
     found = []
-    for point in range(POINTS):
+    for point in range(points):
         values = {name: float(column[point]) for name, column in moved.items()}
         page.run(TYPE.replace("VALUES", json.dumps(values)))
         time.sleep(0.05)

@@ -221,6 +221,18 @@ function* nearbyRoots(loop) {
     if (root) found.push({ re: root.re / period, im: Math.abs(root.im) / period });
     yield;
   }
+  found.sort((a, b) => b.re - a.re);
+  // Legs that are alike have roots so near to each other that one start finds only one of them.
+  if (found.length) {
+    const first = { re: found[0].re * period, im: found[0].im * period };
+    const size = Math.exp(first.re);
+    const L = loop.beyond(size * Math.cos(first.im), size * Math.sin(first.im));
+    for (const value of eigenvalues(L).filter(({ re, im }) => Math.hypot(re + 1, im) < 0.05)) {
+      const root = newton(loop, first, value);
+      if (root) found.push({ re: root.re / period, im: Math.abs(root.im) / period });
+      yield;
+    }
+  }
   return found.sort((a, b) => b.re - a.re);
 }
 
