@@ -46,6 +46,9 @@ _SHARES_OF_THE_LAG, _DAMPINGS = (0.15, 0.5, 0.85), (0.45, 0.9)
 # At most so many starts are looked at before the best ones are solved.
 _MOST_STARTS = 256
 
+Evaluated = tuple[np.ndarray, np.ndarray]
+"""Residuals and their slopes, shapes (rows,) and (rows, unknowns)."""
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -80,6 +83,23 @@ class Fit:
         return float(self.residuals @ self.residuals)
 
 
+@dataclass(frozen=True)
+class _Begun:
+    """A start of the search.
+
+    Attributes:
+        piece: number of the tick before its delay; None where nothing has kinks.
+        point: in the coordinates of the search, shape (unknowns,).
+        evaluated: residuals and slopes there, where they were looked at.
+        cost: sum of the squared residuals.
+    """
+
+    piece: int | None
+    point: np.ndarray
+    evaluated: Evaluated | None = None
+    cost: float = math.nan
+
+
 def solve(
     sought: Problem,
     *,
@@ -111,11 +131,13 @@ def solve(
         free = [index for index, u in enumerate(sought.unknowns) if u.name not in held]
         from jaxact.identification.minibatches import descend  # imports optax
 
-        point = descend(sought, begun[0][1], *_bounds(sought), free)
+        point = descend(sought, begun[0].point, *_bounds(sought), free)
         return at(sought, point, sought.evaluate(point))
     tried = {
-        piece: _solve_piece(sought, held, point, piece, loss, _FIRST_EVALUATIONS)
-        for piece, point in begun[:_MOST_PIECES]
+        one.piece: _solve_piece(
+            sought, held, one.point, one.piece, loss, _FIRST_EVALUATIONS, one.evaluated
+        )
+        for one in begun
     }
     piece = min(tried, key=lambda one: tried[one].square_sum)
     best = _finished(sought, held, tried[piece], piece, loss, enough)
@@ -155,7 +177,8 @@ def _finished(
         if hopeless and best.evaluations >= _HOPELESS_AFTER:
             break
         before = best.square_sum
-        more = _solve_piece(sought, held, best.point, piece, loss, _HOPELESS_AFTER)
+        evaluated = best.residuals, best.slopes
+        more = _solve_piece(sought, held, best.point, piece, loss, _HOPELESS_AFTER, evaluated)
         best = replace(more, evaluations=best.evaluations + more.evaluations)
         if best.square_sum > (1.0 - _CREEPING) * before:
             break
@@ -164,9 +187,19 @@ def _finished(
 
 def _solve_piece(
     sought: Problem, held: Mapping[str, float], point: np.ndarray, piece: int | None, loss: str,
-    most: int,
+    most: int, evaluated_there: Evaluated | None = None,
 ) -> Fit:  # fmt: skip
-    """The least squares with the delay between two ticks, in so many evaluations at most."""
+    """The least squares with the delay between two ticks, in so many evaluations at most.
+
+    Args:
+        sought: the problem.
+        held: unknowns that are held at a value.
+        point: where the search begins, shape (unknowns,).
+        piece: number of the tick before the delay.
+        loss: of the least squares.
+        most: evaluations.
+        evaluated_there: residuals and slopes at `point`, where they are known.
+    """
     low, high = _bounds(sought, piece)
     free = [index for index, u in enumerate(sought.unknowns) if u.name not in held]
     base = np.clip(point, low, high)
@@ -175,9 +208,11 @@ def _solve_piece(
             base[index] = unknown.inner(held[unknown.name])
     if not free:
         return at(sought, base, sought.evaluate(base), evaluations=1)
-    known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+    known: dict[bytes, Evaluated] = {}
+    if evaluated_there is not None:
+        known[point[free].tobytes()] = evaluated_there
 
-    def evaluated(inner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluated(inner: np.ndarray) -> Evaluated:
         key = inner.tobytes()
         if key not in known:
             if len(known) > 1:
@@ -234,7 +269,7 @@ def _beyond(sought: Problem, found: Fit, piece: int | None) -> int | None:
 def at(
     sought: Problem,
     point: np.ndarray,
-    evaluated: tuple[np.ndarray, np.ndarray],
+    evaluated: Evaluated,
     *,
     evaluations: int = 0,
 ) -> Fit:
@@ -267,8 +302,8 @@ def _bounds(sought: Problem, piece: int | None = None) -> tuple[np.ndarray, np.n
 
 def _begin(
     sought: Problem, held: Mapping[str, float], start: Mapping[str, float], near: Fit | None
-) -> list[tuple[int | None, np.ndarray]]:
-    """(piece, point) of the best start of each piece, the best first."""
+) -> list[_Begun]:
+    """The best start of each of the most promising pieces, the best first."""
     chosen = {**start, **held}
     each = {
         u.name: (min(max(chosen[u.name], u.low), u.high),) if u.name in chosen else u.starts
@@ -283,13 +318,19 @@ def _begin(
         matched += _shared(sought, points[0], near) if WN in each else []
         points = list({point.tobytes(): point for point in matched}.values())
     if len(points) == 1:
-        return [(_piece(sought, points[0], held), points[0])]
-    costs = [float(np.sum(np.square(sought.evaluate(point)[0]))) for point in points]
-    found: dict[int | None, np.ndarray] = {}
-    for index in np.argsort(costs, kind="stable").tolist():
-        if math.isfinite(costs[index]):
-            found.setdefault(_piece(sought, points[index], held), points[index])
-    return list(found.items()) or [(_piece(sought, points[0], held), points[0])]
+        return [_Begun(_piece(sought, points[0], held), points[0])]
+    best: dict[int | None, _Begun] = {}
+    for point in points:
+        evaluated = sought.evaluate(point)
+        one = _Begun(
+            _piece(sought, point, held), point, evaluated, float(np.sum(evaluated[0] ** 2))
+        )
+        if math.isfinite(one.cost) and (one.piece not in best or one.cost < best[one.piece].cost):
+            best[one.piece] = one
+            # Slopes of many logs take memory: no more are kept than are solved.
+            promising = sorted(best.values(), key=lambda begun: begun.cost)[:_MOST_PIECES]
+            best = {begun.piece: begun for begun in promising}
+    return list(best.values()) or [_Begun(_piece(sought, points[0], held), points[0])]
 
 
 def _inner(sought: Problem, values: Iterable[float]) -> np.ndarray:

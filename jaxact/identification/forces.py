@@ -50,6 +50,7 @@ def family(logs: Sequence[Log]) -> Family:
         stimulus=lambda log: log["command"],
         signal="force",
         unit="N m" if logs[0].unit == "rad" else "N",
+        perhaps=() if limited else (FORCE_LIMIT,),
     )
 
 

@@ -22,6 +22,8 @@ _AS_GOOD = 0.01
 _NEARLY_AS_GOOD = 0.05
 # A model that is not wholly identified is taken where those that are have so many times its error.
 _FAR_WORSE = 1.5
+# Of a log that is followed so well [%], no limit was reached that matters.
+_FOLLOWED = 97.0
 # Share of the encoder's own error that is left out when errors are compared.
 _OF_THE_FLOOR = 0.95
 # Of a log that is alone, the last part is kept for validation.
@@ -127,10 +129,15 @@ def climb(
     fitted, held, apart = split(logs, validation)
     floor = encoder_error(family, held)
     found: list[Candidate] = []
-    for rung in stages(family, found, floor):
+
+    def fit(rung: Rung, before: Sequence[Candidate]) -> Candidate:
         if report is not None:
             report(rung.name)
-        found.append(_candidate(family, rung, fitted, held, (loss, method), found))
+        return _candidate(family, rung, fitted, held, (loss, method), before)
+
+    for rung in stages(family, found, floor):
+        found.append(fit(rung, found))
+    found += limited(family, found, floor, fit)
     found = [without_delay(one, found) for one in found]
     chosen = choose(found, floor)
     rung, best = chosen.rung, chosen.fit
@@ -179,6 +186,41 @@ def stages(family: Family, found: list[Candidate], floor: float) -> Iterator[Run
         best = choose(found, floor)
         if best.rung.dynamics == DELAY:
             return
+
+
+def limited(
+    family: Family,
+    found: Sequence[Candidate],
+    floor: float,
+    fit: Callable[[Rung, Sequence[Candidate]], Candidate],
+) -> list[Candidate]:
+    """Every model with what logs may hide, where the chosen one predicts better with it.
+
+    A drive at its limit answers a larger command with no more, which others take for a smaller gain
+    and another delay; in a noisy log no two rows at the limit are alike.
+
+    Args:
+        family: of the models.
+        found: candidates without it.
+        floor: see `choose`.
+        fit: (model, candidates to begin from) -> candidate.
+    """
+    chosen = choose(found, floor)
+    if not family.perhaps or min(chosen.scores) > _FOLLOWED:
+        return []
+
+    def richer(rung: Rung) -> Rung:
+        name = f"{rung.name}, limited"
+        return replace(rung, name=name, friction="limited", free=(*family.perhaps, *rung.free))
+
+    first = fit(richer(chosen.rung), found)
+    if choose([*found, first], floor) is not first:
+        return []
+    more = [first]
+    for one in found:
+        if one is not chosen:
+            more.append(fit(richer(one.rung), [*found, *more]))
+    return more
 
 
 def encoder_error(family: Family, logs: Sequence[Log]) -> float:

@@ -51,6 +51,8 @@ class Family:
         unit: of the signal.
         beside: names of unknowns that only the chosen model is refined with: no log tells of them
             by themselves, and the others' intervals have to allow for them.
+        perhaps: names of unknowns that every model is fitted with as well where the chosen one is
+            better with them, such as a limit that noise hides.
         nuisances: (logs, whether they are only tried) -> unknowns that every log has for itself.
     """
 
@@ -66,6 +68,7 @@ class Family:
     unit: str
     nuisances: Callable[[Sequence[Log], bool], tuple[Unknown, ...]] = lambda logs, tried: ()
     beside: tuple[str, ...] = ()
+    perhaps: tuple[str, ...] = ()
 
 
 # A first-order loop is a second-order one whose other pole is 4 zeta^2 times faster.
@@ -84,6 +87,8 @@ _STARTS_OF_A_DELAY = (0, 1, 2, 3, 4, 5, 7, 9, 12, 16)
 _LONG_DELAY = 0.015
 # The beginning of a log enters almost linearly.
 _STEPS_OF_A_BEGINNING = 2
+# A step that promises to lower the sum of squares by less than this share of it is not taken.
+_NO_FALL = 1e-6
 NEUTRAL_DRIVE = {WN: math.inf, ZETA: 1.0, DELAY: 0.0}
 
 
@@ -155,6 +160,9 @@ def predicted(family: Family, log: Log, values: Mapping[str, float]) -> np.ndarr
         if not np.isfinite(slopes).all() or not np.isfinite(rest).all():
             break
         step = np.linalg.lstsq(slopes, -rest, rcond=None)[0]
+        promised = rest + slopes @ step
+        if promised @ promised > (1.0 - _NO_FALL) * (rest @ rest):
+            break
         moved = np.clip(point + step, [u.low for u in own], [u.high for u in own])
         found = sought.evaluate(moved)
         if not found[0] @ found[0] < rest @ rest:

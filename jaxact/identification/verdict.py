@@ -90,6 +90,11 @@ def judge(ladder: Ladder) -> Verdict:
     bounds = [e.name for e in chosen.knowledge.estimates if e.at_bound]
     if bounds:
         reasons.append(f"{' and '.join(bounds)} at a bound")
+    if chosen.numbers.get("gain", 1.0) < 0.0:
+        reasons.append(
+            f"{family.signal} goes against the command (gain {chosen.numbers['gain']:.3g}): one of"
+            " the two has the wrong sign, give it scale = -1.0 in the map"
+        )
     if ladder.kept_apart:
         reasons += _narrow(ladder)
     reasons += [f"{e.name} is not identified ({e.reason})" for e in chosen.knowledge.estimates

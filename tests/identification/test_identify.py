@@ -1,6 +1,7 @@
 """From synthetic logs to the drive that made them: numbers, choice of model, verdict, files."""
 
 import tomllib
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -116,6 +117,32 @@ def test_a_log_that_does_not_carry_over_is_not_good():
     found = identify(_log(_prbs(7), STARLETH, 7), validate=[other])
     assert found.verdict.level.value != "good"
     assert any("carry over" in reason for reason in found.verdict.reasons)
+
+
+def test_a_limit_that_noise_hides_is_found():
+    logs = [_log(_prbs(seed), STARLETH, seed, noise=0.0) for seed in (31, 32)]
+    generator = np.random.default_rng(33)
+    clipped = [
+        replace(log, signals={
+            "command": log["command"],
+            "force": np.clip(log["force"], -0.6, 0.6) + 0.01 * generator.normal(size=ROWS),
+        })
+        for log in logs
+    ]  # fmt: skip
+    found = identify(clipped[0], validate=clipped[1])
+    known = found.chosen.knowledge
+    truths = {"force_limit": 0.6, "gain": 0.95, "wn": 110.0, "zeta": 0.9}
+    for name, truth in truths.items():
+        assert known[name].value == pytest.approx(truth, rel=0.02)
+    assert known["delay"].value == pytest.approx(2.3e-3, abs=1e-4)
+    assert found.verdict.level.value == "good"
+
+
+def test_a_force_of_the_wrong_sign_is_said():
+    logs = [_log(_prbs(seed), STARLETH, seed) for seed in (34, 35)]
+    turned = [replace(log, signals={**log.signals, "force": -log["force"]}) for log in logs]
+    verdict = identify(turned[0], validate=turned[1]).verdict
+    assert verdict.level.value != "good" and "has the wrong sign" in verdict.sentence
 
 
 def test_one_log_alone_is_not_called_good():
