@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
-from jaxact.analysis.robot import disk, multiloop
+from jaxact.analysis.robot import disk, limits, multiloop
 from jaxact.analysis.robot.margins import robot_margins
 from jaxact.analysis.robot.modes import Robot
 from jaxact.errors import UserError
@@ -103,3 +104,17 @@ def test_the_centre_of_the_disk_margins_bound_is_stationary():
 
     slope = [(value(weights + 1e-6 * e) - value(weights - 1e-6 * e)) / 2e-6 for e in np.eye(4)]
     np.testing.assert_allclose(slope, np.mean(slope), rtol=1e-6)
+
+
+def test_a_gain_limit_that_no_crossing_shows_has_the_frequency_of_the_root_that_leaves(monkeypatch):
+    """Two joints of which each turns by an angle and grows with the gains; one crossing is seen."""
+    turn = [np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) for a in (0.3, 0.7)]
+    rise = 0.05, 0.04  # of the roots' size with the factor: 0.9 + rise (factor - 1)
+    M = 0.9 * block_diag(*turn)
+    C = block_diag(*(b * R for b, R in zip(rise, turn, strict=True)))
+    first, second = (1.0 + 0.1 / b for b in rise)
+    value = complex(second / (second - 1.0))
+    seen = limits.Crossing(0.7, 0.7, value, value, 0.7, value)
+    monkeypatch.setattr(limits, "refined", lambda loop, crossing: crossing)
+    found = limits.gain_limit(None, (M, np.eye(4), C), [seen], up=True)
+    assert found == pytest.approx((first, 0.3), rel=1e-6)

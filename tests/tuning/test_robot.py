@@ -374,3 +374,24 @@ def test_what_is_ideal_does_not_vary_by_a_factor(folder):
     ideal = specification.parameters | {"actuator": "ideal"}
     with pytest.raises(UserError, match="the actuator is ideal"):
         situation(replace(specification, parameters=ideal), "home", read_box("wn=0.8..1.2", VARIED))
+
+
+@pytest.mark.exhaustive
+def test_a_joint_that_its_limit_holds_gets_gains_too(folder):
+    """No force moves it, so that it bears any; the other gets those that it gets alone."""
+    body = '<body pos="{0} 0 0"><joint name="j{0}" axis="0 1 0" armature="0.1" {1}/>{2}</body>'
+    sphere = '<geom size="0.05" mass="1" contype="0" conaffinity="0"/>'
+    found = []
+    for bodies in ([""], ["", 'range="0.2 1" limited="true"']):
+        joints = "".join(body.format(n, more, sphere) for n, more in enumerate(bodies))
+        motors = "".join(f'<motor joint="j{n}"/>' for n in range(len(bodies)))
+        path = folder / f"held_{len(bodies)}.xml"
+        path.write_text(
+            '<mujoco><option gravity="0 0 0" timestep="0.001"/>'
+            f"<worldbody>{joints}</worldbody><actuator>{motors}</actuator></mujoco>"
+        )
+        one = situation(_specification(path), "arm")
+        found.append(robot.tune([one], Goal(max_peak=1.6), group([], one.names), **QUICK))
+    alone, both = found
+    assert np.isfinite(both.kp).all() and both.certified
+    np.testing.assert_allclose([both.kp[0], both.kd[0]], [alone.kp[0], alone.kd[0]], rtol=1e-3)

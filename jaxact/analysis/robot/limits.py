@@ -193,8 +193,11 @@ def gain_limit(
     feedback = N @ C
     sign = 1.0 if up else -1.0
 
+    def matrix(distance: float) -> np.ndarray:
+        return M + math.expm1(sign * distance) * feedback
+
     def fails(distance: float) -> bool:
-        return bad(M + math.expm1(sign * distance) * feedback)
+        return bad(matrix(distance))
 
     ahead = sorted(
         (item for item in candidates if (factor(item) > 1.0) == up),
@@ -212,6 +215,7 @@ def gain_limit(
             if fails(at - BESIDE * at) != now or fails(at + BESIDE * at) == now:
                 # Another crossing, between two points of the grid.
                 at = _switch(fails, start, beyond)
+                return math.exp(sign * at), _angle_of_change(matrix, at)
             return math.exp(sign * at), exact.angle
         start = beyond
     return (math.inf if up else 0.0), math.inf
@@ -224,6 +228,18 @@ def _switch(fails: Callable[[float], bool], low: float, high: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if fails(middle) == first else (low, middle)
     return 0.5 * (low + high)
+
+
+def _angle_of_change(matrix: Callable[[float], np.ndarray], at: float) -> float:
+    """w T [rad] of the root that leaves the unit circle, or comes back, at a distance."""
+    parts = [scipy.linalg.eigvals(matrix(at + part * at)) for part in (-BESIDE, 0.0, BESIDE)]
+    before, here, after = sorted_along(np.array(parts))
+    # Of a rigid-body motion rounding decides on which side it is, but it does not move.
+    moved = np.abs(np.log(np.abs(after) / np.abs(before)))
+    apart = np.abs(np.log(np.abs(here)) - math.log1p(MARGINAL))
+    share = np.divide(apart, moved, out=np.full(len(here), np.inf), where=moved > 0.0)
+    changed = beyond(before) != beyond(after)
+    return abs(float(np.angle(here[np.argmin(np.where(changed, share, np.inf))])))
 
 
 def later(matrices: Matrices, periods: int) -> np.ndarray:

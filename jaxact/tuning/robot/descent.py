@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact.errors import UserError
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import Groups
 from jaxact.tuning.joint.problem import STARTS as TABLE
@@ -31,10 +32,26 @@ _POLISHED, _SAME, _CLOSEST = 4, 0.05, 2
 _BACKWARDS = (0.9, 0.75, 0.5, 0.25, 0.1, 0.0)
 
 
+def least_inertias(situations: Sequence[Situation]) -> np.ndarray:
+    """The joints' smallest effective inertias in any situation [kg or kg m^2], shape (m,).
+
+    Of a joint that no force moves in any, such as one that stands at its limit, the largest of the
+    others: it bears any gains.
+
+    Raises:
+        UserError: no force moves any joint.
+    """
+    found = np.min([one.inertias for one in situations], axis=0)
+    moves = np.isfinite(found) & (found > 0.0)
+    if not moves.any():
+        raise UserError("no joint can be tuned: in this posture no force moves any of them")
+    return np.where(moves, found, found[moves].max())
+
+
 def usual(situations: Sequence[Situation], groups: Groups) -> np.ndarray:
     """Log-gains to begin with where none are known: moderate ones for the inertias and the lag."""
     lag = max(one.lag for one in situations)
-    inertia = np.min([one.inertias for one in situations], axis=0)
+    inertia = least_inertias(situations)
     a, b = TABLE[4]
     return groups.log_gains(b * inertia / lag**2, a * inertia / lag)
 

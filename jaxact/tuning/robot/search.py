@@ -30,6 +30,7 @@ from jaxact.tuning.robot.descent import (  # fmt: skip
     bounds,
     descended,
     hardest,
+    least_inertias,
     stabilised,
     usual,
 )
@@ -185,7 +186,7 @@ def _begun(
     low, high = bounds(goal, groups, x, plain)
     case = RobotCase(tabulate(open_loops(situations, members)), groups, goal, low, high)
     x = np.clip(x, low, high)
-    inertia = np.min([one.inertias for one in situations], axis=0)
+    inertia = least_inertias(situations)
     known, number = screened(case, x, inertia, max(one.lag for one in situations), seed)
     known = [one for one in known if case.stable(one.x)]
     there, tried = (x, 0) if case.stable(x) else stabilised(case, situations, x)
