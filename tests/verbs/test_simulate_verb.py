@@ -72,5 +72,5 @@ def test_a_robot_has_joints_and_their_units(tmp_path):
 
 
 def test_an_engine_that_cannot_is_refused():
-    with pytest.raises(UserError, match="simulates robots"):
+    with pytest.raises(UserError, match="is for robots"):
         jx.simulate(jx.joint(), engine="mujoco")
