@@ -112,7 +112,7 @@ def _mjx(quick: bool) -> Iterator:
     from jaxact.loops.samples import expand
     from jaxact.simulation import plans
 
-    gains, duration = (8, 0.04) if quick else (32, 0.5)
+    gains, duration = (16, 0.04) if quick else (32, 0.5)
     coarse = sweeps.specification("mjx", gains, duration, physics_step=0.001)
     samples = expand(coarse)
     ticks = sweeps.steps(coarse, samples) // len(samples)

@@ -21,7 +21,8 @@ from jaxact.loops.specification import Specification
 from jaxact.plants.mjx import plant as mjx
 from jaxact.robots import model as models
 from jaxact.robots import posture
-from jaxact.simulation import engines, execute, plans
+from jaxact.simulation import engines, execute, plans, starts
+from jaxact.simulation.spectra import Rates
 
 
 @dataclass(frozen=True)
@@ -110,16 +111,16 @@ def specification(robot: Robot, engine: str, duration: float, loops: int) -> Spe
 
 
 def rollouts(asked: Specification, samples: Samples) -> tuple[Callable[[], float], plans.Plan]:
-    """The rollouts with their metrics, growth rates given; units: control periods of one loop."""
+    """The rollouts with their metrics, growth rates given; units: physics steps of all starts."""
     asked = engines.resolved(asked)
     (plan,) = plans.groups(asked, samples)
-    growth = np.full(plan.batch, -1.0)
+    rates = Rates(np.full(plan.batch, -1.0))
     numbers = [batch for batch, _ in plans.batches(plan, samples)]
 
     def run() -> float:
         for batch in numbers:
-            execute.simulate_batch(plan, asked, samples, batch, growth)
-        return len(samples) * plan.case.rollout.ticks
+            execute.simulate_batch(plan, asked, samples, batch, rates)
+        return len(samples) * starts.steps(plan.case)
 
     return run, plan
 

@@ -15,6 +15,7 @@ from jaxact.loops import reading
 from jaxact.loops.samples import Samples, expand
 from jaxact.loops.specification import Specification
 from jaxact.simulation import execute, plans
+from jaxact.simulation.spectra import Rates
 
 LOOP = {"actuator": "hyq", "delay": 0.005}
 
@@ -51,8 +52,10 @@ def command(engine: str, gains: int, duration: float) -> Callable[[], float]:
 
 
 def steps(asked: Specification, samples: Samples) -> int:
-    """Loop steps (control periods of one loop) in a sweep."""
-    return sum(plan.case.rollout.ticks for plan in plans.groups(asked, samples)) * len(samples)
+    """Loop steps in a sweep: control periods of all loops, from all their starts."""
+    cases = [plan.case for plan in plans.groups(asked, samples)]
+    each = sum(case.rollout.ticks * (1 + len(case.starts)) for case in cases)
+    return each * len(samples)
 
 
 def whole(asked: Specification) -> Callable[[], float]:
@@ -71,12 +74,12 @@ def rollouts(asked: Specification) -> Callable[[], float]:
     """Only the rollouts with their metrics, growth rates given; units: loop steps."""
     samples = expand(asked)
     (plan,) = plans.groups(asked, samples)
-    growth = np.zeros(plan.batch)
+    rates = Rates(np.zeros(plan.batch))
     units = steps(asked, samples)
 
     def run() -> float:
         for numbers, _ in plans.batches(plan, samples):
-            execute.simulate_batch(plan, asked, samples, numbers, growth)
+            execute.simulate_batch(plan, asked, samples, numbers, rates)
         return units
 
     return run
@@ -84,7 +87,7 @@ def rollouts(asked: Specification) -> Callable[[], float]:
 
 def with_everything(asked: Specification) -> Specification:
     """The same sweep with the full drive: three delays, quantisation, noise."""
-    full = {
+    full: dict[str, float | str] = {
         "measurement_delay": 0.0012,
         "setpoint_delay": 0.002,
         "position_resolution": 1e-5,
