@@ -11,6 +11,7 @@ import { test } from "node:test";
 import {
   eigenvalues, inverse, largestSingularValue, shifted, singularValues, zeros,
 } from "../../jaxact/reports/page/matrices.js";
+import { glance, roughly } from "../../jaxact/reports/page/robot_glance.js";
 import * as limits from "../../jaxact/reports/page/robot_limits.js";
 import * as closed from "../../jaxact/reports/page/robot_loop.js";
 import * as margins from "../../jaxact/reports/page/robot_margins.js";
@@ -19,6 +20,7 @@ import { openRobot, plantOf } from "../../jaxact/reports/page/robot_response.js"
 const EXACT = 1e-6;
 const LIMIT = 1e-4;
 const SHARE = 0.02;
+const PICTURED = 0.03;
 const given = process.env.JAXACT_ROBOTS;
 const skip = !given && "run by pytest";
 const rows = given
@@ -30,12 +32,7 @@ function near(own, other, tolerance, words) {
   assert.ok(Math.abs(own - other) <= tolerance * Math.abs(other), `${words}: ${own}, not ${other}`);
 }
 
-/** What a function in steps returns. */
-function finished(steps) {
-  let step = steps.next();
-  while (!step.done) step = steps.next();
-  return step.value;
-}
+const { finished } = closed;
 
 const random = (n) => {
   const M = zeros(n);
@@ -59,6 +56,7 @@ test("eigenvalues, singular values and the inverse of a matrix", () => {
     const square = M.re.reduce((all, x, k) => all + x * x + M.im[k] * M.im[k], 0);
     const sizes = singularValues(M);
     near(largestSingularValue(M), sizes[0], 1e-12, "the largest");
+    near(roughly(M, 0, 1), sizes[0], n > 8 ? PICTURED : 1e-8, "the largest, roughly");
     near(sizes.reduce((all, x) => all + x * x, 0), square, 1e-12, "Frobenius");
     near(singularValues(inverse(M))[0], 1 / sizes[n - 1], 1e-9, "of the inverse");
     // M - l I is singular
@@ -104,14 +102,14 @@ test("robots have Python's margins", { skip }, () => {
     const words = [growth.shakes && "shakes", growth.topples && "topples"].filter((one) => one);
     assert.equal(words.join(" and ") || "stable", row.verdict, row.robot);
     if (!row.whole) continue;
-    margins.sharpen(loop, growth.roots);
-    const found = margins.peaks(loop);
+    finished(margins.sharpen(loop, growth.roots));
+    const found = finished(margins.peaks(loop));
     for (const name of ["sensitivity_peak", "complementary_peak", "unscaled_disk_margin"]) {
       near(found[name], row.whole[name], EXACT, `${row.robot}: ${name}`);
     }
-    const up = limits.gainLimit(loop, true);
+    const up = finished(limits.gainLimit(loop, true));
     near(up?.factor ?? Infinity, row.whole.gain_margin, LIMIT, `${row.robot}: gain margin`);
-    const down = limits.gainLimit(loop, false);
+    const down = finished(limits.gainLimit(loop, false));
     near(down?.factor ?? 0, row.whole.gain_reduction_margin, LIMIT, `${row.robot}: gains down`);
     const later = finished(limits.delayLimit(loop));
     near(later?.delay ?? Infinity, row.whole.delay_margin, LIMIT, `${row.robot}: delay margin`);
@@ -131,10 +129,31 @@ test("robots have Python's margins", { skip }, () => {
 function ofJoints(loop, row) {
   const names = ["sensitivity_peak", "complementary_peak", "disk_margin", "phase_margin", "delay_margin", "gain_margin"];
   row.joints.forEach((joint, i) => {
-    const own = margins.ofJoint(loop, i);
+    const own = finished(margins.ofJoint(loop, i));
     for (const name of names) near(own[name], joint[name], EXACT, `${row.robot}: ${name} of ${joint.name}`);
   });
 }
+
+test("a first glance has Python's number of unstable roots, and its outline", { skip }, () => {
+  for (const row of rows) {
+    const { loop } = closedOf(row);
+    const { open, kp, kd } = loop;
+    const found = finished(glance(closed.responses(open, false), kp, kd));
+    assert.equal(found.unstable, row.unstable_roots, row.robot);
+    for (const { t, peaks } of found.points) {
+      const S = closed.sensitivityOf(loop.at(t));
+      near(peaks[0], largestSingularValue(S), PICTURED, `${row.robot}: S at ${t}`);
+      near(peaks[1], largestSingularValue(shifted(S, 1, -1)), PICTURED, `${row.robot}: T at ${t}`);
+    }
+    // With other gains as the eigenvalues of L count.
+    for (const [i, factor] of [0.03, 0.3, 3, 30].entries()) {
+      const [stiff, damping] = [kp, kd].map((own, k) => own.map((x, j) => x * factor * (1 + ((i + j + k) % 3))));
+      const other = closed.closedLoop(closed.responses(open, true), stiff, damping);
+      const { unstable } = finished(glance(closed.responses(open, false), stiff, damping));
+      assert.equal(unstable, other.count(1), `${row.robot}: gains times ${factor}`);
+    }
+  }
+});
 
 test("ranges of a map change where the margins are", { skip }, () => {
   const row = rows.find(({ whole }) => whole);

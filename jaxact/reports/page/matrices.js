@@ -10,7 +10,10 @@ export const zeros = (n) => ({ n, re: new Float64Array(n * n), im: new Float64Ar
 /** c I + d M, of real c and d. */
 export function shifted(M, c, d) {
   const found = zeros(M.n);
-  for (let k = 0; k < M.re.length; k++) [found.re[k], found.im[k]] = [d * M.re[k], d * M.im[k]];
+  for (let k = 0; k < M.re.length; k++) {
+    found.re[k] = d * M.re[k];
+    found.im[k] = d * M.im[k];
+  }
   for (let i = 0; i < M.n; i++) found.re[i * (M.n + 1)] += c;
   return found;
 }
@@ -24,80 +27,81 @@ function swap(array, n, a, b, from) {
   }
 }
 
-/** The pivots of Gauss's elimination with row exchanges; `M` becomes its triangular factors. */
-function eliminated({ n, re, im }, exchanged) {
+/** M^-1, by Gauss's and Jordan's elimination with row exchanges. */
+export function inverse(M) {
+  const { n } = M;
+  const found = { n, re: M.re.slice(), im: M.im.slice() };
+  const { re, im } = found;
+  const exchanged = new Int32Array(n);
   for (let k = 0; k < n; k++) {
-    let [best, largest] = [k, -1];
-    for (let i = k; i < n; i++) {
-      const size = re[i * n + k] ** 2 + im[i * n + k] ** 2;
-      if (size > largest) [best, largest] = [i, size];
-    }
+    const best = pivotRow(found, k);
+    exchanged[k] = best;
     if (best !== k) {
       swap(re, n, k, best, 0);
       swap(im, n, k, best, 0);
     }
-    exchanged(k, best);
-    const [pr, pi] = [re[k * n + k] / largest, -im[k * n + k] / largest];
-    for (let i = k + 1; i < n; i++) {
-      const [x, y] = [re[i * n + k], im[i * n + k]];
-      const fr = x * pr - y * pi;
-      const fi = x * pi + y * pr;
-      [re[i * n + k], im[i * n + k]] = [fr, fi];
-      for (let j = k + 1; j < n; j++) {
-        const [a, b] = [re[k * n + j], im[k * n + j]];
-        re[i * n + j] -= fr * a - fi * b;
-        im[i * n + j] -= fr * b + fi * a;
-      }
-    }
+    divideRow(found, k);
+    for (let i = 0; i < n; i++) if (i !== k) lessRow(found, i, k);
   }
-}
-
-/** The direction of det M: a complex number of modulus 1. */
-export function direction(M) {
-  const copy = { n: M.n, re: M.re.slice(), im: M.im.slice() };
-  let sign = 1;
-  eliminated(copy, (k, best) => (sign = best === k ? sign : -sign));
-  let found = { re: sign, im: 0 };
-  for (let i = 0; i < M.n; i++) {
-    const [x, y] = [copy.re[i * (M.n + 1)], copy.im[i * (M.n + 1)]];
-    const size = Math.hypot(x, y) || 1;
-    found = {
-      re: (found.re * x - found.im * y) / size,
-      im: (found.re * y + found.im * x) / size,
-    };
+  for (let k = n - 1; k >= 0; k--) {
+    if (exchanged[k] === k) continue;
+    swapColumns(re, n, k, exchanged[k]);
+    swapColumns(im, n, k, exchanged[k]);
   }
   return found;
 }
 
-/** M^-1. */
-export function inverse(M) {
-  const { n } = M;
-  const factors = { n, re: M.re.slice(), im: M.im.slice() };
-  const found = shifted(zeros(n), 1, 0);
-  eliminated(factors, (k, best) => {
-    if (best === k) return;
-    swap(found.re, n, k, best, 0);
-  });
-  const { re, im } = factors;
-  const less = (i, k, fr, fi) => {
-    for (let j = 0; j < n; j++) {
-      const [a, b] = [found.re[k * n + j], found.im[k * n + j]];
-      found.re[i * n + j] -= fr * a - fi * b;
-      found.im[i * n + j] -= fr * b + fi * a;
-    }
-  };
-  for (let i = 1; i < n; i++) for (let k = 0; k < i; k++) less(i, k, re[i * n + k], im[i * n + k]);
-  for (let i = n - 1; i >= 0; i--) {
-    for (let k = i + 1; k < n; k++) less(i, k, re[i * n + k], im[i * n + k]);
-    const [x, y] = [re[i * n + i], im[i * n + i]];
-    const size = x * x + y * y;
-    for (let j = 0; j < n; j++) {
-      const [a, b] = [found.re[i * n + j], found.im[i * n + j]];
-      found.re[i * n + j] = (a * x + b * y) / size;
-      found.im[i * n + j] = (b * x - a * y) / size;
+/** The row from k on whose entry in column k is the largest. */
+function pivotRow({ n, re, im }, k) {
+  let best = k;
+  let largest = -1;
+  for (let i = k, at = k * n + k; i < n; i++, at += n) {
+    const size = re[at] * re[at] + im[at] * im[at];
+    if (size > largest) {
+      best = i;
+      largest = size;
     }
   }
-  return found;
+  return best;
+}
+
+/** Row k over its pivot, in the place of which there is its inverse. */
+function divideRow({ n, re, im }, k) {
+  const pivot = k * n + k;
+  const size = re[pivot] * re[pivot] + im[pivot] * im[pivot];
+  const x = re[pivot] / size;
+  const y = -im[pivot] / size;
+  re[pivot] = 1;
+  im[pivot] = 0;
+  for (let at = k * n; at < (k + 1) * n; at++) {
+    const a = re[at];
+    const b = im[at];
+    re[at] = a * x - b * y;
+    im[at] = a * y + b * x;
+  }
+}
+
+/** Row i less row k times what is in column k, in the place of which is what the inverse has. */
+function lessRow({ n, re, im }, i, k) {
+  const place = i * n + k;
+  const fr = re[place];
+  const fi = im[place];
+  re[place] = 0;
+  im[place] = 0;
+  for (let j = 0, u = i * n, v = k * n; j < n; j++, u++, v++) {
+    const a = re[v];
+    const b = im[v];
+    re[u] -= fr * a - fi * b;
+    im[u] -= fr * b + fi * a;
+  }
+}
+
+function swapColumns(array, n, a, b) {
+  for (let at = 0; at < n * n; at += n) {
+    const kept = array[at + a];
+    array[at + a] = array[at + b];
+    array[at + b] = kept;
+  }
 }
 
 /** Singular values, the largest first, by Jacobi's rotations of columns (Hestenes). */
@@ -136,8 +140,10 @@ export function largestSingularValue(M) {
         x += re[a] * re[b] + im[a] * im[b];
         y += re[a] * im[b] - im[a] * re[b];
       }
-      [square.re[i * n + j], square.im[i * n + j]] = [x, y];
-      [square.re[j * n + i], square.im[j * n + i]] = [x, -y];
+      square.re[i * n + j] = x;
+      square.im[i * n + j] = y;
+      square.re[j * n + i] = x;
+      square.im[j * n + i] = -y;
     }
   }
   return Math.sqrt(Math.max(...eigenvalues(square).map(({ re: size }) => size)));

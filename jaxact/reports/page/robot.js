@@ -2,8 +2,9 @@
 
 import { fill } from "./chart.js";
 import { sliders } from "./controls.js";
+import { glance } from "./robot_glance.js";
 import { delayLimit, gainLimit, ranges } from "./robot_limits.js";
-import { closedLoop, responses } from "./robot_loop.js";
+import { closing, responding } from "./robot_loop.js";
 import * as margins from "./robot_margins.js";
 import { openRobot, plantOf } from "./robot_response.js";
 import * as views from "./robot_views.js";
@@ -13,7 +14,7 @@ const SETTLE_AFTER = 120;
 const SPEAK_AFTER = 500;
 // Of computing, between which the page answers [ms]: what 12 joints need at once, and the rest.
 const AT_ONCE = 60;
-const SLICE = 25;
+const SLICE = 15;
 // Columns of the map less one, for few and for many joints: powers of two.
 const [COLUMNS, FEWER, MANY] = [32, 16, 14];
 const FACTORS = [0.05, 50];
@@ -108,14 +109,9 @@ export function start(data, host) {
     const began = performance.now();
     const { open } = openAt(drives);
     yield;
-    kept.coarse ??= responses(open, false);
-    yield;
-    const loop = closedLoop(kept.coarse, drives.kp, drives.kd);
-    yield;
-    const unstable = loop.count(1);
-    say(words.quick(unstable), unstable === 0, false);
-    yield;
-    const points = yield* margins.outline(loop);
+    kept.coarse ??= yield* responding(open, false);
+    const { unstable, points } = yield* glance(kept.coarse, drives.kp, drives.kd);
+    say(words.quick(unstable), unstable === null ? null : unstable === 0, false);
     views.drawSensitivities(by("robot-sensitivity"), points, open.period);
     performance.measure("redraw", { start: began, end: performance.now() });
   }
@@ -142,25 +138,19 @@ export function start(data, host) {
   /** All numbers in full, a step after the other. */
   function* settle(drives) {
     const { open, plant } = openAt(drives);
-    const known = responses(open, true);
-    yield;
-    const loop = closedLoop(known, drives.kp, drives.kd);
-    yield;
+    const known = yield* responding(open, true);
+    const loop = yield* closing(known, drives.kp, drives.kd);
     const growth = yield* margins.growth(loop);
     yield;
-    margins.sharpen(loop, growth.roots);
-    yield;
+    yield* margins.sharpen(loop, growth.roots);
     const found = { growth };
     for (const point of loop.points) {
       margins.withSensitivity(point);
       yield;
     }
-    if (growth.stable) found.peaks = margins.peaks(loop);
-    yield;
-    found.up = gainLimit(loop, true, growth.topples && !growth.shakes);
-    yield;
-    found.down = gainLimit(loop, false, growth.topples && !growth.shakes);
-    yield;
+    if (growth.stable) found.peaks = yield* margins.peaks(loop);
+    found.up = yield* gainLimit(loop, true, growth.topples && !growth.shakes);
+    found.down = yield* gainLimit(loop, false, growth.topples && !growth.shakes);
     if (!growth.shakes) found.later = yield* delayLimit(loop);
     yield;
     found.shape = shapeOf(loop, found, plant.inertias);
@@ -180,8 +170,7 @@ export function start(data, host) {
     yield;
     const joints = [];
     for (let i = 0; growth.stable && i < data.joints.length; i++) {
-      joints.push(margins.ofJoint(loop, i));
-      yield;
+      joints.push(yield* margins.ofJoint(loop, i));
     }
     by("robot-joints").replaceChildren(views.jointTable(data.joints, drives, joints, found.shape));
     by("robot-verdict").dataset.joints = "true";
@@ -212,10 +201,8 @@ export function start(data, host) {
       const delay = (window.delay[1] * i) / parts;
       const open = openAt(drives).open.later(delay - state.delay);
       yield;
-      const known = responses(open, false);
-      yield;
-      const loop = closedLoop(known, base.kp, base.kd);
-      yield;
+      const known = yield* responding(open, false);
+      const loop = yield* closing(known, base.kp, base.kd);
       const found = [];
       for (const range of ranges(loop, window.factor[1])) {
         found.push(range);

@@ -112,8 +112,9 @@ function grouped(all, place) {
 /**
  * The nearest factor above or below 1 at which the number of unstable roots changes: {factor, t,
  * before, after}, null where there is none; with `swing` where a motion that swings begins to grow.
+ * In steps.
  */
-export function gainLimit(loop, up, swing = false) {
+export function* gainLimit(loop, up, swing = false) {
   const sign = up ? 1 : -1;
   const ahead = factors(loop)
     .map((one) => ({ ...one, d: sign * Math.log(one.factor) }))
@@ -126,23 +127,28 @@ export function gainLimit(loop, up, swing = false) {
     const last = together[i][together[i].length - 1].d;
     const beyond = i + 1 < together.length ? 0.5 * (last + together[i + 1][0].d) : 1.5 * last + 0.1;
     const after = at(beyond);
+    yield;
     const counts = swing ? together[i][0].t > 0 && after > before : after !== before;
     if (counts) {
-      return { ...limited(loop, together[i], sign, at, [start, beyond], before), before, after };
+      const found = yield* limited(loop, together[i], sign, at, [start, beyond], before);
+      return { ...found, before, after };
     }
     [before, start] = [after, beyond];
   }
   return null;
 }
 
-function limited(loop, candidates, sign, at, [start, beyond], before) {
-  const exact = candidates.map((one) => {
+function* limited(loop, candidates, sign, at, [start, beyond], before) {
+  const exact = [];
+  for (const one of candidates) {
     if (one.t > 0 && one.t < Math.PI) {
       const { t, value, sure } = refined(loop, one, (l) => l.im);
-      return { t, d: sure && value.re < 0 ? sign * Math.log(-1 / value.re) : Infinity };
+      exact.push({ t, d: sure && value.re < 0 ? sign * Math.log(-1 / value.re) : Infinity });
+    } else {
+      exact.push({ t: one.t, d: sign * Math.log(-1 / nearestRoot(loop, one.t, one.value).re) });
     }
-    return { t: one.t, d: sign * Math.log(-1 / nearestRoot(loop, one.t, one.value).re) };
-  });
+    yield;
+  }
   let { t, d } = exact.reduce((a, b) => (b.d < a.d ? b : a));
   const near = Math.max(d, 1e-3);
   // Slow growth shows on a circle a little outside only further beyond.
@@ -153,6 +159,7 @@ function limited(loop, candidates, sign, at, [start, beyond], before) {
       const middle = 0.5 * (low + high);
       if (at(middle) === before) low = middle;
       else high = middle;
+      yield;
     }
     d = 0.5 * (low + high);
   }
@@ -185,20 +192,22 @@ export function* delayLimit(loop) {
   }
   if (!best) return null;
   const before = loop.count(1);
-  const grows = (delay) => {
-    const later = open.later(delay * period);
-    return rootsBeyond({ open: later, kp, kd }, OUTSIDE) > before;
-  };
-  let [low, high] = [0, 0];
-  const beyond = [BESIDE, 10 * BESIDE, 100 * BESIDE].some((x) => grows(best.delay * (1 + x) + x));
-  if (!beyond) return { delay: NaN, t: best.t };
-  const early = [0.25, 0.5, 0.75, 1 - BESIDE].map((x) => x * best.delay).find(grows);
-  if (early === undefined) return { delay: best.delay * period, t: best.t };
-  for (high = early; high - low > 1e-6 * high; ) {
+  function* first(delays) {
+    for (const delay of delays) {
+      const later = open.later(delay * period);
+      if ((yield* rootsBeyond({ open: later, kp, kd }, OUTSIDE)) > before) return delay;
+    }
+    return null;
+  }
+  const beyond = [BESIDE, 10 * BESIDE, 100 * BESIDE].map((x) => best.delay * (1 + x) + x);
+  if ((yield* first(beyond)) === null) return { delay: NaN, t: best.t };
+  const early = yield* first([0.25, 0.5, 0.75, 1 - BESIDE].map((x) => x * best.delay));
+  if (early === null) return { delay: best.delay * period, t: best.t };
+  let [low, high] = [0, early];
+  while (high - low > 1e-6 * high) {
     const middle = 0.5 * (low + high);
-    if (grows(middle)) high = middle;
-    else low = middle;
-    yield;
+    if ((yield* first([middle])) === null) low = middle;
+    else high = middle;
   }
   return { delay: high * period, t: best.t };
 }

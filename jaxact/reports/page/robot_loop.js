@@ -43,36 +43,59 @@ export function angles(open, fine, radius = OUTSIDE) {
 /** L of the measured positions and velocities per command. */
 export function loopOf({ q, v }, kp, kd) {
   const L = zeros(q.n);
+  const { re, im } = L;
   for (let i = 0, at = 0; i < q.n; i++) {
+    const [stiff, damping] = [kp[i], kd[i]];
     for (let j = 0; j < q.n; j++, at++) {
-      L.re[at] = kp[i] * q.re[at] + kd[i] * v.re[at];
-      L.im[at] = kp[i] * q.im[at] + kd[i] * v.im[at];
+      re[at] = stiff * q.re[at] + damping * v.re[at];
+      im[at] = stiff * q.im[at] + damping * v.im[at];
     }
   }
   return L;
 }
 
-/** A robot's responses on a grid of |z| = e^log, kept for whatever its gains are. */
-export function responses(open, fine, log = OUTSIDE) {
-  const radius = Math.exp(log);
-  const at = (t) => ({ t, P: open.respond(radius * Math.cos(t), radius * Math.sin(t)) });
-  return { open, at, log, points: angles(open, fine, log).map(at) };
+/** What a function in steps returns. */
+export function finished(steps) {
+  let step = steps.next();
+  while (!step.done) step = steps.next();
+  return step.value;
 }
+
+/** A robot's responses on a grid of |z| = e^log, kept for whatever its gains are; in steps. */
+export function* responding(open, fine, log = OUTSIDE) {
+  const radius = Math.exp(log);
+  const by = (respond) => (t) => ({ t, P: respond(radius * Math.cos(t), radius * Math.sin(t)) });
+  // The coarse grid is the one that is asked for again and again.
+  const own = by(fine || log !== OUTSIDE ? open.respond : open.again);
+  const points = [];
+  for (const t of angles(open, fine, log)) {
+    points.push(own(t));
+    yield;
+  }
+  return { open, at: by(open.respond), log, points };
+}
+
+/** The same at once. */
+export const responses = (...of) => finished(responding(...of));
 
 /**
  * A closed loop with gains `kp`, `kd` of the joints, on the grid of `responses`.
  *
  * `count(g)` is the number of roots outside with all gains times g; `at(t)` L on the unit circle,
  * `beyond(zr, zi)` anywhere; `points`: {t, L, roots, before}, the eigenvalues of L there, and those
- * of the point before in their order; `refine(angles)` puts more in.
+ * of the point before in their order; `refine(angles)` puts more in. It and this are in steps.
  */
-export function closedLoop(known, kp, kd) {
+export function* closing(known, kp, kd) {
   const { open } = known;
   const own = (point) => {
     const L = loopOf(point.P, kp, kd);
     return { t: point.t, P: point.P, L, roots: eigenvalues(L) };
   };
-  const points = known.points.map(own);
+  const points = [];
+  for (const point of known.points) {
+    points.push(own(point));
+    yield;
+  }
   const origin = own(known.at(0));
   const outside = open.poles.filter(({ re, im }) => Math.hypot(re, im) > Math.exp(known.log)).length;
   const follow = (one, i) => (one.before = matched(one, i ? points[i - 1] : origin));
@@ -96,10 +119,14 @@ export function closedLoop(known, kp, kd) {
   }
 
   /** More points, where something narrow is. */
-  function refine(more) {
+  function* refine(more) {
     const all = new Set(points.map(({ t }) => t));
-    const added = more.filter((t) => t > points[0].t && t < Math.PI && !all.has(t));
-    points.push(...added.map((t) => own(known.at(t))));
+    const added = [];
+    for (const t of more.filter((t) => t > points[0].t && t < Math.PI && !all.has(t))) {
+      added.push(own(known.at(t)));
+      yield;
+    }
+    points.push(...added);
     points.sort((a, b) => a.t - b.t);
     points.forEach(follow);
   }
@@ -108,6 +135,9 @@ export function closedLoop(known, kp, kd) {
   const at = (t) => beyond(Math.cos(t), Math.sin(t));
   return { open, known, kp, kd, points, count, refine, at, beyond };
 }
+
+/** The same at once. */
+export const closedLoop = (...of) => finished(closing(...of));
 
 /** By how much the factors 1 + g l_i turn between two points, together and the one that turns most. */
 function turned(before, after, g) {
@@ -153,8 +183,8 @@ export function matched({ roots: goals }, { roots }) {
   return found;
 }
 
-/** Number of roots outside a circle of radius exp(rate T), by the turns of 1 + l_i. */
-export function rootsBeyond(loop, log) {
+/** Number of roots outside a circle of radius exp(rate T), by the turns of 1 + l_i; in steps. */
+export function* rootsBeyond(loop, log) {
   const { open, kp, kd } = loop;
   const radius = Math.exp(log);
   const at = (t) => {
@@ -172,6 +202,7 @@ export function rootsBeyond(loop, log) {
   for (const t of angles(open, false, log)) {
     const here = at(t);
     total += between(low, before, t, here, 0);
+    yield;
     [low, before] = [t, here];
   }
   const outside = open.poles.filter(({ re, im }) => Math.hypot(re, im) > radius).length;

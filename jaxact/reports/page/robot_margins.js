@@ -21,9 +21,6 @@ const KINDS = [
   [1, -1],
   [-0.5, 1],
 ];
-const PICTURED = KINDS.slice(0, 2);
-// Of a robot with more joints a first picture has fewer points.
-const FEW_JOINTS = 12;
 
 /** S of a point of the grid, and its largest singular values, where they are not there yet. */
 export function withSensitivity(point) {
@@ -32,26 +29,14 @@ export function withSensitivity(point) {
   point.peaks = KINDS.map(([c, d]) => largestSingularValue(shifted(point.S, c, d)));
 }
 
-/** Points enough for a picture of S and T, with no more than it shows; in steps. */
-export function* outline({ points, open }) {
-  const stride = Math.max(1, Math.round(open.joints / FEW_JOINTS));
-  const kept = points.filter((_, i) => i % stride === 0 || i + 1 === points.length);
-  for (const point of kept) {
-    const S = robot.sensitivityOf(point.L);
-    point.peaks = PICTURED.map(([c, d]) => largestSingularValue(shifted(S, c, d)));
-    yield;
-  }
-  return kept;
-}
-
 /** The grid with S. */
 export function withSensitivities(loop) {
   loop.points.forEach(withSensitivity);
   return loop.points;
 }
 
-/** The largest value of a curve over w T, refined near its highest points on the grid: {t, value}. */
-function highest(points, value, exact) {
+/** The largest value of a curve over w T, refined near its highest points on the grid: {t, value}; in steps. */
+function* highest(points, value, exact) {
   const heights = points.map(value);
   let best = { t: points[0].t, value: -Infinity };
   const tops = heights
@@ -64,6 +49,7 @@ function highest(points, value, exact) {
     const [low, middle, high] = [Math.max(i - 1, 0), i, Math.min(i + 1, points.length - 1)];
     const found = summit(exact, points[low].t, points[middle].t, points[high].t);
     if (found.value > best.value) best = found;
+    yield;
   }
   return best;
 }
@@ -108,17 +94,16 @@ function summit(f, low, inside, high) {
   return { t: x, value: fx };
 }
 
-/** Ms, Mt and the disk margin of changes that may mix the joints, with frequencies [rad/s]. */
-export function peaks(loop) {
+/** Ms, Mt and the disk margin of changes that may mix the joints, with frequencies [rad/s]; in steps. */
+export function* peaks(loop) {
   const points = withSensitivities(loop);
   const { period } = loop.open;
-  const [S, T, disk] = KINDS.map(([c, d], which) =>
-    highest(
-      points,
-      (point) => point.peaks[which],
-      (t) => largestSingularValue(shifted(robot.sensitivityOf(loop.at(t)), c, d)),
-    ),
-  );
+  const found = [];
+  for (const [which, [c, d]] of KINDS.entries()) {
+    const exact = (t) => largestSingularValue(shifted(robot.sensitivityOf(loop.at(t)), c, d));
+    found.push(yield* highest(points, (point) => point.peaks[which], exact));
+  }
+  const [S, T, disk] = found;
   return {
     sensitivity_peak: S.value,
     sensitivity_peak_frequency: S.t / period,
@@ -129,8 +114,8 @@ export function peaks(loop) {
   };
 }
 
-/** The margins of joint i while all others are closed, from S_ii; called as Python calls them. */
-export function ofJoint(loop, i) {
+/** The margins of joint i while all others are closed, from S_ii; called as Python calls them. In steps. */
+export function* ofJoint(loop, i) {
   const points = withSensitivities(loop);
   const { period, joints } = loop.open;
   const place = i * (joints + 1);
@@ -145,13 +130,17 @@ export function ofJoint(loop, i) {
     ({ re, im }) => Math.hypot(1 - re, im),
     ({ re, im }) => Math.hypot(re - 0.5, im),
   ];
-  const [S, T, disk] = sizes.map((size) =>
-    highest(
-      points,
-      (point) => size(own(point.S)),
-      (t) => size(at(t)),
-    ),
-  );
+  const summits = [];
+  for (const size of sizes) {
+    summits.push(
+      yield* highest(
+        points,
+        (point) => size(own(point.S)),
+        (t) => size(at(t)),
+      ),
+    );
+  }
+  const [S, T, disk] = summits;
   const passes = (curve) => {
     const found = [];
     for (let k = 1; k < points.length; k++) {
@@ -288,19 +277,20 @@ export function* growth(loop) {
   for (let i = 0; i < ATTEMPTS && !sure; i++) {
     found = [...(yield* nearbyRoots(from)), ...found].sort((a, b) => b.re - a.re);
     const first = found.length ? found[0].re : -Infinity;
-    sure = found.length > 0 && beyond(first + Math.max(1e-6 * Math.abs(first), 1e-3)) === 0;
+    const further = first + Math.max(1e-6 * Math.abs(first), 1e-3);
+    sure = found.length > 0 && (yield* beyond(further)) === 0;
     if (sure || i + 1 === ATTEMPTS) break;
     // One is further right: it is looked for from a circle that is nearer to it.
     if (high === Infinity) {
       low = Math.max(first, unstable > 0 ? 0 : -1 / period);
-      for (high = Math.max(2 * low, 0.01 / period); beyond(high) > 0; high *= 2) low = high;
+      high = Math.max(2 * low, 0.01 / period);
+      for (; (yield* beyond(high)) > 0; high *= 2) low = high;
     }
     const middle = 0.5 * (low + high);
-    if (beyond(middle) > 0) low = middle;
+    if ((yield* beyond(middle)) > 0) low = middle;
     else high = middle;
-    const known = robot.responses(loop.open, false, 0.5 * (low + high) * period);
-    from = robot.closedLoop(known, loop.kp, loop.kd);
-    yield;
+    const known = yield* robot.responding(loop.open, false, 0.5 * (low + high) * period);
+    from = yield* robot.closing(known, loop.kp, loop.kd);
   }
   const growing = found.filter(({ re }) => re * period > robot.OUTSIDE);
   return {
@@ -314,13 +304,13 @@ export function* growth(loop) {
   };
 }
 
-/** Points around the roots that were found, so that no peak and no crossing is missed. */
-export function sharpen(loop, roots) {
+/** Points around the roots that were found, so that no peak and no crossing is missed; in steps. */
+export function* sharpen(loop, roots) {
   const { period } = loop.open;
   const more = roots.flatMap(({ re, im }) =>
     PLACES.map((x) => (im + x * Math.max(Math.abs(re), 1e-6 * im)) * period),
   );
-  loop.refine([...new Set(more.map((t) => Number(t.toPrecision(9))))]);
+  yield* loop.refine([...new Set(more.map((t) => Number(t.toPrecision(9))))]);
 }
 
 /** How the joints move where more delay makes the loop marginal. */

@@ -9,6 +9,8 @@ import { transition } from "./transition.js";
 
 // As in Python, a delay this little below a whole number of periods is that number.
 const SNAP = 64 * 2 ** -52;
+// Answers to forces that are kept: so many points, of periods of so many physics steps.
+const [MOST_KEPT, MOST_KEPT_STEPS] = [800, 4];
 // A measurement at the end of a physics step belongs to it.
 const EARLY = 1e-4;
 
@@ -157,7 +159,8 @@ function instant(delay, period, step, substeps) {
  *
  * `plant` as the page's data have it, decoded; `drives` arrays over the joints by parameter;
  * `differenced`: the controllers see differenced positions. Gives `respond(zr, zi)`, {q, v}: the
- * measured positions and velocities per command, `moved` and `speed` those at the ticks; `poles` of
+ * measured positions and velocities per command, `again` the same from
+ * what is kept, `moved` and `speed` those at the ticks; `poles` of
  * the robot and its drives as {re, im}, `hidden` those that no command reaches; `period`, `joints`, and `whole`, the longest delay in
  * periods.
  */
@@ -171,19 +174,24 @@ export function openRobot(plant, drives, differenced) {
   const seen = sensed.some((one) => one !== null) ? rowsWithin(plant, powers) : null;
   const filters = drives.velocity_filter.map((cutoff) => Math.exp(-cutoff * period));
 
-  function respond(zr, zi) {
+  const respond = (zr, zi) => answer(forces(zr, zi), zr, zi);
+
+  /** As `respond`, from answers to forces that are kept, for points that are asked for again. */
+  function again(zr, zi) {
+    if (substeps > MOST_KEPT_STEPS) return respond(zr, zi);
     const F = forces(zr, zi);
-    const X = blank(n, m);
-    for (let j = 0; j < substeps; j++) {
-      const from = powers[substeps - 1 - j];
-      for (let k = 0; k < m; k++) {
-        const [fr, fi] = F[k][j];
-        for (let at = k; at < n * m; at += m) {
-          X.re[at] += from.re[at] * fr - from.im[at] * fi;
-          X.im[at] += from.re[at] * fi + from.im[at] * fr;
-        }
-      }
+    const each = keptAnswers(plant, drives, differenced, answer, zr, zi);
+    const found = { q: blank(m, m), v: blank(m, m) };
+    for (const name of ["q", "v"]) {
+      const own = Object.assign(found[name], { n: m });
+      each.forEach((one, j) => addColumns(own, one[name], F, j));
     }
+    return found;
+  }
+
+  function answer(F, zr, zi) {
+    const X = blank(n, m);
+    for (let j = 0; j < substeps; j++) addColumns(X, powers[substeps - 1 - j], F, j);
     solve(whole, X, zr, zi);
     const ticks = product(outputs, X);
     const [q, v] = [part(ticks, 0, m), part(ticks, 1, m)];
@@ -245,7 +253,41 @@ export function openRobot(plant, drives, differenced) {
   );
   const later = (extra) =>
     openRobot(plant, { ...drives, delay: drives.delay.map((own) => own + extra) }, differenced);
-  return { respond, later, joints: m, period, poles, hidden, drives, delays: delays / period };
+  return { respond, again, later, joints: m, period, poles, hidden, drives, delays: delays / period };
+}
+
+/** The columns of `to` more by those of `from` times the forces of their joints in step j. */
+function addColumns(to, from, F, j) {
+  const m = to.columns;
+  const { re: tr, im: ti } = to;
+  const { re, im } = from;
+  for (let k = 0; k < m; k++) {
+    const [fr, fi] = F[k][j];
+    for (let at = k; at < tr.length; at += m) {
+      tr[at] += re[at] * fr - im[at] * fi;
+      ti[at] += re[at] * fi + im[at] * fr;
+    }
+  }
+}
+
+const answers = new WeakMap();
+
+/** What forces of 1 in each physics step do at a point, whatever the actuators and their delays. */
+function keptAnswers(plant, drives, differenced, answer, zr, zi) {
+  const sensing = `${differenced} ${drives.measurement_delay} ${drives.velocity_filter}`;
+  if (answers.get(plant)?.sensing !== sensing) answers.set(plant, { sensing, at: new Map() });
+  const { at } = answers.get(plant);
+  const key = `${zr} ${zi}`;
+  if (!at.has(key)) {
+    if (at.size >= MOST_KEPT) at.clear();
+    const steps = Array.from({ length: plant.substeps }, (_, j) => j);
+    const alone = (j) => steps.map((i) => [i === j ? 1 : 0, 0]);
+    at.set(
+      key,
+      steps.map((j) => answer(drives.delay.map(() => alone(j)), zr, zi)),
+    );
+  }
+  return at.get(key);
 }
 
 const known = new WeakMap();
@@ -316,16 +358,7 @@ function rowsWithin({ outputs, triangular, substeps }, powers) {
   const m = powers[0].columns;
   return (steps, X, F) => {
     const found = product(through[steps], X);
-    for (let j = 0; j < steps; j++) {
-      const pulse = pulses[steps - 1 - j];
-      for (let k = 0; k < m; k++) {
-        const [fr, fi] = F[k][j];
-        for (let at = k; at < 2 * m * m; at += m) {
-          found.re[at] += pulse.re[at] * fr - pulse.im[at] * fi;
-          found.im[at] += pulse.re[at] * fi + pulse.im[at] * fr;
-        }
-      }
-    }
+    for (let j = 0; j < steps; j++) addColumns(found, pulses[steps - 1 - j], F, j);
     return found;
   };
 }
