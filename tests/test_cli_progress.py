@@ -5,6 +5,7 @@ import sys
 import pytest
 
 from jaxact.cli import _progress
+from jaxact.verbs import showing
 
 
 @pytest.mark.parametrize("terminal", [True, False])
@@ -13,6 +14,21 @@ def test_phases_are_shown_on_a_terminal_only(capsys, monkeypatch, terminal):
     monkeypatch.setenv("TERM", "xterm")
     for quiet in (False, True):
         with _progress.phases(quiet=quiet) as phase:
-            phase("certifying")
+            phase("certifying", 1, 4)
         said = capsys.readouterr()
-        assert ("certifying" in said.err) == (terminal and not quiet) and not said.out
+        visible = terminal and not quiet
+        assert ("certifying" in said.err) == visible and not said.out
+        assert ("1/4" in said.err) == visible
+
+
+def test_what_is_left_is_what_the_other_parts_take_if_each_takes_as_long(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(showing.time, "monotonic", lambda: now[0])
+    rate = showing._Rate()
+    assert rate.left("settling", 0, 0) == ""
+    assert rate.left("simulating", 2, 10) == "2/10"
+    now[0] += 9.0
+    assert rate.left("simulating", 5, 10) == "5/10, about 15 s at most"
+    now[0] += 600.0
+    assert rate.left("simulating", 6, 10) == "6/10, about 11 min at most"
+    assert rate.left("certifying", 1, 12) == "1/12"

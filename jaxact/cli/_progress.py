@@ -56,24 +56,18 @@ def bar(total: int, *, quiet: bool = False) -> Iterator[Callable[[int, int], Non
 
 
 @contextlib.contextmanager
-def phases(*, quiet: bool = False) -> Iterator[Callable[[str], None]]:
-    """A function that says on standard error what is being done now, and for how long already.
+def phases(*, quiet: bool = False) -> Iterator[Callable[..., None]]:
+    """A function that shows what is being done now, for how long already, and what is left of it.
 
     Args:
         quiet: show nothing; nothing is shown either where standard error is not a terminal.
     """
-    if quiet or not sys.stderr.isatty():
-        yield lambda text: _signals.check()
-        return
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from jaxact.verbs import showing
 
-    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("starting", total=None)
+    with showing.steps(not quiet) as shown:
 
-        def say(text: str) -> None:
+        def say(text: str, done: int = 0, total: int = 0) -> None:
             _signals.check()
-            progress.update(task, description=text)
+            shown(text, done, total)
 
         yield say

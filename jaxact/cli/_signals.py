@@ -18,6 +18,9 @@ TYPE_CHECKING = False  # `typing` takes longer to import than all of this
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import FrameType, TracebackType
+    from typing import TypeVar
+
+    Result = TypeVar("Result")
 
 _NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _NOTHING = "interrupted; nothing unfinished was kept"
@@ -28,7 +31,7 @@ class Terminated(BaseException):
 
 
 _received: list[int] = []
-_phase = {"working": False, "over": False}
+_phase = {"working": False, "over": False, "accepted": False}
 _words = {"farewell": _NOTHING}
 
 
@@ -71,6 +74,20 @@ def over() -> None:
     _phase["over"] = True
 
 
+def accept() -> None:
+    """The work has taken the signal and goes on to its end; a second one ends the process."""
+    _phase["accepted"] = True
+
+
+def to_the_end(work: Callable[[], Result]) -> Result:
+    """What some short work gives, such as writing results; interrupted, it is done once more."""
+    try:
+        return work()
+    except KeyboardInterrupt:
+        accept()
+        return work()
+
+
 def keep(farewell: str) -> None:
     """What to say where there is no time to look what was kept."""
     _words["farewell"] = farewell
@@ -87,8 +104,9 @@ def code() -> int:
 
 
 def check() -> None:
-    """Raise what a signal that has arrived should have raised."""
-    if _received:
+    """Raise what a signal that has arrived should have raised, unless it is seen to already."""
+    seen_to = isinstance(sys.exc_info()[1], KeyboardInterrupt | Terminated)
+    if _received and not (seen_to or _phase["accepted"]):
         raise KeyboardInterrupt if _received[0] == signal.SIGINT else Terminated
 
 

@@ -11,20 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
-from jaxact.cli import _arguments, _cache, _folders, _loops, _progress, _warnings
+from jaxact.cli import _arguments, _cache, _folders, _loops, _progress, _signals, _unsure, _warnings
 from jaxact.cli._arguments import UNSET, UNSET_NUMBER, option
-from jaxact.errors import UserError, nearest, shown
+from jaxact.errors import UserError
 from jaxact.loops.drives import DRIVE, load_drive
 from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, LINEAR
 
 if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
-    from jaxact.loops.drives import IdentifiedDrive
+    from jaxact.tuning.course import Told
     from jaxact.tuning.result import Tuned
+    from jaxact.tuning.rollouts.validation import Rollouts
 
-# What an identified drive says of what is not known.
-INTERVALS, SAMPLES, NONE = "intervals", "samples", "none"
-DRAWN = 32
 # Exit code of a result that does not meet what was asked.
 NOT_MET = 1
 
@@ -252,39 +250,62 @@ def main(
     loops = _postures(robot, given, velocity) if whole else [_joint(given, velocity)]
     if whole and DRIVE in given:  # what a robot cannot take of it was said for each posture
         drive = load_drive(given[DRIVE])
-    unsure = _uncertainty(search, drive, loops[0], given)
+    unsure = _unsure.uncertainty(search, drive, loops[0], given)
 
-    from jaxact.tuning.rollouts import validation
+    from jaxact.tuning.course import NOTHING
     from jaxact.verbs import tuning_tables
 
+    _signals.keep(NOTHING)
     with _progress.phases(quiet=json) as phase:
         best = _tuned(loops, goal, search, robot, unsure, phase)
-        rollouts = None
-        if whole and robot.validate:
-            phase("simulating")
-            rollouts = validation.rollouts(best, robot.validate)
-        phase("reporting")
-        result: Any = tuning_tables.Joint(best, loops[0], joint)
-        if whole:
-            result = tuning_tables.Robot(best, rollouts)
-        document = result.report()
+        best, rollouts = _held_against(best, robot.validate if whole else 0.0, phase)
+
+        def reported() -> tuple[Any, dict[str, Any]]:
+            phase("reporting")
+            of_joint = tuning_tables.Joint(best, loops[0], joint)
+            result = tuning_tables.Robot(best, rollouts) if whole else of_joint
+            document = result.report()
+            if search.pareto:
+                document.setdefault("pareto", [])
+            if out is not None:
+                with _folders.whole_folder(out) as folder:
+                    result.write(folder, document, shlex.join(["jaxact", *sys.argv[1:]]))
+            return result, document
+
+        result, document = _signals.to_the_end(reported)
     for one in loops:
         _warnings.posture(one.kind.plant)
-    if search.pareto:
-        document.setdefault("pareto", [])
-    if out is not None:
-        with _folders.whole_folder(out) as folder:
-            result.write(folder, document, shlex.join(["jaxact", *sys.argv[1:]]))
     strength = float(loops[0].values.get(GAIN_SCALE, 1.0)) if drive is not None else 1.0
     if strength != 1.0:
         document["drive_gain"] = strength
     print(tuning_tables.as_json(document) if json else result.text(document))
     if not json:
         _say_more(strength, out)
-    if rollouts is not None:
-        _warn_of(*rollouts.stable)
+    _warn_of(rollouts)
+    _leave(best)
+
+
+def _leave(best: Tuned) -> None:
+    """Raise what gives the exit code of a result that is not all that was asked for."""
+    if best.interrupted or _signals.code():
+        raise KeyboardInterrupt(best.interrupted or "interrupted; everything is there")
     if not best.certified:
         raise SystemExit(NOT_MET)
+
+
+def _held_against(best: Tuned, seconds: float, phase: Told) -> tuple[Tuned, Rollouts | None]:
+    """The gains, and rollouts with them; none where they are not wanted, or interrupted."""
+    from jaxact.tuning.rollouts import validation
+
+    left_out = "the rollouts are left out"
+    if best.interrupted:
+        _signals.accept()
+        return best.stopped(left_out) if seconds else best, None
+    try:
+        return best, validation.rollouts(best, seconds, phase) if seconds else None
+    except KeyboardInterrupt:
+        _signals.accept()
+        return best.stopped(f"interrupted while simulating: {left_out}"), None
 
 
 def _say_more(strength: float, out: Path | None) -> None:
@@ -295,8 +316,9 @@ def _say_more(strength: float, out: Path | None) -> None:
         print(f"wrote {out}")
 
 
-def _warn_of(stable: int, of: int) -> None:
+def _warn_of(rollouts: Rollouts | None) -> None:
     """Say so where rollouts contradict the certificate."""
+    stable, of = (0, 0) if rollouts is None else rollouts.stable
     if stable < of:
         _warnings.warn(
             f"{of - stable} of {of} rollouts with these gains are not stable, whatever "
@@ -304,42 +326,8 @@ def _warn_of(stable: int, of: int) -> None:
         )
 
 
-def _uncertainty(
-    search: Search, drive: IdentifiedDrive | None, loop: ControlLoop, given: dict[str, Any]
-) -> str | ControlLoop:
-    """What is not known: as it is written, or by the identified drive.
-
-    Raises:
-        UserError: it is what only a drive says, and there is none.
-    """
-    words = search.uncertainty or ("" if drive is None else INTERVALS)
-    first, _, rest = words.partition(",")
-    if first not in (INTERVALS, SAMPLES, NONE):
-        if drive is not None and "=" not in first:
-            what = nearest(first, (INTERVALS, SAMPLES, NONE, "NAME=LOW..HIGH"))
-            raise UserError(f"--uncertainty {shown(first)}; {what}")
-        return words
-    if drive is None:
-        raise UserError(f"--uncertainty {first}: is of an identified drive; give one with --drive")
-    if first == INTERVALS:
-        from jaxact.verbs.tune import intervals
-
-        return intervals(drive, loop, rest)
-    if first == NONE and not rest:
-        return ""
-    robot = loop.kind.plant is not None
-    if robot or rest:
-        why = f"of a robot give {INTERVALS}" if robot else "leave the ranges behind it out"
-        raise UserError(f"--uncertainty {first}: {why}")
-    from jaxact.loops.building import joint
-
-    number = DRAWN if search.ensemble == UNSET_NUMBER else search.ensemble
-    velocity: Any = loop.kind.velocity
-    return joint(**given | {DRIVE: drive}, samples=number, seed=search.seed, velocity=velocity)
-
-
 def _tuned(
-    loops: list[ControlLoop], goal: Goal, search: Search, robot: Robot, unsure: Any, phase: Any
+    loops: list[ControlLoop], goal: Goal, search: Search, robot: Robot, unsure: Any, phase: Told
 ) -> Tuned:
     from jaxact.verbs.tune import tune
 
@@ -355,7 +343,7 @@ def _tuned(
     return tune(
         loops, name, uncertainty=unsure, samples=samples, starts=search.starts,
         steps=steps, seed=search.seed, front=search.pareto, verify=search.verify,
-        phase=phase, **own, **bounds,
+        progress=phase, **own, **bounds,
     )  # fmt: skip
 
 

@@ -198,7 +198,8 @@ def sentence(
         of = "the loop" if certificate.members == 1 else f"all {certificate.members} members"
         words = [f"every constraint holds for {of}, computed exactly"]
         if certificate.corners:
-            words.append(f"{certificate.corners} corners and the worst interior point included")
+            point = "" if certificate.interior is None else " and the worst interior point"
+            words.append(f"{certificate.corners} corners{point} included")
         return ", ".join(words)
     inside = -np.inf if certificate.interior is None else certificate.interior
     if certificate.stable and inside > MET and all(check.met for check in certificate.checks):

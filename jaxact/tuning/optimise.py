@@ -17,6 +17,7 @@ import numpy as np
 import optax
 
 from jaxact.compilation.programs import Program
+from jaxact.compilation.waiting import waited
 from jaxact.tuning.objective import Surrogate, forward_gradient, loss
 
 # Up to this many gains are differentiated forwards: as many passes, no memory.
@@ -87,7 +88,11 @@ def descend(
         slower: added to log-gains that are unstable, until they are not, shape (d,).
         how: static.
     """
-    return _descended(data, starts, slower, surrogate=surrogate, how=how)
+    return waited(
+        lambda: jax.block_until_ready(
+            _descended(data, starts, slower, surrogate=surrogate, how=how)
+        )
+    )
 
 
 @Program

@@ -67,6 +67,7 @@ def report(
         "feasible": tuned.feasible,
         "improved": tuned.improved,
         "verdict": tuned.verdict,
+        "interrupted": tuned.interrupted or None,
         "constraints": constraints,
         "binding": list(certificate.binding),
         "members" if robot is None else "loops": certificate.members,
@@ -190,6 +191,7 @@ def document(
         "stable": certificate.stable,
         "binding": list(certificate.binding),
     }
+    guaranteed |= {"interrupted": tuned.interrupted} if tuned.interrupted else {}
     guaranteed |= {f"worst_{check.metric}": check.value for check in certificate.checks}
     versions = {"jaxact": __version__, "jax": jax.__version__}
     if robot is None:

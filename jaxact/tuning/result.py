@@ -81,6 +81,8 @@ class Tuned(Reportable):
         loop: the loop with the gains in it, of a robot in the first of its postures; None where no
             loop was given.
         front: results along the front of stiffness against robustness, () where none was asked for.
+        interrupted: of a search that was interrupted (Ctrl-C), whose gains are the best certified
+            ones until then, during what, and what was left out; "" of any other.
     """
 
     goal: Goal
@@ -104,6 +106,11 @@ class Tuned(Reportable):
     robot: OfRobot | None = None
     loop: ControlLoop | None = None
     front: tuple[Tuned, ...] = ()
+    interrupted: str = ""
+
+    def stopped(self, words: str) -> Tuned:
+        """The same, interrupted; the words say during what, or what was left out."""
+        return replace(self, interrupted="; ".join(filter(None, [self.interrupted, words])))
 
     @property
     def certified(self) -> bool:
@@ -133,6 +140,7 @@ class Tuned(Reportable):
             for one in self.certificate.checks
         ]
         lines += [f"  front of {len(self.front)} points"] if self.front else []
+        lines += [self.interrupted] if self.interrupted else []
         return "\n".join(lines)
 
 
@@ -152,6 +160,7 @@ class Outcome:
         interior: largest excess that ascent on the uncertainty found, None where there was none.
         gap: to brute force, None where that was not asked for.
         notes: for the certificate.
+        interrupted: how the search was interrupted, "" where it was not.
     """
 
     gains: Gains
@@ -165,6 +174,7 @@ class Outcome:
     interior: float | None = None
     gap: float | None = None
     notes: tuple[str, ...] = ()
+    interrupted: str = ""
 
 
 def judged(
@@ -194,11 +204,12 @@ def judged(
     gains = _inside(outcome.gains, goal)
     found = outcome.metrics if outcome.metrics is not None else look(gains)
     certificate = certify(goal, members, found, gains[0], outcome.interior)
-    value = _value(goal, gains[0], found)
+    value = objective_value(goal, gains[0], found)
     improved, before, value_before = True, None, math.nan
     if start is not None:
         before = look(start)
-        own, value_before = certify(goal, members, before, start[0]), _value(goal, start[0], before)
+        own = certify(goal, members, before, start[0])
+        value_before = objective_value(goal, start[0], before)
         if own.met:
             own = replace(own, interior=inside(start))
         if not _wins(goal, score(gains, value), certificate, score(start, value_before), own):
@@ -209,12 +220,14 @@ def judged(
     )
     words = sentence(certificate, goal, closest, outcome.effort)
     if not improved and certificate.stable:
-        words = f"the start cannot be improved upon; {words}"
-    return Tuned(
+        why = "nothing better than the start was found until then"
+        words = f"{why if outcome.interrupted else 'the start cannot be improved upon'}; {words}"
+    tuned = Tuned(
         goal, members, gains[0], gains[1], value, value_before, start, outcome.met, improved,
         certificate, found, before, words, closest, outcome.paths, outcome.evaluations,
         outcome.iterations, time.perf_counter() - outcome.begun, robot,
     )  # fmt: skip
+    return tuned.stopped(outcome.interrupted) if outcome.interrupted else tuned
 
 
 def _inside(gains: Gains, goal: Goal) -> Gains:
@@ -223,7 +236,7 @@ def _inside(gains: Gains, goal: Goal) -> Gains:
     return (kp, gains[1]) if np.ndim(kp) else (float(kp), float(gains[1]))
 
 
-def _value(goal: Goal, kp: Any, found: Metrics) -> float:
+def objective_value(goal: Goal, kp: Any, found: Metrics) -> float:
     """The objective, in its unit; NaN where a member is unstable."""
     if not found.stable.all():
         return math.nan

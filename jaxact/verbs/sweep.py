@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import importlib.util
 import os
 import sys
 import tempfile
@@ -24,6 +23,7 @@ from jaxact.loops.conversion import described, preset_axis
 from jaxact.loops.specification import Sampling, Specification
 from jaxact.parameters import PARAMETERS, WN, ZETA, canonical, known
 from jaxact.sweeping import execution, location
+from jaxact.verbs import showing
 from jaxact.verbs.sweep_options import Say, computed_by, options, settled
 
 if TYPE_CHECKING:
@@ -238,16 +238,13 @@ def _shown(progress: bool | Moved) -> Iterator[Moved]:
     if callable(progress):
         yield progress
         return
-    notebook = "ipykernel" in sys.modules
-    # In a notebook rich draws with ipywidgets, and warns where they are missing.
-    visible = importlib.util.find_spec("ipywidgets") if notebook else sys.stderr.isatty()
-    if not progress or not visible:
+    if not progress or not showing.seen():
         yield lambda done, total: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    console = Console() if notebook else Console(stderr=True)
+    console = Console(stderr="ipykernel" not in sys.modules)
     columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as shown:
         task = shown.add_task("simulating", total=None)

@@ -29,14 +29,14 @@ from jaxact.parameters import (
     canonical,
 )
 from jaxact.tuning.box import KNOWN, read_box
+from jaxact.tuning.course import Told
 from jaxact.tuning.goal import MOST_PEAKS, Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.joint import search as _joint_search
 from jaxact.tuning.joint.ensemble import FIELDS, Ensemble, Sampling, ensemble, joined
 from jaxact.tuning.optimise import Descent
-from jaxact.tuning.phases import Phase, silent
 from jaxact.tuning.result import Tuned
-from jaxact.verbs import naming, notebook
+from jaxact.verbs import naming, notebook, showing
 from jaxact.verbs.goals import goal_of
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def tune(
     verify: bool = False,
     tracking_weight: float = 0.0,
     derivative: str = "auto",
-    phase: Callable[[str], None] = silent,
+    progress: bool | Told = True,
     **bounds: Any,
 ) -> Tuned:
     """Find the best gains of a loop, and certify them.
@@ -97,16 +97,21 @@ def tune(
         verify: compare with brute force.
         tracking_weight: of a robot, weight of simulated tracking in the objective.
         derivative: of simulated tracking, "auto", "forward" or "reverse".
-        phase: called with what is being done.
+        progress: show what is being done, and how much of it is left, on a terminal and in a
+            notebook; or a function that is called with what is being done, how much of it is done,
+            and how much there is at most (0 and 0 where that is not known).
         bounds: of the goal: max_peak (1.6 where nothing is given; of "disk-margin" none), min_kp,
             max_kp, min_disk_margin, of a joint also min_gain_margin, min_delay_margin,
             max_noise_gain, risk.
 
     Returns:
         The tuned loop; where the goal cannot be met, the closest that was found, not certified.
+        Interrupted (Ctrl-C, or a notebook's stop button), the best certified gains until then, with
+        `interrupted` saying during what, and what was left out.
 
     Raises:
         UserError: a loop, a goal or ranges that make no sense.
+        KeyboardInterrupt: interrupted before any gains were certified, or a second time.
         TypeError: the loop is traced.
     """
     asked = goal_of(goal, bounds)
@@ -121,18 +126,20 @@ def tune(
         uncertainty = intervals(drives.taken(uncertainty), loops[0])
     unsure = _ranges(uncertainty) if isinstance(uncertainty, Mapping) else uncertainty
     common: dict[str, Any] = {"uncertainty": unsure, "samples": samples, "starts": starts,
-                              "steps": steps, "seed": seed, "front": front, "verify": verify,
-                              "phase": phase}  # fmt: skip
-    if any(one.kind.plant is not None for one in loops):
-        tuned = _of_robot(_named(loops), asked, groups=groups, tracking_weight=tracking_weight,
-                         derivative=derivative, **common)  # fmt: skip
-        return dataclasses.replace(tuned, loop=_with_gains(loops[0], tuned))
-    if len(loops) > 1:
+                              "steps": steps, "seed": seed, "front": front,
+                              "verify": verify}  # fmt: skip
+    whole = any(one.kind.plant is not None for one in loops)
+    if len(loops) > 1 and not whole:
         raise UserError("loop: several postures are for a robot; of a joint give one loop")
     for name, value in (("groups", groups), ("tracking_weight", tracking_weight)):
-        if value:
+        if value and not whole:
             raise UserError(f"`{name}`: is for a robot; make one with jaxact.robot(model, ...)")
-    return _of_joint(loops[0], asked, sampled, **common)
+    with showing.steps(progress) as told:
+        if not whole:
+            return _of_joint(loops[0], asked, sampled, told=told, **common)
+        tuned = _of_robot(_named(loops), asked, groups=groups, tracking_weight=tracking_weight,
+                         derivative=derivative, told=told, **common)  # fmt: skip
+        return dataclasses.replace(tuned, loop=_with_gains(loops[0], tuned))
 
 
 def intervals(drive: IdentifiedDrive, loop: ControlLoop, ranges: str = "") -> str:
@@ -187,7 +194,7 @@ def _of_joint(
     seed: int,
     front: int,
     verify: bool,
-    phase: Phase,
+    told: Told,
 ) -> Tuned:
     conversion.linear_specification(loop)  # what does not fit is said here
     nominal = _nominal(loop, CONTROL_RATE in loop.values if sampled is None else sampled)
@@ -200,20 +207,32 @@ def _of_joint(
         box = read_box(uncertainty, FIELDS)
     tuned = _joint_search.tune(
         nominal, goal, box, number=samples or _joint_search.SAMPLES,
-        seed=seed, start=start, starts=starts, how=how, verify=verify, phase=phase,
+        seed=seed, start=start, starts=starts, how=how, verify=verify, told=told,
     )  # fmt: skip
-    points: Sequence[Tuned] = ()
-    if front:
-        phase("walking along the front")
-        members: Any = tuned.members
-        points = _joint_search.front(members, goal, front, starts=starts, how=how)
+    members: Any = tuned.members
+    tuned = _with_front(tuned, front, told, lambda: _joint_search.front(
+        members, goal, front, starts=starts, how=how
+    ))  # fmt: skip
     gains = {KP: tuned.kp, KD: tuned.kd}
     scale = {GAIN_SCALE: 1.0} if GAIN_SCALE in loop.values else {}
     there = loop.replace(**gains, **scale)
     along = tuple(
-        dataclasses.replace(one, loop=there.replace(kp=one.kp, kd=one.kd)) for one in points
+        dataclasses.replace(one, loop=there.replace(kp=one.kp, kd=one.kd)) for one in tuned.front
     )
     return dataclasses.replace(tuned, loop=there, front=along)
+
+
+def _with_front(
+    tuned: Tuned, front: int, told: Told, walked: Callable[[], Sequence[Tuned]]
+) -> Tuned:
+    """The result with its front, where one is wanted; without, where it is interrupted."""
+    if not front or tuned.interrupted:
+        return tuned
+    try:
+        told("walking along the front")
+        return dataclasses.replace(tuned, front=tuple(walked()))
+    except KeyboardInterrupt:
+        return tuned.stopped("interrupted while walking along the front, which is left out")
 
 
 def _start_of_joint(loop: ControlLoop) -> tuple[float, float] | None:
@@ -281,7 +300,7 @@ def _of_robot(
     verify: bool = False,
     tracking_weight: float = 0.0,
     derivative: str = "auto",
-    phase: Phase = silent,
+    told: Told,
 ) -> Tuned:
     """Find the best gains of a robot that is described by specifications, and certify them.
 
@@ -289,8 +308,9 @@ def _of_robot(
         named: a name and a specification for every posture.
         goal: what is asked.
         uncertainty: as the command line writes it.
-        samples, groups, starts, steps, seed, front, verify, tracking_weight, derivative, phase: as
-            for `tune`.
+        samples, groups, starts, steps, seed, front, verify, tracking_weight, derivative: as for
+            `tune`.
+        told: what is being done.
     """
     from jaxact.tuning.robot import front as _front
     from jaxact.tuning.robot import search
@@ -300,19 +320,16 @@ def _of_robot(
         raise UserError("`uncertainty`: of a robot give ranges, or an identified drive")
     box = read_box(uncertainty, VARIED, patterns=True)
     situations: list[Situation] = []
-    for place, (name, one) in enumerate(named, 1):
-        phase(f"settling and linearising {name} ({place} of {len(named)})")
+    for place, (name, one) in enumerate(named):
+        told(f"settling and linearising {name}", place, len(named))
         situations.append(situation(one, name, box))
     chosen = group(tuple(groups), situations[0].names)
     tuned = search.tune(
         situations, goal, chosen, number=samples or search.SAMPLES, seed=seed,
         start=_start(situations[0], named[0][1]), starts=starts, steps=steps or search.STEPS,
-        verify=verify, tracking_weight=tracking_weight, derivative=derivative, phase=phase,
+        verify=verify, tracking_weight=tracking_weight, derivative=derivative, told=told,
     )  # fmt: skip
-    if not front:
-        return tuned
-    phase("walking along the front")
-    return dataclasses.replace(tuned, front=tuple(_front.front(tuned, front, seed=seed)))
+    return _with_front(tuned, front, told, lambda: _front.front(tuned, front, seed=seed, told=told))
 
 
 def _start(first: Situation, given: Specification) -> tuple[np.ndarray, np.ndarray] | None:

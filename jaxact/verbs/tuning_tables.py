@@ -172,6 +172,7 @@ def _words(
 ) -> list[str]:
     """What is guaranteed, of how many members, under which assumptions, and how it was found."""
     words = [("certified: " if document["certified"] else "NOT certified: ") + document["verdict"]]
+    words += [document["interrupted"]] if document["interrupted"] else []
     words += assumed or []
     binding = document["binding"]
     if members > 1 and binding:

@@ -18,7 +18,8 @@ import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.tuning.box import KNOWN, Box, Points, ascend, spread
-from jaxact.tuning.certificate import Effort, Metrics, beyond
+from jaxact.tuning.certificate import Effort, Metrics, beyond, certify
+from jaxact.tuning.course import NOTHING, Course, Told, silent
 from jaxact.tuning.goal import Goal, check, peaks
 from jaxact.tuning.joint import brute, descent
 from jaxact.tuning.joint import problem as joint
@@ -27,10 +28,9 @@ from jaxact.tuning.joint.ensemble import Ensemble, Uncertain, chosen, joined, un
 from jaxact.tuning.joint.problem import Case
 from jaxact.tuning.joint.rescue import SLOWER
 from jaxact.tuning.joint.response import timed as timed_of
-from jaxact.tuning.optimise import Descent, descend
-from jaxact.tuning.phases import Phase, silent
+from jaxact.tuning.optimise import Descent, descend, no_path
 from jaxact.tuning.polish import MET, polish
-from jaxact.tuning.result import Outcome, Tuned, judged
+from jaxact.tuning.result import Outcome, Tuned, judged, objective_value
 
 STARTS, SAMPLES, STEPS = 8, 32, 80
 # A metric of simulated time is rougher.
@@ -50,9 +50,11 @@ def tune(
     starts: int = STARTS,
     how: Descent | None = None,
     verify: bool = False,
-    phase: Phase = silent,
+    told: Told = silent,
 ) -> Tuned:
     """The best gains for one joint, one ensemble, or everything in a box around one joint.
+
+    Interrupted, it gives the best gains until then that are certified.
 
     Args:
         members: one, or many that share the gains; of a box the nominal one.
@@ -64,26 +66,63 @@ def tune(
         starts: number of default starts, 0 for the given one alone.
         how: of the descent.
         verify: compare with brute force.
-        phase: told what is being done.
+        told: what is being done.
 
     Raises:
         UserError: a goal, a box or a start that makes no sense.
+        KeyboardInterrupt: interrupted before any gains were certified.
     """
+    begun = time.perf_counter()
     given = None if start is None else [start]
-    if not box.ranges:
-        return tune_all(
-            [Case(members, goal)], given, starts=starts, how=how, verify=verify, phase=phase
-        )[0]
-    plants = uncertain(members, box)
-    points = box.sample(number, seed) if goal.tail else box.members(number, seed)
-    case = Case(plants.at(points), goal)
-    (found,) = _searched([case], given, starts, how, phase)
-    phase("looking for the worst point of the box")
-    case, found = _exchanged(plants, case, found, given, starts, how, seed)
-    phase("certifying")
-    if goal.tail:
-        found = replace(found, interior=None, notes=(_outside(plants, goal, found),))
-    return _judged(case, found, start, verify, plants, seed)
+    plants, case = None, Case(members, goal)
+    if box.ranges:
+        plants = uncertain(members, box)
+        points = box.sample(number, seed) if goal.tail else box.members(number, seed)
+        case = Case(plants.at(points), goal)
+    course = Course(told, case=case)
+    try:
+        (found,) = _searched([case], given, starts, how, course)
+        if plants is not None:
+            case, found = _exchanged(plants, case, found, given, starts, how, seed, course)
+            if goal.tail:
+                found = replace(found, interior=None, notes=(_outside(plants, goal, found),))
+        course.case, course.best = case, found
+        course.phase("certifying")
+        return _judged(case, found, start, verify, plants, seed)
+    except KeyboardInterrupt:
+        return _until_then(course, start, plants, begun)
+
+
+def _until_then(
+    course: Course, start: tuple[float, float] | None, plants: Uncertain | None, begun: float
+) -> Tuned:
+    """The best certified gains of an interrupted search; KeyboardInterrupt where there are none."""
+    doing, case = course.doing, course.case
+    course.phase("interrupted, certifying the best gains so far")
+    found = course.best or _so_far(case, course.points, begun)
+    if found is not None:
+        unsure = plants is not None and not case.goal.tail
+        inside = found.interior is not None or not unsure
+        found = replace(found, interrupted=replace(course, doing=doing).note(inside=inside))
+        tuned = _judged(case, found, start, verify=False)
+        if tuned.certified:
+            return tuned
+    raise KeyboardInterrupt(NOTHING) from None
+
+
+def _so_far(case: Case, points: Sequence[np.ndarray], begun: float) -> Outcome | None:
+    """The best certified gains among log-gains, None where there are none."""
+    goal, members = case.goal, case.members
+    best, least = None, -np.inf
+    for x in points:
+        found, gains = _metrics(case, x), _gains(x)
+        if not certify(goal, members, found, gains[0]).met:
+            continue
+        value = goal.sense * objective_value(goal, gains[0], found)
+        if value > least:
+            number = len(points) * len(members)
+            least, best = value, Outcome(gains, True, found, no_path(x), number, 0, begun)
+    return best
 
 
 def tune_all(
@@ -93,17 +132,15 @@ def tune_all(
     starts: int = STARTS,
     how: Descent | None = None,
     verify: bool = False,
-    phase: Phase = silent,
 ) -> list[Tuned]:
     """The best gains of several cases, side by side in one compiled descent.
 
     Args:
         cases: with as many members each, and goals that differ in their bounds only.
         given: a start for each.
-        starts, how, verify, phase: as for `tune`.
+        starts, how, verify: as for `tune`.
     """
-    found = _searched(cases, given, starts, how, phase)
-    phase("certifying")
+    found = _searched(cases, given, starts, how)
     return [
         _judged(case, one, None if given is None else given[i], verify)
         for i, (case, one) in enumerate(zip(cases, found, strict=True))
@@ -133,10 +170,11 @@ def _searched(
     given: Sequence[tuple[float, float]] | None,
     starts: int,
     how: Descent | None,
-    phase: Phase = silent,
+    course: Course | None = None,
 ) -> list[Outcome]:
-    """Where the search for each case leads."""
+    """Where the search for each case leads; the course is that of the first one."""
     begun = time.perf_counter()
+    course = course or Course()
     _check(cases, given, starts)
     timed = timed_of(cases[0].goal, [case.members for case in cases])
     how = how or Descent(steps=STEPS if timed is None else _SIMULATED_STEPS)
@@ -152,22 +190,24 @@ def _searched(
         first = np.concatenate([first, back[:, None]], axis=1)
     smooth = joint.JointSurrogate(joint.family(cases[0].goal), timed)
     slower = np.asarray(SLOWER, np.float32)
-    phase(f"descending from {first.shape[1]} starts")
+    course.points += list(first[0])
+    course.phase(f"descending from {first.shape[1]} starts")
     paths = descend(smooth, joint.table(cases), np.asarray(first, np.float32), slower, how)
     paths = jax.tree.map(np.asarray, paths)
-    phase("polishing")
+    course.phase("polishing")
     found, polishing = descent.polished(cases, paths, bounds, timed)
     if cases[0].goal.objective == "settling":
         found, more = in_clouds(cases, found, bounds, timed)
         polishing += more
     lost = ~found.feasible
     if lost.any():
-        phase("looking for the closest gains")
+        course.phase("looking for the closest gains")
     closest = descent.closest(cases, paths, bounds, timed, found) if lost.any() else found
     steps = how.steps + how.polish + polishing + rescues
     number = first.shape[1] * (how.steps + how.polish) + polishing + rescues
     effort = Effort(first.shape[1], brute.GRID**2)
     ends = np.where(lost[:, None], closest.x, found.x)
+    course.points.append(ends[0])
     metrics = _metrics_of_all(cases, ends)
     outcomes = []
     for i, case in enumerate(cases):
@@ -242,18 +282,22 @@ def _exchanged(
     starts: int,
     how: Descent | None,
     seed: int,
+    course: Course,
 ) -> tuple[Case, Outcome]:
     """Members and gains once more, with the worst points inside that were not members."""
     goal = case.goal
     low, high = joint.log_bounds(goal)
     for turn in range(_EXCHANGES + 1):
         x = np.log([found.gains])
+        course.phase("looking for the worst point of the box", turn, _EXCHANGES)
         interior, worse = _interior(plants, goal, x[0], seed)
         found = replace(found, interior=interior)
         if goal.tail or interior <= MET or not found.met or turn == _EXCHANGES:
             break
         names = tuple(f"interior {turn}.{i}" for i in range(len(worse)))
         case = replace(case, members=joined(case.members, replace(worse, names=names)))
+        course.case = case
+        course.phase("polishing for what is worst in the box", turn, _EXCHANGES)
         problem = joint.problem([case], timed_of(goal, [case.members]))
         polished = polish(problem, x, low[None], high[None])
         if polished.feasible[0]:
@@ -263,9 +307,10 @@ def _exchanged(
                 evaluations=polished.evaluations * len(case.members),
             )  # fmt: skip
         else:
-            (again,) = _searched([case], given, starts, how)
+            (again,) = _searched([case], given, starts, how, course)
         evaluations = found.evaluations + again.evaluations
         found = replace(again, evaluations=evaluations, begun=found.begun)
+        course.points.append(np.log(found.gains))
     return case, found
 
 

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxact.errors import UserError
+from jaxact.tuning.course import Course
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import Groups
 from jaxact.tuning.joint.problem import STARTS as TABLE
 from jaxact.tuning.optimise import Descended, Descent, descend
-from jaxact.tuning.phases import Phase, silent
 from jaxact.tuning.polish import MET
 from jaxact.tuning.robot import smooth
 from jaxact.tuning.robot.loops import Situation
@@ -118,13 +118,13 @@ def descended(case: RobotCase, first: np.ndarray, how: Descent) -> Descended:
 
 
 def best_of(case: RobotCase, near: Found, paths: Descended, others: Sequence[np.ndarray],
-            phase: Phase = silent) -> Found:  # fmt: skip
+            course: Course) -> Found:  # fmt: skip
     """The best of all that is known, polished: ends of the descent, and where it began.
 
     Args:
         near: a point that is fine.
         others: log-gains at which all loops are stable, shape (k, 2 g).
-        phase: told what is being done.
+        course: of the search.
     """
     ends = [_stable_end(case, paths, start) for start in range(len(paths.gains))]
     points = [
@@ -133,6 +133,7 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: Sequence[np.
         *(np.clip(end, case.low, case.high) for end in ends if end is not None),
     ]
     known = sorted((seen(case, x) for x in points), key=Found.rank)
+    course.points += known
     kept: list[Found] = []
     for one in known:
         if len(kept) < _POLISHED and all(np.abs(one.x - k.x).max() > _SAME for k in kept):
@@ -140,15 +141,17 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: Sequence[np.
     # Roughly first: the last digits of what loses take longest.
     rough = []
     for number, one in enumerate(kept, 1):
-        phase(f"polishing end {number} of {len(kept)}")
+        course.phase(f"polishing end {number} of {len(kept)}", number - 1, len(kept))
         rough.append(polished(case, one.x, fine=False))
+        course.points.append(rough[-1])
     rough.sort(key=Found.rank)
-    phase("polishing the best")
+    course.phase("polishing the best")
     last = [polished(case, one.x) for one in rough[: 1 if rough[0].met else _CLOSEST]]
+    course.points += last
     best = min([*rough, *last], key=Found.rank)
     if not best.met:
-        phase("looking around what comes nearest")
-        last.append(polished(case, closer(case, best.x)))
+        course.phase("looking around what comes nearest")
+        last.append(polished(case, closer(case, best.x, course)))
         best = min(best, last[-1], key=Found.rank)
     spent = [*known, *rough, *last]
     return replace(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from jaxact.tuning.course import Course
 from jaxact.tuning.polish import MET
 from jaxact.tuning.robot.exact import Exact, exact, worst_inside
 from jaxact.tuning.robot.loops import OpenLoops, Situation, open_loops, together
@@ -35,11 +36,26 @@ class Candidate:
 
 
 def exchanged(
-    case: RobotCase, situations: Sequence[Situation], found: Found, seed: int
+    case: RobotCase,
+    situations: Sequence[Situation],
+    found: Found,
+    seed: int,
+    course: Course | None = None,
 ) -> Candidate:
-    """Go on from a point with what only the exact metrics and the ascent on the box know of."""
+    """Go on from a point with what only the exact metrics and the ascent on the box know of.
+
+    Args:
+        case: with the loops that are known.
+        situations: of the robot.
+        found: where the search has led to.
+        seed: of where the ascent begins.
+        course: of the search; None where nobody looks on.
+    """
+    course = course or Course()
     interior, known = None, None
     for turn in range(_EXCHANGES):
+        course.case, course.points = case, [*course.points, found]
+        course.phase("certifying", turn, _EXCHANGES)
         known = exact(case.table.loops, *case.groups.gains(found.x), case.goal.wanted)
         over = known.excess(case.goal).max(initial=-np.inf)
         if not np.isfinite(over):
@@ -49,6 +65,7 @@ def exchanged(
             case = replace(case, table=refined(case.table, np.maximum(angles, 1e-9)))
         else:
             # The ascent takes longest: only where nothing else is left.
+            course.phase("looking for the worst point of the box", turn, _EXCHANGES)
             more = inside_worse(case, situations, found.x, found.violation, seed, turn)
             if more is None:
                 break
@@ -56,6 +73,7 @@ def exchanged(
             if not len(loops):
                 break
             case = replace(case, table=extended(case.table, loops))
+        course.phase("polishing for what the certificate adds", turn, _EXCHANGES)
         found, known = _polished_again(case, situations, found), None
     return Candidate(case, found, interior, known)
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxact.tuning.course import Told, silent
 from jaxact.tuning.goal import HIGHEST, LOWEST, Goal, peaks
 from jaxact.tuning.polish import MET
 from jaxact.tuning.result import Tuned
@@ -30,13 +31,14 @@ _ABOVE, _HIGH, _FAR = 1.02, 2.0, 1.5
 _WORTH = 1e-6
 
 
-def front(tuned: Tuned, number: int, *, seed: int = 0) -> list[Tuned]:
+def front(tuned: Tuned, number: int, *, seed: int = 0, told: Told = silent) -> list[Tuned]:
     """The best gains for peaks from small to large, even in 1/M (`jaxact.tuning.goal.peaks`).
 
     Args:
         tuned: where it begins; its situations, groups and goal, whose own peak does not count.
         number: of points.
         seed: of the ascent on the uncertainty.
+        told: what is being done.
 
     Returns:
         Nothing where no gains are known with which all loops are stable.
@@ -56,7 +58,10 @@ def front(tuned: Tuned, number: int, *, seed: int = 0) -> list[Tuned]:
     closest = polished(_at(case, LOWEST), x)
     levels = _levels(tuned.goal, closest, number)
 
+    points: dict[int, Candidate] = {}
+
     def of(case: RobotCase, x: np.ndarray, peak: float) -> Candidate:
+        told("walking along the front", len(points), number)
         return _point(situations, _at(case, peak), x, seed)
 
     def beside(other: Candidate, peak: float) -> Candidate:
@@ -67,7 +72,7 @@ def front(tuned: Tuned, number: int, *, seed: int = 0) -> list[Tuned]:
         return of(other.case, other.found.x, peak)
 
     first = int(np.argmin(np.abs(np.log(levels) - np.log(min(tuned.goal.max_peak, levels[-1])))))
-    points = {first: of(case, x, levels[first])}
+    points[first] = of(case, x, levels[first])
     for place in range(first + 1, number):
         points[place] = beside(points[place - 1], levels[place])
     for place in range(first - 1, -1, -1):
@@ -78,7 +83,11 @@ def front(tuned: Tuned, number: int, *, seed: int = 0) -> list[Tuned]:
     for place in range(1, number):
         if _behind(points[place], points[place - 1]):
             points[place] = of(points[place].case, points[place - 1].found.x, levels[place])
-    return [judge(situations, points[place], seed) for place in range(number)]
+    judged = []
+    for place in range(number):
+        told("certifying the front", place, number)
+        judged.append(judge(situations, points[place], seed))
+    return judged
 
 
 def _levels(goal: Goal, closest: Found, number: int) -> np.ndarray:

@@ -13,15 +13,16 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.tuning.certificate import Effort
+from jaxact.tuning.course import NOTHING, Course, Told, silent
 from jaxact.tuning.goal import Goal, check
 from jaxact.tuning.groups import Groups
 from jaxact.tuning.optimise import Descended, Descent, no_path
-from jaxact.tuning.phases import Phase, silent
 from jaxact.tuning.result import Gains, OfRobot, Outcome, Tuned, judged
 from jaxact.tuning.robot import brute
 from jaxact.tuning.robot.descent import (  # fmt: skip
@@ -39,6 +40,7 @@ from jaxact.tuning.robot.exchange import Candidate, exchanged, inside_worse
 from jaxact.tuning.robot.loops import Situation, open_loops
 from jaxact.tuning.robot.peaks import tabulate
 from jaxact.tuning.robot.rows import Found, RobotCase, more, polished
+from jaxact.tuning.robot.so_far import so_far
 from jaxact.tuning.robot.starts import apart, screened
 from jaxact.tuning.rollouts import tracking
 
@@ -61,9 +63,11 @@ def tune(
     verify: bool = False,
     tracking_weight: float = 0.0,
     derivative: str = "auto",
-    phase: Phase = silent,
+    told: Told = silent,
 ) -> Tuned:
     """The best gains of a robot's groups of joints.
+
+    Interrupted, it gives the best gains until then that are certified.
 
     Args:
         situations: of one robot, with the same joints and the same box of what is uncertain; its
@@ -77,37 +81,56 @@ def tune(
         verify: compare with brute force.
         tracking_weight: of simulated tracking in the objective, 0 for margins alone.
         derivative: of simulated tracking, "auto", "forward" or "reverse".
-        phase: told what is being done.
+        told: what is being done.
 
     Raises:
         UserError: a goal, situations or a start that make no sense.
+        KeyboardInterrupt: interrupted before any gains were certified.
     """
     begun = time.perf_counter()
     _check(situations, goal, groups, start)
     mode = tracking.check(tracking_weight, derivative, len(groups))
     _check_verify(len(groups), verify=verify, weighed=tracking_weight > 0.0)
-    phase("screening gains over orders of magnitude")
-    case, x, known, tried = _begun(situations, goal, groups, start, number, seed)
-    if not case.stable(x):
-        nowhere = Candidate(case, Found(x, -np.inf, np.inf, tried, 0), None, None)
-        effort = Effort(0, tried)
-        return judge(situations, nowhere, seed, begun=begun, effort=effort, start=start)
-    paths, found = _searched(case, x, known, starts, steps, phase)
-    phase("certifying")
-    best = exchanged(case, situations, found, seed)
-    aside, gap = best.found.x, None
-    if tracking_weight > 0.0 and best.found.met:
-        phase("weighing simulated tracking")
-        best = _traded(best, situations, tracking_weight, mode, seed)
-    if verify and best.found.met:
-        phase("comparing with brute force")
-        best, gap = _verified(best)
-    best = replace(best, found=more(best.found, tried, steps))
-    effort = Effort(starts, tried)
-    return judge(
-        situations, best, seed, paths=paths, begun=begun, effort=effort, start=start, gap=gap,
-        aside=aside,
-    )  # fmt: skip
+    course = Course(told)
+    own: dict[str, Any] = {"begun": begun, "start": start}
+    try:
+        course.phase("tabulating responses")
+        case, x, known, tried = _begun(situations, goal, groups, start, number, seed, course)
+        if not case.stable(x):
+            nowhere = Candidate(case, Found(x, -np.inf, np.inf, tried, 0), None, None)
+            return judge(situations, nowhere, seed, effort=Effort(0, tried), **own)
+        own |= {"effort": Effort(starts, tried)}
+        own["paths"], found = _searched(case, x, known, starts, steps, course)
+        course.best = best = exchanged(case, situations, found, seed, course)
+        own |= {"aside": best.found.x}
+        if tracking_weight > 0.0 and best.found.met:
+            course.phase("weighing simulated tracking")
+            best = _traded(best, situations, tracking_weight, mode, seed)
+        if verify and best.found.met:
+            course.phase("comparing with brute force")
+            best, own["gap"] = _verified(best)
+        course.best = best = replace(best, found=more(best.found, tried, steps))
+        return judge(situations, best, seed, **own)
+    except KeyboardInterrupt:
+        return _until_then(situations, course, seed, own)
+
+
+def _until_then(
+    situations: Sequence[Situation], course: Course, seed: int, own: dict[str, Any]
+) -> Tuned:
+    """The best certified gains of an interrupted search; KeyboardInterrupt where there are none."""
+    doing = course.doing
+    course.phase("interrupted, certifying the best gains so far")
+    best = course.best
+    if best is None and course.case is not None:
+        best = so_far(course.case, course.points)
+    if best is not None:
+        inside = best.interior is not None or not len(situations[0].box)
+        note = replace(course, doing=doing).note(inside=inside)
+        tuned = judge(situations, best, seed, note=note, **own)
+        if tuned.certified:
+            return tuned
+    raise KeyboardInterrupt(NOTHING) from None
 
 
 def judge(
@@ -121,6 +144,7 @@ def judge(
     start: Gains | None = None,
     gap: float | None = None,
     aside: np.ndarray | None = None,
+    note: str = "",
 ) -> Tuned:
     """Judge what a search has led to against everything asked, and against the start.
 
@@ -134,6 +158,8 @@ def judge(
         start: gains of the joints to be no worse than.
         gap: to brute force, None where that was not asked for.
         aside: log-gains that the margins alone led to.
+        note: how the search was interrupted, "" where it was not. The worst interior point of the
+            start is then not looked for.
     """
     case, found = best.case, best.found
     loops, term = case.table.loops, case.tracking
@@ -143,6 +169,8 @@ def judge(
         return exact(loops, *gains, wanted)
 
     def inside(gains: Gains) -> float | None:
+        if note:
+            return None
         joints = case.groups.joints
         own = replace(case, groups=Groups(joints, np.arange(len(joints)), joints))
         worse = inside_worse(own, situations, own.groups.log_gains(*gains), 0.0, seed)
@@ -158,6 +186,7 @@ def judge(
     outcome = Outcome(
         case.groups.gains(found.x), found.met, known, paths or no_path(found.x), found.evaluations,
         found.steps, time.perf_counter() if begun is None else begun, effort, best.interior, gap,
+        interrupted=note,
     )  # fmt: skip
     robot = OfRobot(tuple(situations), case)
     tuned = judged(
@@ -178,6 +207,7 @@ def _begun(
     start: Gains | None,
     number: int,
     seed: int,
+    course: Course,
 ) -> tuple[RobotCase, np.ndarray, list[Found], int]:
     """All loops of the box, log-gains near the start, and those with which all loops are stable."""
     members = situations[0].box.members(number, seed)
@@ -187,7 +217,10 @@ def _begun(
     case = RobotCase(tabulate(open_loops(situations, members)), groups, goal, low, high)
     x = np.clip(x, low, high)
     inertia = least_inertias(situations)
-    known, number = screened(case, x, inertia, max(one.lag for one in situations), seed)
+    course.case, course.points = case, [Found(x, -np.inf, 0.0, 0, 0)]
+    course.phase("screening gains over orders of magnitude")
+    lag = max(one.lag for one in situations)
+    known, number = screened(case, x, inertia, lag, seed, course)
     known = [one for one in known if case.stable(one.x)]
     there, tried = (x, 0) if case.stable(x) else stabilised(case, situations, x)
     if known and not case.stable(there):
@@ -196,7 +229,7 @@ def _begun(
 
 
 def _searched(
-    case: RobotCase, x: np.ndarray, known: list[Found], starts: int, steps: int, phase: Phase
+    case: RobotCase, x: np.ndarray, known: list[Found], starts: int, steps: int, course: Course
 ) -> tuple[Descended, Found]:
     """The paths of a descent from many gains, and the best of their ends, polished."""
     near = approached(case, x)
@@ -204,9 +237,9 @@ def _searched(
     first = np.stack([near.x, *others])
     first = first[np.arange(starts) % len(first)]
     small = hardest(case, near.x)
-    phase(f"descending from {starts} starts")
+    course.phase(f"descending from {starts} starts")
     paths = descended(small, first, Descent(steps=steps, polish=0))
-    found = best_of(case, near, paths, others, phase)
+    found = best_of(case, near, paths, others, course)
     tried = near.evaluations + first.shape[0] * steps * len(small.table.loops)
     return paths, more(found, tried, near.steps)
 

@@ -15,6 +15,7 @@ import itertools
 import numpy as np
 
 from jaxact.parameters import KP
+from jaxact.tuning.course import Course
 from jaxact.tuning.robot.peaks import growth_rates, highest
 from jaxact.tuning.robot.rows import Found, RobotCase, excess, part
 
@@ -33,7 +34,7 @@ _SAME = 0.5
 
 
 def screened(
-    case: RobotCase, x: np.ndarray, inertia: np.ndarray, lag: float, seed: int
+    case: RobotCase, x: np.ndarray, inertia: np.ndarray, lag: float, seed: int, course: Course
 ) -> tuple[list[Found], int]:
     """Gains over orders of magnitude, judged at the loops that say most.
 
@@ -42,6 +43,7 @@ def screened(
         inertia: effective one of the joints [kg or kg m^2], shape (joints,).
         lag: of the slowest drive [s].
         seed: of the points around the best ones.
+        course: of the search.
 
     Returns:
         Those at which these loops are stable, the best first; and how many were tried.
@@ -50,7 +52,7 @@ def screened(
 
     few = part(case, _telling(case, x))
     first = _distinct(case, np.concatenate([x[None], lattice(case, x, inertia, lag)]))
-    found = _judged(few, first)
+    found = _judged(few, first, course)
     centres = apart(found, _CENTRES)
     size = len(x)
     reach = np.repeat(_REACH, size // 2)
@@ -60,10 +62,10 @@ def screened(
     if not around:
         return found, len(first)
     more = _distinct(case, np.array(around))
-    return sorted([*found, *_judged(few, more)], key=Found.rank), len(first) + len(more)
+    return sorted([*found, *_judged(few, more, course)], key=Found.rank), len(first) + len(more)
 
 
-def closer(case: RobotCase, x: np.ndarray, seed: int = 0) -> np.ndarray:
+def closer(case: RobotCase, x: np.ndarray, course: Course, seed: int = 0) -> np.ndarray:
     """Log-gains near x that exceed the bounds least, by clouds of points that grow narrow.
 
     Where two peaks are level no slope leads on; points to all sides do.
@@ -73,7 +75,7 @@ def closer(case: RobotCase, x: np.ndarray, seed: int = 0) -> np.ndarray:
     for width in _CLOUDS:
         offsets = generator.uniform(-1.0, 1.0, (_POINTS, len(x)))
         points = np.concatenate([x[None], x + width * offsets])
-        found = _judged(few, _distinct(case, points))
+        found = _judged(few, _distinct(case, points), course)
         x = next((one.x for one in found if case.stable(one.x)), x)
     return x
 
@@ -123,11 +125,12 @@ def _distinct(case: RobotCase, x: np.ndarray) -> np.ndarray:
     return x[np.sort(first)]
 
 
-def _judged(case: RobotCase, x: np.ndarray) -> list[Found]:
+def _judged(case: RobotCase, x: np.ndarray, course: Course) -> list[Found]:
     """Those of the points that are stable, the best first."""
     order = list(range(len(case.table.loops)))
     kept = []
-    for point in x:
+    for number, point in enumerate(x):
+        course.phase(course.doing, number, len(x))
         lost = _unstable(case, point, order)
         if lost is not None:
             # What one loop does not bear, it will hardly bear beside.
@@ -135,6 +138,7 @@ def _judged(case: RobotCase, x: np.ndarray) -> list[Found]:
             order.insert(0, lost)
             continue
         kept.append(Found(point, *_roughly(case, point), 0, 0))
+        course.points.append(kept[-1])
     return sorted(kept, key=Found.rank)
 
 

@@ -6,8 +6,9 @@ ensemble of drives: the same rollouts and the same verdicts as those of a sweep.
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from jaxact.robots import posture as _posture
 from jaxact.simulation import engines as _engines
 from jaxact.simulation import single
 from jaxact.status import Verdict
+from jaxact.tuning.course import Told, silent
 from jaxact.tuning.result import Tuned
 from jaxact.tuning.rollouts.exposure import exposed
 
@@ -88,21 +90,28 @@ class Rollouts:
         return sum(int(v.sum()) for v in verdicts), sum(v.size for v in verdicts)
 
 
-def rollouts(tuned: Tuned, duration: float) -> Rollouts:
+def rollouts(tuned: Tuned, duration: float, told: Told = silent) -> Rollouts:
     """Simulate a robot's gains before and after with everything that the drives have.
 
     Args:
         duration: of each rollout [s].
+        told: what is being done.
     """
     assert tuned.robot is not None
     loops = tuned.robot.case.table.loops
+    total, number = len(loops) * (2 if tuned.before else 1), itertools.count(1)
+
+    def ended() -> None:
+        told("simulating", next(number), total)
+
+    told("simulating", 0, total)
 
     def held(kp: np.ndarray, kd: np.ndarray) -> dict[str, Validation]:
         assert tuned.robot is not None
         return {
             one.name: validate(
                 {one.name: exposed(one.specification, duration=duration)}, kp, kd,
-                one.columns(loops.fraction[loops.situation == place]),
+                one.columns(loops.fraction[loops.situation == place]), ended=ended,
             )
             for place, one in enumerate(tuned.robot.situations)
         }  # fmt: skip
@@ -118,6 +127,7 @@ def validate(
     members: Columns,
     *,
     engine: str | None = None,
+    ended: Callable[[], None] = lambda: None,
 ) -> Validation:
     """Simulate gains in every posture with every member.
 
@@ -132,6 +142,7 @@ def validate(
         members: values of the parameters in which they differ by key (see `jaxact.parameters`;
             `actuator` holds names of presets), shape (n,) each; none: one member.
         engine: "mjx", "mujoco", "warp" or "auto"; None: the specification's own.
+        ended: called after each rollout.
 
     Raises:
         UserError: postures with other joints, for values out of their bounds, and for a robot that
@@ -153,7 +164,7 @@ def validate(
         asked = with_gains(one, scenes[name], joints, kp, kd, columns)
         asked = _engines.resolved(replace(asked, engine=engine or one.engine, devices=1))
         order = [scenes[name].labels.index(joint) for joint in joints]
-        rows.append(_posture_row(asked, scenes[name], columns, order, joints))
+        rows.append(_posture_row(asked, scenes[name], columns, order, joints, ended))
         engines.append(asked.engine)
     verdict, growth, excursion, fallen = (
         np.stack([row[place] for row in rows]) for place in range(4)
@@ -232,6 +243,7 @@ def _posture_row(
     columns: Columns,
     order: list[int],
     joints: tuple[str, ...],
+    ended: Callable[[], None],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
     """Verdicts, growth rates, excursions, falls and reasons of one posture; joints in `order`."""
     samples = explicit(asked, dict(columns))
@@ -255,6 +267,7 @@ def _posture_row(
         amplitude = one.results["limit_cycle_amplitude"]
         reasons[sample] = _reason(code, growth[sample], bool(fallen[sample]), amplitude)
         reasons[sample] += _farthest(excursion[sample], joints)
+        ended()
     return verdict, growth, excursion, fallen, tuple(reasons)
 
 
