@@ -17,7 +17,7 @@ from jaxact.identification.ladder import climb
 from jaxact.identification.log import Log, renewed, stretches
 from jaxact.identification.reading import ColumnMap, Columns, read, read_columns
 from jaxact.identification.result import Identified, check_gains, inspected
-from jaxact.identification.verdict import judge
+from jaxact.identification.verdict import judge, withdrawn
 from jaxact.parameters import FEEDFORWARD
 
 # Gains that explain so much of a command are those of its controller.
@@ -92,7 +92,9 @@ def identify(
         )
         if plant != "none":
             ladder = between_rows.doubted(ladder, plant, control_rate)
-        return Identified(plant, ladder, inspected(ladder), judge(ladder), control_rate)
+        verdict = judge(ladder)
+        ladder = withdrawn(ladder, verdict)
+        return Identified(plant, ladder, inspected(ladder), verdict, control_rate)
 
 
 def usable(logs: Sequence[Log]) -> list[Log]:

@@ -15,6 +15,8 @@ from jaxact.parameters import FEEDFORWARD, SETPOINT
 # Where more than this share of the samples is at the extreme, it is a limit and no peak; where most
 # are, or there are few levels at all, the signal switches between them, as a PRBS does.
 _AT_THE_LIMIT, _SWITCHING = 0.005, 0.5
+# A controller's command does not switch: it may be at its limit nearly all the time.
+_NEARLY_ALWAYS = 0.98
 _FEWEST_LEVELS = 20
 _COHERENT = 0.5
 _MOST_DIFFERENCES = 200_000
@@ -81,10 +83,8 @@ def inspect(log: Log) -> Inspection:
     together = np.stack(list(own.values()), axis=1)
     repeated = float(np.mean(np.all(together[1:] == together[:-1], axis=1)))
     quanta = {name: q for name, values in own.items() if (q := quantum(values)) is not None}
-    limits = {
-        name: limit
-        for name in ("command", "force", "supply")
-        if name in log and (limit := saturation(log[name])) is not None
+    limits = {"command": limit_of_command(log)} | {
+        name: saturation(log[name]) for name in ("force", "supply") if name in log
     }
     stimulus = log["command"] if "force" in log and "command" in log else (
         log[SETPOINT] if SETPOINT in log else log["command"]
@@ -96,7 +96,7 @@ def inspect(log: Log) -> Inspection:
         gaps=tuple((gaps + log.row + 1).tolist()),
         repeated=repeated,
         quanta=quanta,
-        saturated=limits,
+        saturated={name: limit for name, limit in limits.items() if limit is not None},
         band=usable_band(stimulus, answer, 1.0 / period),
         excited=excited_band(stimulus, 1.0 / period),
         controller=recomputed(log),
@@ -131,11 +131,20 @@ def quantum(values: np.ndarray) -> float | None:
     return refined if float(np.mean(away < 0.1)) > 0.9 else None
 
 
-def saturation(values: np.ndarray) -> float | None:
+def limit_of_command(log: Log) -> float | None:
+    """The limit at which a log's command stays; None where it does not, or there is no command."""
+    if "command" not in log:
+        return None
+    controlled = {SETPOINT, "position"} <= set(log.signals)
+    return saturation(log["command"], most=_NEARLY_ALWAYS if controlled else _SWITCHING)
+
+
+def saturation(values: np.ndarray, *, most: float = _SWITCHING) -> float | None:
     """The limit at which a signal stays, its larger extreme; None where it does not.
 
     Args:
         values: shape (rows,).
+        most: share of the rows from which on it switches between its extremes instead.
     """
     top = float(np.max(np.abs(values)))
     if top == 0.0 or len(np.unique(values)) < _FEWEST_LEVELS:
@@ -143,7 +152,7 @@ def saturation(values: np.ndarray) -> float | None:
     there = np.abs(values) > top * (1.0 - 1e-3)
     runs = np.flatnonzero(there[1:] & there[:-1]).size
     share = float(np.mean(there))
-    return top if _AT_THE_LIMIT < share < _SWITCHING and runs > 0.5 * there.sum() else None
+    return top if _AT_THE_LIMIT < share < most and runs > 0.5 * there.sum() else None
 
 
 def usable_band(stimulus: np.ndarray, answer: np.ndarray, rate: float) -> float | None:
@@ -185,7 +194,7 @@ def recomputed(log: Log) -> Controller | None:
         names.append(FEEDFORWARD)
     command = log["command"]
     inside = np.ones(len(log), bool)
-    limit = saturation(command)
+    limit = limit_of_command(log)
     if limit is not None:
         inside = np.abs(command) < 0.999 * limit
     matrix = np.stack(columns, axis=1)
@@ -210,7 +219,7 @@ def explained_by(log: Log, kp: float, kd: float) -> float:
     """
     error, speed = log[SETPOINT] - log["position"], velocity(log)
     command = log["command"]
-    limit = saturation(command)
+    limit = limit_of_command(log)
     inside = np.ones(len(log), bool) if limit is None else np.abs(command) < 0.999 * limit
     free = [np.ones(len(log)), *([log[FEEDFORWARD]] if FEEDFORWARD in log else [])]
     matrix = np.stack(free, axis=1)[inside]

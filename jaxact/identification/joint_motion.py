@@ -39,6 +39,8 @@ from jaxact.parameters import (
 
 INITIAL_FORCE = "initial_force"
 """What the drive gives beyond what holds the joint as a log begins in motion [N or N m]."""
+COMMAND_LIMIT = "command_limit"
+"""The largest command that the drive follows, in either direction [N or N m]."""
 _NO_LIMIT = 1e15
 # Intervals are a little longer than nothing [s]: so a joint that stands knows where it would move.
 _NO_TIME = 1e-15
@@ -82,9 +84,9 @@ def simulate(
 
     Args:
         values: inertia [kg or kg m^2] (with links armature, beside theirs), gain, wn [rad/s],
-            zeta, delay [s], force_limit [N or N m], friction by `_friction`, gravity [N m], zero
-            [rad], offset [N or N m], kp and kd where the recording has none, initial_position,
-            initial_velocity, initial_force.
+            zeta, delay [s], force_limit and command_limit [N or N m], friction by `_friction`,
+            gravity [N m], zero [rad], offset [N or N m], kp and kd where the recording has none,
+            initial_position, initial_velocity, initial_force.
         recording: the log.
         structure: static.
 
@@ -161,8 +163,9 @@ def _control(
     now: Mapping[str, jax.Array],
 ) -> tuple[_Carry, jax.Array]:
     """The controller at a tick; between ticks nothing changes."""
+    limit = jnp.minimum(values.get(COMMAND_LIMIT, jnp.inf), recording.command_limit)
     if not structure.closed:
-        return carry, now["command"]
+        return carry, jnp.clip(now["command"], -limit, limit)
     kp = values.get(KP, recording.kp)
     kd = values.get(KD, recording.kd)
     speed = carry.velocity
@@ -176,7 +179,7 @@ def _control(
         speed,
         quantised=False,
     )
-    asked = jnp.clip(asked, -recording.command_limit, recording.command_limit)
+    asked = jnp.clip(asked, -limit, limit)
     last = carry.commands[(carry.ticks - 1) % structure.history]
     command = jnp.where(now["controls"], asked, last)
     slot = carry.ticks % structure.history

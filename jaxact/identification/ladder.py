@@ -135,9 +135,14 @@ def climb(
             report(rung.name)
         return _candidate(family, rung, fitted, held, (loss, method), before)
 
-    for rung in stages(family, found, floor):
+    def mend() -> None:
+        if method == LEAST_SQUARES:
+            found[:] = leaner(family, found, floor, fitted, held, loss)
+
+    for rung in stages(family, found, floor, mend):
         found.append(fit(rung, found))
     found += limited(family, found, floor, fit)
+    mend()
     found = [without_delay(one, found) for one in found]
     chosen = choose(found, floor)
     rung, best = chosen.rung, chosen.fit
@@ -158,7 +163,9 @@ def climb(
     )
 
 
-def stages(family: Family, found: list[Candidate], floor: float) -> Iterator[Rung]:
+def stages(
+    family: Family, found: list[Candidate], floor: float, mend: Callable[[], None]
+) -> Iterator[Rung]:
     """The rungs one after another: frictions with a delay first, then dynamics with the best one.
 
     Where the dynamics are far from a mere delay, which was taken for friction, frictions again,
@@ -168,11 +175,13 @@ def stages(family: Family, found: list[Candidate], floor: float) -> Iterator[Run
         family: of the rungs.
         found: candidates so far, which grows while this is iterated over.
         floor: see `choose`.
+        mend: looks for better fits of those that were found.
     """
     if len({rung.friction for rung in family.rungs}) == 1:
         yield from family.rungs
         return
     yield from (rung for rung in family.rungs if rung.dynamics == DELAY)
+    mend()
     first = choose(found, floor, _NEARLY_AS_GOOD)
     best = first
     while True:
@@ -183,6 +192,7 @@ def stages(family: Family, found: list[Candidate], floor: float) -> Iterator[Run
         if not beside:
             return
         yield from beside
+        mend()
         best = choose(found, floor)
         if best.rung.dynamics == DELAY:
             return
@@ -211,7 +221,8 @@ def limited(
 
     def richer(rung: Rung) -> Rung:
         name = f"{rung.name}, limited"
-        return replace(rung, name=name, friction="limited", free=(*family.perhaps, *rung.free))
+        friction = f"{rung.friction}, limited" if rung.friction else "limited"
+        return replace(rung, name=name, friction=friction, free=(*family.perhaps, *rung.free))
 
     first = fit(richer(chosen.rung), found)
     if choose([*found, first], floor) is not first:
@@ -221,6 +232,42 @@ def limited(
         if one is not chosen:
             more.append(fit(richer(one.rung), [*found, *more]))
     return more
+
+
+def leaner(
+    family: Family,
+    found: Sequence[Candidate],
+    floor: float,
+    fitted: Sequence[Log],
+    held: Sequence[Log],
+    loss: str,
+) -> list[Candidate]:
+    """Every model, those that are part of a chosen one with an unknown too many begun from it.
+
+    A search that creeps along a crease, such as that of a delay at a control tick, ends too early;
+    the model with more unknowns has then come farther, and would be chosen for that alone.
+
+    Args:
+        family: of the models.
+        found: candidates.
+        floor: see `choose`.
+        fitted, held: logs.
+        loss: of the least squares.
+    """
+    chosen = choose(found, floor)
+    spare = {e.name for e in chosen.knowledge.estimates if not e.identified}
+
+    def again(one: Candidate) -> Candidate:
+        less, whole = set(one.rung.free), set(chosen.rung.free)
+        if not less < whole or not whole - less <= spare:
+            return one
+        sought = of_rung(family, one.rung, fitted)
+        fit = solve(sought, loss=loss, start=chosen.fit.values)
+        if fit.square_sum >= one.fit.square_sum:
+            return one
+        return _tried(family, one.rung, fit, _knowledge.of_fit(fit, profile=False), held)
+
+    return [again(one) for one in found]
 
 
 def encoder_error(family: Family, logs: Sequence[Log]) -> float:

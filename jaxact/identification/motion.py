@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.identification import inspection, joint_motion, starts
-from jaxact.identification.joint_motion import INITIAL_FORCE, Structure
+from jaxact.identification import joint_motion, starts
+from jaxact.identification.joint_motion import COMMAND_LIMIT, INITIAL_FORCE, Structure
 from jaxact.identification.log import LINKS, Log, filled
 from jaxact.identification.model import (
     DYNAMICS,
@@ -72,14 +72,16 @@ FRICTION: dict[str, tuple[str, ...]] = {
 """Names of the numbers that each kind of friction leaves free."""
 
 _NEUTRAL: dict[str, float] = {
-    "inertia": 1.0, "gain": 1.0, FORCE_LIMIT: 1e12, "viscous": 1e-12, "coulomb": 1e-12,
-    "viscous_asymmetry": 0.0, "coulomb_asymmetry": 0.0, "loaded": 0.0,
-    "stribeck": 0.0, "stribeck_speed": 1.0, "gravity": 0.0, "zero": 0.0, "offset": 0.0,
-    KP: 1.0, KD: 0.0, **NEUTRAL_DRIVE,
+    "inertia": 1.0, "gain": 1.0, FORCE_LIMIT: 1e12, COMMAND_LIMIT: 1e12,
+    "viscous": 1e-12, "coulomb": 1e-12, "viscous_asymmetry": 0.0, "coulomb_asymmetry": 0.0,
+    "loaded": 0.0, "stribeck": 0.0, "stribeck_speed": 1.0,
+    "gravity": 0.0, "zero": 0.0, "offset": 0.0, KP: 1.0, KD: 0.0, **NEUTRAL_DRIVE,
     # Not known: where the log begins.
     INITIAL_POSITION: math.nan, INITIAL_VELOCITY: math.nan, INITIAL_FORCE: math.nan,
 }  # fmt: skip
-_POSITIVE = frozenset(("inertia", "armature", "viscous", "coulomb", "stribeck_speed", KP, WN, ZETA))
+_POSITIVE = frozenset(
+    ("inertia", "armature", "viscous", "coulomb", "stribeck_speed", COMMAND_LIMIT, KP, WN, ZETA)
+)
 
 
 @dataclass(frozen=True)
@@ -135,6 +137,9 @@ def family(
     longest = ticks_of_delay(first.period, _MOST_TICKS_OF_DELAY) * ticks + 2
     structure = Structure(closed, longest, first.difference_ticks, plant == "pendulum")
     context = Context(logs, plant, structure, sought, control_rate, lines)
+    perhaps = not sought and all(math.isinf(starts.command_limit(log)) for log in logs)
+    limited = perhaps and starts.guess(logs, context, perhaps_limited=True)["limited"]
+    context = replace(context, perhaps_limited=perhaps, limited=limited)
     if context.robot and sought:
         raise UserError(f"{first.title}: a robot needs kp and kd in the map, or its command")
     unit = "rad" if first.unit == "rad" else "m"
@@ -152,6 +157,7 @@ def family(
         nuisances=context.nuisances,
         # Not quite one: the drive's lag lies between them, which kp and the rest make up for.
         beside=("viscous",) if sought else (),
+        perhaps=(COMMAND_LIMIT,) if perhaps and not limited else (),
     )
 
 
@@ -172,7 +178,18 @@ def cut(log: Log, control_rate: float | None) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Context:
-    """Logs of one joint, and what is known of it and of its controller."""
+    """Logs of one joint, and what is known of it and of its controller.
+
+    Attributes:
+        logs: to be fitted.
+        plant: "mass" or "pendulum".
+        structure: of the simulation.
+        sought_gains: whether the controller's gains are sought.
+        control_rate: of the controller [Hz]; None for once a row.
+        lines: what is asked for lies on lines between the rows.
+        perhaps_limited: whether the drive may follow commands up to a limit that no log says.
+        limited: whether it clearly does.
+    """
 
     logs: Sequence[Log]
     plant: str
@@ -180,6 +197,8 @@ class Context:
     sought_gains: bool
     control_rate: float | None
     lines: bool = False
+    perhaps_limited: bool = False
+    limited: bool = False
 
     @property
     def robot(self) -> bool:
@@ -207,9 +226,11 @@ class Context:
         """Unknowns of every rung."""
         if self.robot:
             # Where the gains are stated, the drive's own is in them: dry friction hides the rest.
-            return ("offset", "armature", *(() if self.structure.closed else ("gain",)))
+            gain = () if self.structure.closed else ("gain",)
+            return ("offset", "armature", *gain, *((COMMAND_LIMIT,) if self.limited else ()))
         known = self.known()
         names = ["offset"] if not self.structure.gravity else ["zero"]
+        names += [COMMAND_LIMIT] if self.limited else []
         if self.sought_gains:
             # Without a force in the log only ratios to the inertia can be known.
             return (*names, KP, KD, *(("gravity",) if self.structure.gravity else ()))
@@ -241,7 +262,7 @@ class Context:
 
     def unknowns(self, logs: Sequence[Log]) -> dict[str, Unknown]:
         """What can be sought, by name, with ranges and starts from the logs."""
-        guess = starts.guess(logs, self)
+        guess = starts.guess(logs, self, perhaps_limited=self.perhaps_limited)
         force = "N m" if logs[0].unit == "rad" else "N"
         rubbing = f"{force} s/{logs[0].unit}"
         if self.sought_gains:  # all of it per unit of the inertia
@@ -249,7 +270,8 @@ class Context:
             guess["viscous"] = _OF_THE_DAMPING * guess[KD]
         mass = "kg m^2" if logs[0].unit == "rad" else "kg"
         speed = "rad/s" if logs[0].unit == "rad" else "m/s"
-        size, coulomb = guess["size"], max(abs(guess["coulomb"]), 0.02 * guess["size"])
+        size, asked = guess["size"], guess["asked"]
+        coulomb = max(abs(guess["coulomb"]), 0.02 * guess["size"])
         viscous = max(guess["viscous"], 1e-3 * guess["inertia"])
         low, high = 1e-4, 1e4
         # A pendulum may swing under its own weight, far above what the drive gives.
@@ -266,6 +288,8 @@ class Context:
             Unknown("stribeck", "1", 0.0, 10.0, (0.02, 0.3)),
             Unknown("stribeck_speed", speed, 1e-3 * guess["speed"], 3.0 * guess["speed"],
                     (0.1 * guess["speed"],), positive=True),
+            Unknown(COMMAND_LIMIT, force, 1e-3 * asked, 2.0 * asked, (guess[COMMAND_LIMIT],),
+                    positive=True),
             Unknown("offset", force, -size, size, (guess["offset"],)),
             Unknown("gravity", force, -heavy, heavy, (guess["gravity"],)),
             Unknown("zero", "rad", -0.5, 0.5, (0.0,)),
@@ -308,10 +332,6 @@ class Context:
             strength = log["supply"] / usual_supply(self.logs)
         if "powered" in log:
             strength = strength * log["powered"]
-        limit = log.details.get("command_limit", math.nan)
-        if math.isnan(limit):
-            found = inspection.saturation(log["command"]) if "command" in log else None
-            limit = math.inf if found is None else found
         position, velocity = beginning(log)
         return of_rows(
             filled(log.time, rising=True),
@@ -322,7 +342,7 @@ class Context:
             position=filled(np.append(position, log["position"][1:])),
             velocity=velocity,
             gains=(float(gains[0] or 0.0), float(gains[1] or 0.0)),
-            command_limit=min(limit, 1e12),
+            command_limit=min(starts.command_limit(log), 1e12),
             ticks_per_row=ticks,
             controlled=controlled,
             lines=self.lines,

@@ -42,6 +42,7 @@ def text(identified: Identified) -> str:
     lines += [f"  {said}" for said in left_out(identified)]
     lines += [f"  {said}" for said in unstable_delay(identified)]
     lines += [f"  {said}" for said in alignment(chosen, ladder.fitted[0])]
+    lines += [f"  {said}" for said in stated(identified)]
     lines += ["", f"verdict: {identified.verdict.sentence}"]
     white = identified.verdict.whiteness
     lines.append(
@@ -219,6 +220,18 @@ def unstable_delay(identified: Identified) -> list[str]:
     return [
         "a delay by itself is not stable, it makes up for what friction lacks; by the friction"
         f" assumed [ms]: {each}"
+    ]
+
+
+def stated(identified: Identified) -> list[str]:
+    """That forces are those of stated gains, where no command confirms them."""
+    chosen, log = identified.ladder.chosen, identified.ladder.fitted[0]
+    free = set(chosen.rung.free)
+    if log.gains[0] is None or "command" in log or "inertia" not in free or "gain" in free:
+        return []
+    return [
+        "inertia and friction are in proportion to the gains that the map states, which no"
+        " command in the logs confirms; damping that kd lacks would be viscous friction here"
     ]
 
 

@@ -191,6 +191,8 @@ def inspected(ladder: Ladder) -> tuple[Inspection, ...]:
 
 # Stated gains that explain less of a command, where others explain nearly all of it, are wrong.
 _CONTRADICTS = 0.9
+# Gains that are the same but for noise.
+_SAME = 0.03
 
 
 def check_gains(ladder_logs: Any) -> None:
@@ -204,6 +206,17 @@ def check_gains(ladder_logs: Any) -> None:
         kp = log.gains[0]
         if found is None or kp is None or found.explained < 0.98:
             continue
+        if kp and -1.25 < found.kp / kp < -0.8:
+            raise UserError(
+                f"{log.title}: the command goes against setpoint minus position: the command, or"
+                " each of the other two, has the wrong sign, give it scale = -1.0 in the map"
+            )
+        if kp and abs(found.kp / kp / math.radians(1.0) - 1.0) < _SAME:
+            raise UserError(
+                f"{log.title}: the command follows from a kp {kp / found.kp:.3g} times smaller than"
+                f" the map's {kp:g}, as where positions are in degrees; give setpoint and position"
+                " scale = 0.01745329 in the map"
+            )
         if kp == 0.0 or not 0.8 < found.kp / kp < 1.25:
             raise UserError(
                 f"{log.title}: kp = {kp:g} contradicts the command, which follows from"

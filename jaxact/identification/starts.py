@@ -13,12 +13,20 @@ import numpy as np
 from scipy import signal as _signal
 
 from jaxact.identification import inspection
+from jaxact.identification.joint_motion import COMMAND_LIMIT
 from jaxact.identification.log import LINKS, Log
 from jaxact.parameters import FEEDFORWARD, KD, KP, SETPOINT
 
 if TYPE_CHECKING:
     from jaxact.identification.motion import Context
 
+# Shares of the largest command at which a drive may follow no further, where logs do not say so;
+# one by which the forces are explained so much better is begun from.
+_LIMITS, _MUCH_BETTER = tuple(0.75**power for power in range(1, 14)), 0.6
+# Where the motion leaves less than this share of the forces it tells their sign.
+_TOLD = 0.5
+# What the motion's columns stand for.
+_NAMES = ("inertia", "viscous", "coulomb", "offset", "gravity")
 # Rows by which a drive may be late where the search begins.
 _LATE = (0, 1, 2, 4, 6, 8, 12)
 
@@ -41,29 +49,57 @@ def _motions(log: Log, gravity: bool) -> np.ndarray:
     return np.stack([*columns, *([np.sin(position)] if gravity else [])], axis=1)
 
 
-def _needed(log: Log, context: Context, late: int) -> np.ndarray:
+def _needed(log: Log, context: Context, late: int, limit: float = math.inf) -> np.ndarray:
     """The force that arrives at the joint `late` rows after it was asked for, shape (rows,)."""
-    told = asked(log, context)
+    told = np.clip(asked(log, context), -limit, limit)
     force = np.append(np.full(late, told[0]), told[: len(told) - late])
     if context.robot:
         force = force - log[LINKS[0]] * _smooth(log, log["position"], 2) - log[LINKS[1]]
     return force
 
 
-def guess(logs: Sequence[Log], context: Context) -> dict[str, Any]:
+def _explained(
+    rows: np.ndarray, logs: Sequence[Log], context: Context, limit: float = math.inf
+) -> tuple[tuple[bool, float], dict[str, float]]:
+    """How badly the motion follows from what was asked for within a limit, and the numbers.
+
+    The drive is late by a few rows: by how many is tried. A motion against the force is the worst.
+
+    Args:
+        rows: of all logs, from `_motions`.
+        logs, context: as in `guess`.
+        limit: of what was asked for [N or N m].
+    """
+    tried = []
+    for late in _LATE:
+        force = np.concatenate([_smooth(log, _needed(log, context, late, limit)) for log in logs])
+        found, rest = _least_squares(rows, force, _NAMES)
+        left = rest / max(float(np.var(force)), 1e-300)
+        tried.append(((found["inertia"] <= 0.0, left), found))
+    return min(tried, key=lambda one: one[0])
+
+
+def guess(
+    logs: Sequence[Log], context: Context, *, perhaps_limited: bool = False
+) -> dict[str, Any]:
     """Where the search begins: least squares on smoothed derivatives, row by row.
 
-    The drive is late by a few rows: by how many is tried.
+    Args:
+        logs: of one joint.
+        context: what is known of it.
+        perhaps_limited: the drive may follow commands up to a limit that no log says.
     """
     gravity = context.structure.gravity
     rows = np.concatenate([_motions(log, gravity) for log in logs])
-    names = ["inertia", "viscous", "coulomb", "offset", "gravity"][: rows.shape[1]]
-    tried = []
-    for late in _LATE:
-        force = np.concatenate([_smooth(log, _needed(log, context, late)) for log in logs])
-        found, rest = _least_squares(rows, force, names)
-        tried.append((rest / max(float(np.var(force)), 1e-300), found))
-    found = min(tried, key=lambda one: (one[1]["inertia"] <= 0.0, one[0]))[1]
+    (against, left), found = _explained(rows, logs, context)
+    largest = max(*(float(np.max(np.abs(asked(log, context)))) for log in logs), 1e-9)
+    limit, limited = largest, False
+    if perhaps_limited:
+        limits = [share * largest for share in _LIMITS]
+        tried = [_explained(rows, logs, context, each) for each in limits]
+        at = min(range(len(limits)), key=lambda number: tried[number][0])
+        limit, limited = limits[at], tried[at][0] < (against, _MUCH_BETTER * left)
+        found = tried[at][1] if limited else found
     known = context.known()
     size = max(*(float(np.max(np.abs(_needed(log, context, 0)))) for log in logs), 1e-9)
     fastest = max(float(np.max(np.abs(rows[:, 1]))), 1e-9)
@@ -84,7 +120,9 @@ def guess(logs: Sequence[Log], context: Context) -> dict[str, Any]:
         "inertia": inertia, "viscous": scaled["viscous"], "coulomb": scaled["coulomb"],
         "offset": float(np.clip(scaled["offset"], -0.5 * gain * size, 0.5 * gain * size)),
         "gravity": scaled.get("gravity", 0.0), "gain": gain, "size": gain * size,
-        "speed": fastest, KP: (30.0, 300.0, 3000.0), KD: 20.0,
+        "speed": fastest, "asked": largest, COMMAND_LIMIT: limit,
+        "limited": limited, KP: (30.0, 300.0, 3000.0),
+        KD: 20.0,
     }  # fmt: skip
 
 
@@ -98,8 +136,26 @@ def asked(log: Log, context: Context) -> np.ndarray:
     force = kp * (log[SETPOINT] - log["position"]) - kd * inspection.velocity(log)
     if FEEDFORWARD in log:
         force = force + log[FEEDFORWARD]
-    limit = log.details.get("command_limit", math.inf)
+    limit = command_limit(log)
     return np.clip(force, -limit, limit)
+
+
+def command_limit(log: Log) -> float:
+    """The limit of commands that a log states, or at which they stay; infinite for none."""
+    return log.details.get(COMMAND_LIMIT) or inspection.limit_of_command(log) or math.inf
+
+
+def against_the_command(log: Log) -> bool:
+    """Whether a joint accelerates against its log's command."""
+    rows = _motions(log, gravity=True)
+    tried = []
+    for late in _LATE:
+        command = np.append(np.full(late, log["command"][0]), log["command"][: len(log) - late])
+        force = _smooth(log, command)
+        found, rest = _least_squares(rows, force, _NAMES)
+        tried.append((rest / max(float(np.var(force)), 1e-300), found["inertia"]))
+    left, inertia = min(tried)
+    return left < _TOLD and inertia < 0.0
 
 
 def _least_squares(
@@ -109,4 +165,4 @@ def _least_squares(
     size = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
     solved = np.linalg.lstsq(matrix / size, target, rcond=1e-9)[0] / size
     rest = float(np.mean(np.square(target - matrix @ solved)))
-    return dict(zip(names, solved.tolist(), strict=True)), rest
+    return dict(zip(names[: len(solved)], solved.tolist(), strict=True)), rest

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 from scipy import signal as _signal
 
+from jaxact.identification import signs
 from jaxact.identification.inspection import excited_band
 from jaxact.identification.ladder import Candidate, Ladder
 from jaxact.identification.log import Log
@@ -21,10 +22,13 @@ from jaxact.parameters import DELAY, WN, ZETA
 _USABLE = 0.35
 _GOOD_SCORE = 85.0
 _LEAST_SCORE = 40.0
+# Errors of which such a share of the autocorrelations is not white noise's are the model's own.
+_NOT_NOISE = 0.5
 # A validation log that is this much worse than the fitted ones was not foreseen by the model.
 _MOST_LOST = 10.0
 MOST_CORRELATED = 0.35
 """Correlation of error and stimulus from which on the error follows the stimulus."""
+NOT_EXPLAINED = "its interval does not hold, as the model does not explain the logs"
 
 
 class Level(Enum):
@@ -105,6 +109,8 @@ def judge(ladder: Ladder) -> Verdict:
             "its rows are too far apart for its loop; log faster, or state the control"
             " rate if it is theirs"
         )
+    if reasons:
+        reasons = [*_opposed(ladder), *reasons]
     if not reasons:
         level = Level.GOOD
     elif below is not None and score > _LEAST_SCORE:
@@ -113,6 +119,37 @@ def judge(ladder: Ladder) -> Verdict:
         level = Level.NOT_ENOUGH
         reasons = reasons or ["its error is as large as the signal at all frequencies"]
     return Verdict(level, below, score, _whiteness(rests), correlated, tuple(reasons))
+
+
+def _opposed(ladder: Ladder) -> list[str]:
+    """Which signals of the logs go against each other."""
+    said = (signs.opposed(log) for log in (*ladder.fitted, *ladder.validation))
+    return list(dict.fromkeys(reason for reason in said if reason))
+
+
+def withdrawn(ladder: Ladder, verdict: Verdict) -> Ladder:
+    """A ladder of which nothing is identified where its best model does not explain the logs.
+
+    Intervals are those of a model that is right: of one that is not they say nothing, however
+    narrow they are. What noise alone leaves unexplained does no harm.
+
+    Args:
+        ladder: any.
+        verdict: on it.
+    """
+    unexplained = verdict.score < _GOOD_SCORE and verdict.whiteness > _NOT_NOISE
+    if verdict.level is not Level.NOT_ENOUGH and not unexplained:
+        return ladder
+
+    def doubted(one: Candidate) -> Candidate:
+        estimates = tuple(
+            replace(e, identified=False, reason=e.reason or NOT_EXPLAINED)
+            for e in one.knowledge.estimates
+        )
+        return replace(one, knowledge=replace(one.knowledge, estimates=estimates))
+
+    every = {id(one): doubted(one) for one in ladder.candidates}
+    return replace(ladder, candidates=tuple(every.values()), chosen=every[id(ladder.chosen)])
 
 
 def _own_score(chosen: Candidate) -> float:

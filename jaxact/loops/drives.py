@@ -56,6 +56,7 @@ _FRICTION = {
     "loaded": "friction that grows with the drive's force",
     "stribeck": "larger friction at rest",
     "offset": "a constant force",
+    "command_limit": "a limit of its command",
 }
 
 
