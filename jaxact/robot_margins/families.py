@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from jaxact.analysis.robot.many import Member, Motion, margins_of_many, motion
 from jaxact.analysis.robot.margins import WholeMargins
+from jaxact.analysis.robot.multiloop import Matrices
 from jaxact.analysis.robot.shared_response import SharedResponse, shared_response
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
@@ -96,7 +98,8 @@ def _of_part(part: tuple[SharedResponse, dict[int, WholeRobot]]) -> dict[int, Fo
         if not whole.kp.any() and not whole.kd.any():
             found[number] = None
         elif shared.holds(whole.robot.matrices, whole.kp, whole.kd):
-            together[number] = Member(whole.robot, whole.kp, whole.kd)
+            own = replace(whole.robot, later_by=shared.later_by(whole.robot.matrices[2]))
+            together[number] = Member(own, whole.kp, whole.kd)
         else:  # its drives have more than two gains
             found[number] = _alone(whole), whole.margins.whole
     members = margins_of_many(shared, list(together.values()))
@@ -114,16 +117,29 @@ def _shared(
 
     def with_gains(**gains: float):
         own = {key: gains.get(base(key), value) for key, value in row.values.items()}
-        found, _, kp, kd, _ = whole_robot.computing(row.case, specification, own, row.moved)(0.0)
-        return (found.M, found.N, found.C), np.array([kp, kd])
+        return whole_robot.computing(row.case, specification, own, row.moved)
 
-    one, of_one = with_gains(kp=1.0, kd=0.0, gain_scale=1.0)
-    other, of_other = with_gains(kp=0.0, kd=1.0, gain_scale=1.0)
+    with_one = with_gains(kp=1.0, kd=0.0, gain_scale=1.0)
+    one, of_one = _evaluated(with_one(0.0))
+    other, of_other = _evaluated(with_gains(kp=0.0, kd=1.0, gain_scale=1.0)(0.0))
     values = {**row.values, **reference}
     _, _, kp, kd, _ = whole_robot.computing(row.case, specification, values, row.moved)(0.0)
     gains = np.array([of_one, of_other])
     period = 1.0 / row.values[CONTROL_RATE]
-    return shared_response(one, other, gains, np.array([kp, kd]), period)
+
+    # Of all parts of a period that every loop tries, and of a Newton's method that is under way.
+    @functools.lru_cache(maxsize=64)
+    def delayed(extra: float) -> tuple[np.ndarray, np.ndarray]:
+        (M, N, C), _ = _evaluated(with_one(extra))
+        return M - N @ C, N
+
+    return shared_response(one, other, gains, np.array([kp, kd]), period, delayed)
+
+
+def _evaluated(computed: Any) -> tuple[Matrices, np.ndarray]:
+    """M, N, C, and kp and kd of the joints, shape (2, m)."""
+    found, _, kp, kd, _ = computed
+    return (found.M, found.N, found.C), np.array([kp, kd])
 
 
 def reference(samples: Samples) -> dict[str, float]:

@@ -62,12 +62,12 @@ class Crossing:
 
 def unstable(M: np.ndarray) -> bool:
     """Whether a root of a matrix is outside the unit circle, beyond rounding."""
-    return bool(np.any(beyond(scipy.linalg.eigvals(M))))
+    return bool(np.any(beyond(np.linalg.eigvals(M))))
 
 
 def unstable_by_delay(M: np.ndarray) -> bool:
     """As `unstable`, without roots next to 1: what is static no delay changes, and none moves."""
-    roots = scipy.linalg.eigvals(M)
+    roots = np.linalg.eigvals(M)
     return bool(np.any(beyond(roots) & ~drifting(roots)))
 
 
@@ -232,7 +232,7 @@ def _switch(fails: Callable[[float], bool], low: float, high: float) -> float:
 
 def _angle_of_change(matrix: Callable[[float], np.ndarray], at: float) -> float:
     """w T [rad] of the root that leaves the unit circle, or comes back, at a distance."""
-    parts = [scipy.linalg.eigvals(matrix(at + part * at)) for part in (-BESIDE, 0.0, BESIDE)]
+    parts = [np.linalg.eigvals(matrix(at + part * at)) for part in (-BESIDE, 0.0, BESIDE)]
     before, here, after = sorted_along(np.array(parts))
     # Of a rigid-body motion rounding decides on which side it is, but it does not move.
     moved = np.abs(np.log(np.abs(after) / np.abs(before)))
@@ -378,10 +378,12 @@ def early_delay(
         return bad(matrix(delay))
 
     before = 0.0
-    for delay in np.linspace(0.0, last, max(2, math.ceil(_PARTS * last)) + 1)[1:]:
+    # Parts of a period that all loops have alike, so that what they share is computed once.
+    parts = np.arange(1, math.ceil(_PARTS * last)) / _PARTS
+    for delay in (*(parts if parts.size else [0.5 * last]), last):
         if fails(float(delay)):
             found = _switch(fails, before, float(delay))
-            values = scipy.linalg.eigvals(matrix(found))
+            values = np.linalg.eigvals(matrix(found))
             # Delay changes nothing that does not turn.
             turning = np.where(np.abs(np.angle(values)) > _STILL, np.abs(values), 0.0)
             return found, float(abs(np.angle(values[np.argmax(turning)])))

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 
 from jaxact.analysis.robot import multiloop as _multiloop
 from jaxact.analysis.robot.limits import beyond, drifting, neutral
@@ -80,13 +79,13 @@ def swinging(roots: np.ndarray) -> np.ndarray:
 
 def shakes(M: np.ndarray) -> bool:
     """Whether a loop with this matrix has a growing motion that swings."""
-    roots = scipy.linalg.eigvals(M)
+    roots = np.linalg.eigvals(M)
     return bool(np.any(beyond(roots) & swinging(roots) & ~drifting(roots)))
 
 
 def topples(M: np.ndarray) -> bool:
     """Whether a loop with this matrix has a growing motion that does not swing."""
-    roots = scipy.linalg.eigvals(M)
+    roots = np.linalg.eigvals(M)
     return bool(np.any(beyond(roots) & ~swinging(roots)))
 
 

@@ -14,6 +14,7 @@ H is evaluated once on a grid for all gains; what is left is a small system at e
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +25,7 @@ from jaxact.analysis.robot.multiloop import Matrices, Multiloop
 
 # Differences of matrices that are the same but for rounding, as a share of their largest entry.
 _ROUNDING = 1e-9
+Delayed = Callable[[float], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,7 @@ class SharedResponse:
         roots: of `opened` without states that nothing moves or that move nothing.
         angle: grid of w T that all of them use [rad], rising, shape (k,).
         response: H there, shape (k, 2, m, m).
+        delayed: extra delay of all commands [s] -> `opened` and `inputs` with it.
     """
 
     loop: Multiloop
@@ -51,6 +54,16 @@ class SharedResponse:
     roots: np.ndarray
     angle: np.ndarray
     response: np.ndarray
+    delayed: Delayed
+
+    def later_by(self, C: np.ndarray) -> Callable[[float], Matrices]:
+        """Extra delay of all commands [s] -> M, N, C of the loop whose controllers are C."""
+
+        def matrices(extra: float) -> Matrices:
+            opened, inputs = self.delayed(extra)
+            return opened + inputs @ C, inputs, C
+
+        return matrices
 
     def holds(self, matrices: Matrices, kp: np.ndarray, kd: np.ndarray) -> bool:
         """Whether a loop differs from these in its gains only, but for rounding."""
@@ -108,7 +121,12 @@ class SharedResponse:
 
 
 def shared_response(
-    first: Matrices, second: Matrices, gains: np.ndarray, reference: np.ndarray, period: float
+    first: Matrices,
+    second: Matrices,
+    gains: np.ndarray,
+    reference: np.ndarray,
+    period: float,
+    delayed: Delayed,
 ) -> SharedResponse:
     """What all loops of a robot share that differ in their gains only.
 
@@ -117,6 +135,7 @@ def shared_response(
         gains: kp and kd of both, shape (2 settings, 2, m), linearly independent of each joint.
         reference: kp and kd of the loop that H is of, shape (2, m).
         period: T [s].
+        delayed: see `SharedResponse`.
     """
     (M, N, C), (_, _, other) = first, second
     opened = M - N @ C
@@ -133,7 +152,7 @@ def shared_response(
     own = np.concatenate([loop.roots, roots])
     empty = np.zeros((0, 2, joints, joints), complex)
     shared = SharedResponse(
-        loop, kp, kd, opened, N, measured, roots, np.zeros(0), empty
-    )  # fmt: skip
+        loop, kp, kd, opened, N, measured, roots, np.zeros(0), empty, delayed
+    )
     angle = _multiloop.grid_of(roots, _multiloop.lowest(own))
     return replace(shared, angle=angle, response=shared.respond(angle))
