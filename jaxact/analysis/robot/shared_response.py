@@ -151,8 +151,6 @@ def shared_response(
     roots = scipy.linalg.eigvals(opened[kept])
     own = np.concatenate([loop.roots, roots])
     empty = np.zeros((0, 2, joints, joints), complex)
-    shared = SharedResponse(
-        loop, kp, kd, opened, N, measured, roots, np.zeros(0), empty, delayed
-    )
+    shared = SharedResponse(loop, kp, kd, opened, N, measured, roots, np.zeros(0), empty, delayed)
     angle = _multiloop.grid_of(roots, _multiloop.lowest(own))
     return replace(shared, angle=angle, response=shared.respond(angle))
