@@ -1,6 +1,8 @@
 """`jaxact tune --model`, as a user types it."""
 
+import csv
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -39,6 +41,26 @@ def _mistake(capsys, *arguments):
     return said.err
 
 
+def _has_a_report(kept):
+    """The rollout that goes worst is drawn with the tuned gains and with those of the start."""
+    assert main(["report", "tuned", "--out", "tuned.html"]) == 0
+    text = Path("tuned.html").read_text(encoding="utf-8")
+    parts = json.loads(re.search(r'id="data">(.*?)</script>', text)[1])
+    assert parts["tuned_robot"]["sentence"] == kept["guaranteed"]["verdict"]
+    assert [one["name"] for one in parts["tuned_robot"]["gains"]] == ["shoulder", "elbow"]
+    assert len(parts["tuned_robot"]["front"]["points"]) == 3
+    run = parts["run"]
+    assert [one["name"] for one in run["loops"]] == ["tuned", "before"] and run["beside"] == 1
+    assert run["loops"][0]["verdict"] == "stable" and kept["motion"]["member"] in run["head"]
+    with Path("tuned/motion.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["gains"] == "tuned"]
+    farthest = max(abs(float(row["position"]) - float(row["setpoint"])) for row in rows)
+    said = float(run["loops"][0]["says"].rsplit(" ", 1)[1])
+    assert farthest == pytest.approx(said, rel=0.05)
+    Path("tuned/motion.csv").write_text("gains,time\n1,2\n")
+    assert main(["report", "tuned", "--out", "damaged.html"]) == 2
+
+
 def test_a_robot_is_tuned_certified_simulated_and_written(capsys):
     asked = ("--groups", "shoulder,elbow", "--uncertainty", "delay=0.001..0.003,payload=0..0.3",
              "--set", "plant.payload_body=lower", "--pareto", "3", "--validate", "2")  # fmt: skip
@@ -58,7 +80,7 @@ def test_a_robot_is_tuned_certified_simulated_and_written(capsys):
     for row in found["rollouts"]["after"].values():
         assert row["rollouts"] >= 4 and row["stable"] == row["rollouts"]
     files = {"gains.toml", "gains.xml", "sensitivity.png", "convergence.png", "gains.png",
-             "front.csv", "front.png"}  # fmt: skip
+             "front.csv", "front.png", "motion.csv"}  # fmt: skip
     assert {path.name for path in Path("tuned").iterdir()} == files
     head, *rows = Path("tuned/front.csv").read_text().splitlines()
     assert head == "max_peak,kp_shoulder,kp_elbow,kd_shoulder,kd_elbow,objective,certified"
@@ -66,6 +88,8 @@ def test_a_robot_is_tuned_certified_simulated_and_written(capsys):
     kept = tomllib.loads(Path("tuned/gains.toml").read_text())
     gains = {row["name"]: row["kp"] for row in found["joints"]}
     assert kept["kp"] == gains and kept["guaranteed"]["certified"]
+    assert kept["before"]["kp"]["shoulder"] == 80.0 and all(one["met"] for one in kept["checks"])
+    _has_a_report(kept)
     assert {"jaxact", "jax", "mujoco"} == set(kept["versions"])
     assert kept["assumed"]["setpoint_and_feedforward"] == "of the nominal robot"
     # The snippet takes the place of the model's own actuators.

@@ -203,7 +203,7 @@ def main(
     velocity: _arguments.Velocity = "sampled",
     out: Annotated[
         Path | None,
-        option("FOLDER", "Write gains.toml, gains.xml (MJCF) and pictures there.", "no"),
+        option("FOLDER", "Write gains.toml, gains.xml (MJCF), pictures, motion.csv there.", "no"),
     ] = None,
     joint: Annotated[str, option("NAME", "Joint in the MJCF file.")] = "joint",
     overwrite: Annotated[bool, arg(help="Replace the folder if it is there.")] = False,

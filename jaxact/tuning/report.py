@@ -194,6 +194,7 @@ def document(
     guaranteed |= {"interrupted": tuned.interrupted} if tuned.interrupted else {}
     guaranteed |= {f"worst_{check.metric}": check.value for check in certificate.checks}
     versions = {"jaxact": __version__, "jax": jax.__version__}
+    seen: dict[str, Any]
     if robot is None:
         gains, assumed = {"gains": {KP: tuned.kp, KD: tuned.kd}}, _of_joint(tuned)
         seen = {"nominal": {} if nominal is None else _known(nominal)}
@@ -203,7 +204,9 @@ def document(
         import mujoco
 
         gains, assumed = _gains(tuned, robot), _of_robot(tuned, robot)
-        seen = {"simulated": _simulated(robot.tracked, rollouts)}
+        seen = {"before": _before(tuned, robot), "checks": _checks(tuned)}
+        seen |= {"simulated": _simulated(robot.tracked, rollouts)}
+        seen |= {"motion": {} if rollouts is None else _moved(tuned, robot, rollouts)}
         versions["mujoco"] = mujoco.__version__
     return {
         **({"command": command} if command else {}),
@@ -223,10 +226,7 @@ def _shown_of_joint(tuned: Tuned) -> dict[str, Any]:
     `jaxact margins --loops` reads the loops: the nominal one of an ensemble, and the worst ones.
     """
     members: Any = tuned.members
-    checks = [
-        {"metric": c.metric, "bound": c.bound, "value": c.value, "member": c.member, "met": c.met}
-        for c in tuned.certificate.checks
-    ]
+    checks = _checks(tuned)
     before = () if tuned.before is None else zip((KP, KD), map(float, tuned.before), strict=True)
     worst = {check["member"] for check in checks}
     rows = [_nominal(tuned)] if tuned.loop is not None and len(members) > 1 else []
@@ -236,6 +236,14 @@ def _shown_of_joint(tuned: Tuned) -> dict[str, Any]:
         if members.name(index) in worst
     ]
     return {"before": dict(before), "checks": checks, "loop": rows}
+
+
+def _checks(tuned: Tuned) -> list[dict[str, Any]]:
+    """Every constraint, and what it is at its worst."""
+    return [
+        {"metric": c.metric, "bound": c.bound, "value": c.value, "member": c.member, "met": c.met}
+        for c in tuned.certificate.checks
+    ]
 
 
 def _nominal(tuned: Tuned) -> dict[str, Any]:
@@ -281,6 +289,14 @@ def _gains(tuned: Tuned, robot: OfRobot) -> dict[str, Any]:
     }
     kp, kd = (dict(zip(groups.joints, map(float, k), strict=True)) for k in (tuned.kp, tuned.kd))
     return {KP: kp, KD: kd, "groups": shared}
+
+
+def _before(tuned: Tuned, robot: OfRobot) -> dict[str, dict[str, float]]:
+    """The gains of the start by joint; none without a start."""
+    return {
+        name: dict(zip(robot.case.groups.joints, map(float, gains), strict=True))
+        for name, gains in zip((KP, KD), tuned.before or (), strict=False)
+    }
 
 
 def _of_joint(tuned: Tuned) -> dict[str, Any]:
@@ -342,6 +358,16 @@ def _simulated(tracked: Tracked | None, rollouts: Rollouts | None) -> dict[str, 
         stable, of = rollouts.stable
         simulated |= {"duration": rollouts.duration, "stable": stable, "rollouts": of}
     return simulated
+
+
+def _moved(tuned: Tuned, robot: OfRobot, rollouts: Rollouts) -> dict[str, str]:
+    """Which rollout is kept joint by joint, and what became of it with which gains."""
+    name, member = rollouts.shown
+    loops = robot.case.table.loops
+    place = [one.name for one in robot.situations].index(name)
+    own = np.flatnonzero(loops.situation == place)[member]
+    unit = {"N m/rad": "rad", "N/m": "m"}.get(tuned.units[0], "rad or m")
+    return {"member": loops.name(int(own)), "unit": unit, **rollouts.verdicts}
 
 
 def toml_text(tuned: Tuned, command: str = "", **seen: Any) -> str:

@@ -22,6 +22,7 @@ from jaxact.loops.drives import ROBOT, IdentifiedDrive, load_drive
 from jaxact.parameters import DELAY, KD, KP, WN, ZETA
 from jaxact.plotting import identification as pictures
 from jaxact.reports.page import Content
+from jaxact.simulation.thinning import thinned
 from jaxact.verbs import report_joint
 
 # Rows of all logs together, some 25 bytes each; a log's are thinned out to its share.
@@ -196,30 +197,6 @@ def _log(found: Identified, log: Log, role: str, about: Inspection, rows: int) -
         **_rounded({"time": (whole.time - start)[kept], "measured": whole.measured[kept],
                     "simulated": whole.simulated[kept]}),
     }  # fmt: skip
-
-
-def thinned(first: np.ndarray, second: np.ndarray, number: int) -> np.ndarray:
-    """Rows to keep of two signals: the extremes of both in intervals of equal length.
-
-    Args:
-        first, second: shape (rows,).
-        number: at most so many.
-
-    Returns:
-        Their numbers, rising; all rows where these are few enough.
-    """
-    rows = len(first)
-    if rows <= number:
-        return np.arange(rows)
-    edges = np.linspace(0, rows, max(number // 4, 1) + 1).astype(int)
-    ends = [
-        low + pick(signal[low:high])
-        for low, high in zip(edges[:-1], edges[1:], strict=True)
-        if high > low
-        for signal in (first, second)
-        for pick in (np.argmin, np.argmax)
-    ]
-    return np.unique(ends)
 
 
 def _profile(found: Identified, name: str) -> dict[str, Any]:

@@ -22,8 +22,9 @@ from jaxact.loops.specification import Plant, Specification
 from jaxact.parameters import KD, KP
 from jaxact.reports.page import Content
 from jaxact.robot_margins.open_loop import OpenPlant, open_loops
+from jaxact.tuning import report as tuning_report
 from jaxact.tuning.result import Tuned
-from jaxact.verbs import naming, robot_tables
+from jaxact.verbs import naming, report_tuned_robot, robot_tables
 from jaxact.verbs.margins_of_robot import RobotLoopMargins
 
 RATES = (50.0, 100.0, 200.0, 250.0, 500.0, 1000.0, 2000.0)
@@ -100,12 +101,15 @@ def content(loop: ControlLoop, specified: str = "", tuned: Tuned | None = None) 
     names = robots.scene(plant).labels
     labels = naming.labels(conversion.samples(loop)) or (naming.loop_name(own),)
     data = _embedded(own, loop, labels, names)
+    parts: dict[str, Any] = {}
     if tuned is not None:
         row, before = data["loops"][0], tuned.before
         row["name"] = "tuned"
         if before is not None:
             gains = {KP: np.asarray(before[0]).tolist(), KD: np.asarray(before[1]).tolist()}
             data["loops"].append(row | {"name": "before", "drives": row["drives"] | gains})
+        document = tuning_report.document(tuned)
+        parts["tuned_robot"] = report_tuned_robot.of_result(tuned, document)
     keys = {field: getattr(plant, field) for field in _OF_PLANT}
     defaults = Plant(model=plant.model)
     given = {name: value for name, value in keys.items() if value != getattr(defaults, name)}
@@ -120,7 +124,7 @@ def content(loop: ControlLoop, specified: str = "", tuned: Tuned | None = None) 
     return Content(
         title=f"Tuned: {tuned.verdict}" if tuned is not None else f"Robot: {head}",
         description=f"{head}; linearised, {len(names)} joints, velocity {loop.kind.velocity}",
-        parts={"robot": data},
+        parts=parts | {"robot": data},
         made={"Specification": specified} if specified else {},
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,8 +12,8 @@ from jaxact.parameters import SETPOINT
 from jaxact.plotting.trajectory import DIVERGED
 from jaxact.plotting.wording import quantity
 from jaxact.reports.page import Content
+from jaxact.simulation.thinning import thinned
 from jaxact.status import Verdict
-from jaxact.verbs.report_identified import thinned
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,8 +56,8 @@ def content(run: xr.Dataset) -> Content:
     text = str(run.attrs.get("report", ""))
     return Content(
         title="Simulated: " + ", ".join(dict.fromkeys(one["verdict"] for one in data["loops"])),
-        description=f"{flat.sizes['number']} loops, {flat.sizes['joint']} joints,"
-        f" {float(run['time'][-1]):.4g} s",
+        description=f"{counted(flat.sizes['number'], 'loop')},"
+        f" {counted(flat.sizes['joint'], 'joint')}, {float(run['time'][-1]):.4g} s",
         parts={"run": data},
         made={"Metrics": text} if text else {},
     )
@@ -73,19 +74,34 @@ def _loop(row: xr.Dataset, dims: list[str], share: int) -> dict[str, Any]:
     }
 
 
+def counted(number: int, word: str) -> str:
+    """So many of something: 1 joint, 12 joints."""
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
 def _value(at: Any) -> str:
     value = at.values[()]
     return value if isinstance(value, str) else quantity(value, str(at.attrs.get("units", "")))
 
 
 def _joint(one: xr.Dataset, share: int) -> dict[str, list[float]]:
-    """A joint over time, thinned out; a motion that diverges until it is far away."""
-    position, goal = one["position"].values, one[SETPOINT].values
+    """A joint over time, thinned out."""
+    signals = {"time": one["time"].values, **{name: one[name].values for name in DRAWN}}
+    return drawn(signals, share)
+
+
+def drawn(signals: Mapping[str, np.ndarray], share: int = MOST_POINTS) -> dict[str, list[float]]:
+    """A joint over time, as the page needs it: a motion that diverges until it is far away.
+
+    Args:
+        signals: by name, position, setpoint and force among them, shape (rows,) each.
+        share: at most so many rows.
+    """
+    position, goal = signals["position"], signals[SETPOINT]
     far = DIVERGED * max(float(np.ptp(goal)), abs(float(goal[0] - position[0])), _STEP)
     gone = ~np.isfinite(position) | (np.abs(position - position[0]) > far)
     end = int(np.argmax(gone)) if gone.any() else len(position)
-    kept = thinned(position[: max(end, 2)], one["force"].values[: max(end, 2)], share)
-    signals = {"time": one["time"].values, **{name: one[name].values for name in DRAWN}}
+    kept = thinned(position[: max(end, 2)], signals["force"][: max(end, 2)], share)
     return {
         name: [float(f"{x:.{_DIGITS}g}") for x in values[kept]] for name, values in signals.items()
     }

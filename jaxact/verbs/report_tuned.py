@@ -16,7 +16,7 @@ from jaxact.parameters import CONTROL_RATE, KD, KP, canonical
 from jaxact.reports.page import Content
 from jaxact.tuning import report as tuning_report
 from jaxact.tuning.result import Tuned
-from jaxact.verbs import naming, report_joint, tuning_front
+from jaxact.verbs import naming, report_joint, report_tuned_robot, tuning_front
 
 # In a folder of `jaxact tune`.
 FRONT = "front.csv"
@@ -42,8 +42,10 @@ def of_file(path: Path, document: Mapping[str, Any]) -> Content:
         document: what it says.
 
     Raises:
-        UserError: a robot's gains, or a damaged file.
+        UserError: a robot's gains that no tuning wrote, or a damaged file.
     """
+    if {KP, KD, "guaranteed"} <= document.keys():
+        return report_tuned_robot.of_file(path, document)
     beside = path.parent / FRONT
     try:
         points = _front(beside.read_text(encoding="utf-8")) if beside.is_file() else []

@@ -14,6 +14,7 @@ from jaxact.parameters import CONTROL_RATE, KD, KP, PAYLOAD
 from jaxact.plotting import theme, tuning
 from jaxact.plotting.wording import quantity
 from jaxact.tuning.report import mjcf_text, report, toml_text
+from jaxact.tuning.rollouts import motion
 from jaxact.verbs import rendering, tuning_front, tuning_pictures
 from jaxact.verbs.margin_tables import ALWAYS, MARGINS, UNITS, plain
 from jaxact.verbs.margins import margins
@@ -115,6 +116,8 @@ class Robot:
         assert self.tuned.robot is not None
         texts = {"gains.toml": toml_text(self.tuned, command, rollouts=self.rollouts),
                  "gains.xml": mjcf_text(self.tuned)}  # fmt: skip
+        if self.rollouts is not None:
+            texts["motion.csv"] = motion.csv_text(self.rollouts.motions)
         _write(folder, self.tuned, texts, tuning_pictures.of_robot(self.tuned, self.tuned.robot))
 
     def _gains(self, document: Mapping[str, Any]) -> str:

@@ -11,7 +11,8 @@ from test_report_verb import data_of
 import jaxact as jx
 from jaxact.identification.log import Log
 from jaxact.loops import toml
-from jaxact.verbs.report_identified import MOST_ROWS, thinned
+from jaxact.simulation.thinning import thinned
+from jaxact.verbs.report_identified import MOST_ROWS
 
 HOSTILE = '<script>alert(1)</script> "it\'s" <b>'
 MASS, KP, KD, TICK = 0.7, 400.0, 20.0, 2e-3

@@ -68,6 +68,9 @@ def test_excursions_are_those_of_a_loop_written_out(pendulum, members):
     np.testing.assert_allclose(found.excursion[0, 0], _farthest(pendulum["home"]), rtol=1e-6)
     np.testing.assert_array_equal(found.stable, [[True, True, False]])
     assert not found.fallen.any()
+    for own, excursion in zip(found.motions[0], found.excursion[0], strict=True):
+        kept = [np.abs(joint.position - joint.setpoint).max() for joint in own]
+        np.testing.assert_allclose(kept, excursion, rtol=1e-9)
     # What shakes is what the linearised loop says.
     np.testing.assert_array_equal(found.growth_rate > 0.0, [[False, False, True]])
     situation, member, reason = found.worst

@@ -1,7 +1,9 @@
 // Pictures as SVG: a frame with axes, lines and points in it. No style is set here but by classes.
 
 const SPACE = "http://www.w3.org/2000/svg";
-const MARGIN = { left: 62, right: 22, top: 10, bottom: 44 };
+const MARGIN = { left: 70, right: 22, top: 10, bottom: 44 };
+// Of an axis that goes up: its label and the gaps around its numbers.
+const LABEL = 28;
 
 /** An SVG element with attributes and children. */
 export function draw(name, attributes = {}, ...children) {
@@ -26,6 +28,9 @@ export function short(value, digits = 4) {
 
 const superscript = (power) =>
   [...`${power}`].map((c) => (c === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(c)])).join("");
+
+/** About how wide a number is [px]. */
+const widthOf = (text) => [...text].reduce((sum, c) => sum + (/[0-9∞]/.test(c) ? 7.6 : 5), 0);
 
 /** Ticks of an axis: powers of ten (and 2 and 5 where there are few), or steps of 1, 2 or 5. */
 function ticks([low, high], log, most) {
@@ -60,8 +65,10 @@ const scaleOf = ({ domain: [low, high], log }, [from, to]) =>
 export function frame(svg, { x, y, height }) {
   const width = Math.max(svg.parentElement.clientWidth, 240);
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
-  const [left, right] = [MARGIN.left, width - MARGIN.right];
   const [top, bottom] = [MARGIN.top, height - MARGIN.bottom];
+  const rows = ticks(y.domain, y.log, Math.max(3, Math.floor((bottom - top) / 45)));
+  const widest = Math.max(0, ...rows.map((value) => widthOf(short(value))));
+  const [left, right] = [Math.max(MARGIN.left, LABEL + widest), width - MARGIN.right];
   const toX = scaleOf(x, [left, right]);
   const toY = scaleOf(y, [bottom, top]);
   const clip = `${svg.id}-clip`;
@@ -83,7 +90,7 @@ export function frame(svg, { x, y, height }) {
       ),
     );
   }
-  for (const value of ticks(y.domain, y.log, Math.max(3, Math.floor((bottom - top) / 45)))) {
+  for (const value of rows) {
     parts.push(
       draw("line", { class: "grid", x1: left, x2: right, y1: toY(value), y2: toY(value) }),
       draw(

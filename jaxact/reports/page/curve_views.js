@@ -135,7 +135,7 @@ export function drawStep(svg, steps) {
   const place = frame(svg, {
     x: { domain, log: false, label: "time [s]" },
     y: {
-      domain: [Math.max(Math.min(0, ...finite), -1), Math.min(Math.max(1.2, ...finite), 3)],
+      domain: [Math.max(Math.min(0, ...finite), -1), Math.min(1.05 * Math.max(1.2, ...finite), 3)],
       log: false,
       label: "position per setpoint",
     },

@@ -122,9 +122,11 @@ export function start(data, host, drawn = () => {}) {
       by("cells-key").replaceChildren(
         "simulated: ",
         ...cellKey(data.cells, loop).flatMap(({ text, kind }) => {
-          const swatch = document.createElement("span");
+          const [entry, swatch] = [0, 1].map(() => document.createElement("span"));
+          entry.className = "entry";
           swatch.className = `swatch ${kind}`;
-          return [swatch, ` ${text} `];
+          entry.append(swatch, ` ${text}`);
+          return [entry, " "];
         }),
       );
     }

@@ -1,5 +1,6 @@
 // The report of tuned gains: what is certified, two pairs of gains beside each other, the front.
 
+import { checkTable, showSentence } from "./certificate.js";
 import { draw, fill, frame, line, short, table } from "./chart.js";
 import * as views from "./curve_views.js";
 import { frequencyGrid, responses } from "./frequencies.js";
@@ -71,8 +72,10 @@ export function start(data, host) {
     const { value, unit, name } = data.objective;
     const all = [...data.front.map((one) => one.objective), value].filter((x) => x > 0);
     const peaks = data.front.map((one) => one.max_peak);
+    const [least, most] = [peaks[0], peaks[peaks.length - 1]];
+    const beside = 0.04 * (most - least || most);
     const place = frame(by("front"), {
-      x: { domain: [0.98 * peaks[0], 1.02 * peaks[peaks.length - 1]], log: false, label: "largest Ms and Mt allowed" },
+      x: { domain: [least - beside, most + beside], log: false, label: "largest Ms and Mt allowed" },
       y: {
         domain: [Math.min(...all) / 1.2, 1.2 * Math.max(...all)],
         log: true,
@@ -98,8 +101,7 @@ export function start(data, host) {
     redraw();
   }
 
-  by("tuned-sentence").textContent = `${data.certified ? "Certified" : "NOT certified"}: ${data.sentence}.`;
-  by("tuned-sentence").dataset.stable = data.certified;
+  showSentence(by("tuned-sentence"), data);
   if (data.checks.length) by("tuned-checks").append(checkTable(data));
   data.loops.forEach(({ name }, i) => by("tuned-loop").append(new Option(name, i)));
   sides.forEach(({ name }, i) => {
@@ -118,18 +120,6 @@ export function start(data, host) {
   }
   new ResizeObserver(redraw).observe(by("tuned-sentence"));
   redraw();
-}
-
-function checkTable({ checks, members }) {
-  const column = (head, value) => ({ head, values: checks.map(value) });
-  const said = (metric) => metric.replaceAll("_", " ");
-  return table(`What was asked of ${members === 1 ? "the loop" : `all ${members} members`}`, [
-    column("metric", ({ metric }) => said(metric)),
-    column("bound", ({ bound }) => bound),
-    column("at its worst", ({ value }) => value),
-    column("of", ({ member }) => member),
-    column("holds", ({ met }) => (met ? "yes" : "NO")),
-  ]);
 }
 
 function frontTable(front, { stiff, damping, name, unit }) {

@@ -10,6 +10,7 @@ import itertools
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from jaxact.status import Verdict
 from jaxact.tuning.course import Told, silent
 from jaxact.tuning.result import Tuned
 from jaxact.tuning.rollouts.exposure import exposed
+from jaxact.tuning.rollouts.motion import Motion, Sides, motions
 
 Columns = Mapping[str, np.ndarray]
 
@@ -43,6 +45,7 @@ class Validation:
         fallen: whether a floating robot had turned over or sunk in the end, shape (p, n).
         reasons: a sentence for each, p rows of n.
         engines: that simulated each posture, "mjx", "mujoco" or "warp".
+        motions: of the joints in each rollout, p rows of n.
     """
 
     situations: tuple[str, ...]
@@ -53,6 +56,7 @@ class Validation:
     fallen: np.ndarray
     reasons: tuple[tuple[str, ...], ...]
     engines: tuple[str, ...]
+    motions: tuple[tuple[tuple[Motion, ...], ...], ...]
 
     @property
     def stable(self) -> np.ndarray:
@@ -65,9 +69,20 @@ class Validation:
 
         By its verdict, then by the growth rate.
         """
+        row, column = self._worst
+        return self.situations[row], column, self.reasons[row][column]
+
+    @property
+    def _worst(self) -> tuple[int, int]:
         order = np.lexsort((self.growth_rate.ravel(), self.verdict.ravel()))
         row, column = np.unravel_index(order[-1], self.verdict.shape)
-        return self.situations[row], int(column), self.reasons[row][column]
+        return int(row), int(column)
+
+    @property
+    def badness(self) -> tuple[int, float]:
+        """Verdict and growth rate of the worst: what rollouts of postures are compared by."""
+        place = self._worst
+        return int(self.verdict[place]), float(self.growth_rate[place])
 
 
 @dataclass(frozen=True)
@@ -88,6 +103,35 @@ class Rollouts:
         """How many of the rollouts with the tuned gains were stable, and of how many."""
         verdicts = [one.stable for one in self.after.values()]
         return sum(int(v.sum()) for v in verdicts), sum(v.size for v in verdicts)
+
+    @property
+    def shown(self) -> tuple[str, int]:
+        """Situation and number of the member that the tuned gains do worst with."""
+        name = max(self.after, key=lambda one: self.after[one].badness)
+        return name, self.after[name].worst[1]
+
+    @property
+    def verdicts(self) -> dict[str, str]:
+        """What became of that member, by the name of the gains, those of the start first."""
+        name, member = self.shown
+        return {
+            side: f"{Verdict(int(one[name].verdict[0, member])).label}: "
+            f"{one[name].reasons[0][member]}"
+            for side, one in self._sides.items()
+        }
+
+    @property
+    def motions(self) -> Sides:
+        """How it moved."""
+        name, member = self.shown
+        return {
+            side: dict(zip(one[name].joints, one[name].motions[0][member], strict=True))
+            for side, one in self._sides.items()
+        }
+
+    @property
+    def _sides(self) -> dict[str, Mapping[str, Validation]]:
+        return ({"before": self.before} if self.before else {}) | {"tuned": self.after}
 
 
 def rollouts(tuned: Tuned, duration: float, told: Told = silent) -> Rollouts:
@@ -169,10 +213,11 @@ def validate(
     verdict, growth, excursion, fallen = (
         np.stack([row[place] for row in rows]) for place in range(4)
     )
-    reasons = tuple(row[4] for row in rows)
+    reasons, moved = (tuple(row[place] for row in rows) for place in (4, 5))
     return Validation(
-        tuple(situations), joints, verdict, growth, excursion, fallen, reasons, tuple(engines)
-    )
+        tuple(situations), joints, verdict, growth, excursion, fallen, reasons, tuple(engines),
+        moved,
+    )  # fmt: skip
 
 
 def _scene(specification: Specification, name: str) -> Scene:
@@ -244,13 +289,17 @@ def _posture_row(
     order: list[int],
     joints: tuple[str, ...],
     ended: Callable[[], None],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Verdicts, growth rates, excursions, falls and reasons of one posture; joints in `order`."""
+) -> tuple[Any, ...]:
+    """Verdicts, growth rates, excursions, falls, reasons and motions of one posture.
+
+    Joints in `order`.
+    """
     samples = explicit(asked, dict(columns))
     number = len(samples)
     verdict, growth = np.zeros(number, np.int8), np.zeros(number)
     excursion, fallen = np.zeros((number, len(joints))), np.zeros(number, bool)
     reasons = [""] * number
+    moved: list[tuple[Motion, ...]] = [()] * number
     # Pushed as they are, these robots need no other starts.
     for sample, one in single.each(asked, samples, starts=False):
         trajectory = one.trajectory
@@ -267,8 +316,9 @@ def _posture_row(
         amplitude = one.results["limit_cycle_amplitude"]
         reasons[sample] = _reason(code, growth[sample], bool(fallen[sample]), amplitude)
         reasons[sample] += _farthest(excursion[sample], joints)
+        moved[sample] = motions(trajectory, order)
         ended()
-    return verdict, growth, excursion, fallen, tuple(reasons)
+    return verdict, growth, excursion, fallen, tuple(reasons), tuple(moved)
 
 
 def _reason(verdict: Verdict, growth_rate: float, fallen: bool, amplitude: float) -> str:
