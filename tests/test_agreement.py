@@ -99,3 +99,16 @@ def test_boundary_separates_the_exact_verdicts(results):
         values | {"kp": curve.kp[middle] * inside_out, "kd": curve.kd[middle] * inside_out}
     )
     assert (radii < 1.0).sum() == 1
+
+
+def test_of_very_many_loops_an_even_part_is_looked_at(results, monkeypatch):
+    results["verdict"].values[..., ::7] = 2
+    whole = agreement.sweep_agreement(results)
+    monkeypatch.setattr(agreement, "_LOOKED_AT", 100)
+    found = agreement.sweep_agreement(results)
+    verdict = results["verdict"].values.ravel()[::5]
+    values = expand(reading.parse(GRID)).values
+    unstable = np.array([radius(values, index) >= 1.0 for index in range(0, 480, 5)])
+    assert (found.samples, found.compared) == (480, 96)
+    assert found.disagreements == np.sum((verdict != 0) != unstable)
+    assert 0 < found.disagreements < whole.disagreements

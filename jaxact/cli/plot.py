@@ -109,7 +109,8 @@ def main(
     if out is not None:
         theme.check_output(out)
     _warnings.older(result)
-    results = opening.load_result(result)
+    wanted = {"verdict", layout.variable} if layout.variable else {"verdict", *field.RATES}
+    results = opening.load_result(result, wanted)
     how = vars(layout) | {"select": _pairs(layout.select)}
     figure, said, kind = map_pictures.page(results, **how, title=title, compare=not quick)
     usual = field.usual(results)

@@ -112,7 +112,7 @@ def arrange(
         UserError: a name that was not swept, an axis with a single value, more parameters than can
             be shown, and a kind that does not fit the store.
     """
-    dataset = _select(_sorted(dataset), select or {})
+    dataset = part_of(dataset, select or {})
     gridded, drawn = _gridded(dataset), _drawn(dataset)
     swept = gridded | drawn
     for name in (x, y):
@@ -141,6 +141,15 @@ def arrange(
     if kind == "map":
         axis_x, axis_y = _evened(axis_x), None if axis_y is None else _evened(axis_y)
     return Arrangement(kind, axis_x, axis_y, rows, columns, tuple(panels), shown, selected)
+
+
+def part_of(dataset: xr.Dataset, select: Mapping[str, str]) -> xr.Dataset:
+    """The part of a sweep with the nearest value of some gridded parameters, in rising order.
+
+    Args:
+        dataset, select: as for `arrange`, whose errors it raises.
+    """
+    return _select(_sorted(dataset), select)
 
 
 def _shaped(data: xr.Dataset, order: list[str], drawn: bool) -> xr.Dataset:
@@ -175,8 +184,9 @@ def _evened(given: Axis) -> Axis:
 
 def _sorted(dataset: xr.Dataset) -> xr.Dataset:
     """Gridded numbers in rising order, whatever the order they were listed in."""
-    numeric = [name for name, c in _gridded(dataset).items() if c.dtype.kind in "fiu"]
-    return dataset.sortby(numeric) if numeric else dataset
+    numeric = {name: c.values for name, c in _gridded(dataset).items() if c.dtype.kind in "fiu"}
+    mixed = [name for name, values in numeric.items() if not np.all(np.diff(values) > 0.0)]
+    return dataset.sortby(mixed) if mixed else dataset
 
 
 def _gridded(dataset: xr.Dataset) -> dict[str, xr.DataArray]:

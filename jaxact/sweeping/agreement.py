@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,6 +46,8 @@ _LADDER = 1.0 + np.geomspace(1e-5, 1e3, 84)
 _DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1))
 # Loops (of matrices up to 32 x 32) whose matrices are built at once.
 _CHUNK = 2048
+# Loops, taken evenly, that those which are compared are among: all parameters of all need memory.
+_LOOKED_AT = 4_000_000
 # Seconds of eigenvalues that a picture may cost; beyond them every n-th sample is compared.
 _PATIENCE = 20.0
 
@@ -127,14 +129,18 @@ def sweep_agreement(results: xr.Dataset) -> Agreement | None:
     """Compare every verdict of a sweep store; None for a model whose inertia is not known here."""
     if not is_plain_mass(results):
         return None
-    shape = results["verdict"]
-    values = {
-        name: store.parameter(results, name).broadcast_like(shape).transpose(*shape.dims).values
-        for name in (*LINEAR_PARAMETERS, GAIN_SCALE)
-    }
+    verdict = results["verdict"]
+    numbers = np.arange(0, verdict.size, -(-verdict.size // _LOOKED_AT))
+    places = dict(zip(verdict.dims, np.unravel_index(numbers, verdict.shape), strict=True))
+    values = {}
+    for name in (*LINEAR_PARAMETERS, GAIN_SCALE):
+        own = store.parameter(results, name)
+        along = own.values[tuple(places[dim] for dim in own.dims)]
+        values[name] = np.broadcast_to(along, numbers.shape)
     scale = values.pop(GAIN_SCALE)
     values |= {name: scale * values[name] for name in (KP, KD)}
-    return agreement(values, shape.values, velocity=velocity_of(results))
+    found = agreement(values, verdict.values.ravel()[numbers], velocity=velocity_of(results))
+    return replace(found, samples=verdict.size)
 
 
 def is_plain_mass(results: xr.Dataset) -> bool:

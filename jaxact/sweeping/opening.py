@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -77,11 +77,13 @@ def open_result(where: str | Path, *, unfinished: bool = False) -> xr.Dataset:
         return _finished(store, unfinished=unfinished)
 
 
-def load_result(where: str | Path) -> xr.Dataset:
+def load_result(where: str | Path, variables: Collection[str] | None = None) -> xr.Dataset:
     """The results of a sweep in memory, each of their files held against its checksum.
 
     Args:
         where: as for `open_result`.
+        variables: kept in memory; the others are read again when they are asked for. None for all,
+            of which a store without chunks is too small for a choice.
 
     Raises:
         UserError: as `open_result`.
@@ -90,7 +92,9 @@ def load_result(where: str | Path) -> xr.Dataset:
     read: dict[int, dict[str, np.ndarray]] = {}
 
     def look(there: Store, number: int) -> Finding:
-        finding, read[number] = there.attempt(number)
+        finding, rows = there.attempt(number)
+        kept = rows if variables is None else rows.keys() & set(variables)
+        read[number] = {name: rows[name] for name in kept}
         return finding
 
     with readable(where):
@@ -105,7 +109,8 @@ def _filled(
 ) -> xr.Dataset:
     """The results with the numbers of all chunks, which are let go of."""
     size = int(np.prod(store.layout.shape, dtype=np.int64))
-    whole = {name: np.empty(size, store.dtype(name)) for name in store.variables if name in results}
+    names = [name for name in store.variables if name in results and name in read[min(read)]]
+    whole = {name: np.empty(size, store.dtype(name)) for name in names}
     for number in sorted(read):
         first, count = store.layout.span(number)
         part = read.pop(number)
@@ -115,7 +120,8 @@ def _filled(
         name: results[name].copy(data=values.reshape(store.layout.shape))
         for name, values in whole.items()
     }
-    return loaded(results.assign(arrays))
+    results = results.assign(arrays)
+    return loaded(results) if len(names) == len(results.data_vars) else results
 
 
 def _finished(store: Location, *, unfinished: bool = False) -> xr.Dataset:

@@ -14,7 +14,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 
 from jaxact.errors import UserError
-from jaxact.plotting import caption, even_grid
+from jaxact.plotting import caption, even_grid, thinning
 from jaxact.plotting import field as _field
 from jaxact.plotting import lines as _lines
 from jaxact.plotting import panels as _panels
@@ -171,15 +171,14 @@ def page(
     Returns:
         The figure, its small print, and its kind.
     """
-    computed = results
+    computed = results if even_grid.refined(results) else _panels.part_of(results, _picked(select))
     arrangement, results = _arranged(results, kind, x, y, select, facet)
     variable = _field.usual(results) if variable is None else variable
     _field.field(results, variable)  # a misspelt name is told before anything is computed
     known = map_lines.boundaries(arrangement)
     footer = _small_print(
-        computed if results is not computed else arrangement.data, arrangement,
-        compare=compare, drawn=any(boundary is not None for boundary in known),
-    )  # fmt: skip
+        computed, arrangement, compare=compare, drawn=any(one is not None for one in known)
+    )
     heading = results.attrs.get("title", "") if title is None else title
     shared: dict[str, Any] = {"variable": variable, "title": heading, "footer": footer}
     marked = map_lines.nominal(results, arrangement, tuple(nominal))
@@ -209,6 +208,7 @@ def _small_print(
     found = agreement.sweep_agreement(computed) if compare and not exact else None
     parts = [
         f"Shown: {', '.join(arrangement.selected)}." if arrangement.selected else "",
+        thinning.left_out(computed),
         caption.exact(computed) if exact else caption.simulated(computed),
         caption.compared(found) if found is not None else "",
         caption.linear_only(arrangement.data) if drawn or found is not None else "",
@@ -226,8 +226,14 @@ def _arranged(
 ) -> tuple[Arrangement, xr.Dataset]:
     """How a sweep lies on panels, and the sweep on an even grid."""
     maps = even_grid.resampled(maps) if even_grid.refined(maps) else maps
-    picked = {name: str(value) for name, value in (select or {}).items()}
-    return _panels.arrange(maps, kind=kind, x=x, y=y, facet=tuple(facet), select=picked), maps
+    picked = _picked(select)
+    part = thinning.thinned(_panels.part_of(maps, picked))
+    shown = _panels.arrange(part, kind=kind, x=x, y=y, facet=tuple(facet), select=picked)
+    return shown, thinning.thinned(maps)
+
+
+def _picked(select: Select | None) -> dict[str, str]:
+    return {name: str(value) for name, value in (select or {}).items()}
 
 
 def _axes(arrangement: Arrangement, ax: Axes | None, axes: Sequence[Axes] | None) -> list[Axes]:
