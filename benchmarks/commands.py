@@ -29,39 +29,41 @@ def rows(quick: bool) -> Iterator:
     from benchmarks.timing import Row, seconds
 
     repeats = 1 if quick else 5
-    joint = seconds(_python("-m", "jaxact", *_JOINT), repeats)
-    yield _within("the whole command `jaxact margins` of one joint", joint, 0.8)
-    importing = seconds(_python("-c", _IMPORTS), repeats)
+    joint = seconds(python("-m", "jaxact", *_JOINT), repeats)
+    yield within("the whole command `jaxact margins` of one joint", joint, 0.8)
+    importing = seconds(python("-c", _IMPORTS), repeats)
     yield Row(
         "importing what `jaxact margins` of one joint uses", "that whole command",
         importing, joint, "command", "none: what it costs", 0.0,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as made:
         taken = seconds(_margins_map(Path(made), 2 if quick else 10), repeats)
-    yield _within("1,000 combinations of gains and delay of a quadruped, all margins", taken, 20.0)
-    folder = _locomotion()
+    yield within("1,000 combinations of gains and delay of a quadruped, all margins", taken, 20.0)
+    folder = locomotion()
     if folder is None:
         print("no MuJoCo Playground: the commands of its robots are left out")
         return
     for name, joints, scene, options, whole, alone in _ROBOTS[: 1 if quick else None]:
         words = ("margins", "--model", str(folder / scene), *options)
-        taken = seconds(_python("-m", "jaxact", *words), repeats)
-        yield _within(
-            f"the whole command `jaxact margins` of {name}, {joints} joints", taken, whole
-        )
+        taken = seconds(python("-m", "jaxact", *words), repeats)
+        yield within(f"the whole command `jaxact margins` of {name}, {joints} joints", taken, whole)
         if alone is not None:
             evaluation = seconds(_evaluation(folder / scene, options), repeats)
-            yield _within(f"margins of {name} alone, linearised already", evaluation, alone)
+            yield within(f"margins of {name} alone, linearised already", evaluation, alone)
 
 
-def _within(what: str, taken: float, most: float):
+def within(what: str, taken: float, most: float):
+    """A line of something against the seconds that it may take."""
     from benchmarks.timing import Row
 
     return Row(what, f"the {most:g} s it may take", taken, most, "command", "at least 1", 1.0)
 
 
-def _python(*words: str) -> Callable[[], object]:
-    return lambda: subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL)
+def python(*words: str, folder: Path | None = None) -> Callable[[], object]:
+    """Runs Python with these words, in a folder, and gives what it ended with."""
+    return lambda: subprocess.run(
+        [sys.executable, *words], check=True, stdout=subprocess.DEVNULL, cwd=folder
+    )
 
 
 def _margins_map(folder: Path, along: int) -> Callable[[], object]:
@@ -82,10 +84,10 @@ delay = {{ min = 0.0, max = 0.005, num = {along} }}
 '''
     )
     words = ("sweep", str(specification), "--out", str(folder / "map"), "--overwrite")
-    return _python("-m", "jaxact", *words)
+    return python("-m", "jaxact", *words)
 
 
-def _locomotion() -> Path | None:
+def locomotion() -> Path | None:
     """The folder of the Playground's robots; found without importing it."""
     found = importlib.util.find_spec("mujoco_playground")
     if found is None or not found.submodule_search_locations:

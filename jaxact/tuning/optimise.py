@@ -2,7 +2,8 @@
 
 The optimiser is an optax chain: Adam with cosine decay and clipped gradients by default, then
 L-BFGS to settle. Sharpness is annealed on the way. A step that loses stability is not taken, and
-the next ones are shorter.
+the next ones are shorter; of a surrogate that does not know of it (`gated` is False), every step is
+taken that is a number, and evaluated once.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import optax
 
 from jaxact.compilation.programs import Program
 from jaxact.compilation.waiting import waited
-from jaxact.tuning.objective import Surrogate, forward_gradient, loss
+from jaxact.tuning.objective import Smooth, Surrogate, forward_gradient, loss
 
 # Up to this many gains are differentiated forwards: as many passes, no memory.
 FORWARD_GAINS = 8
@@ -108,22 +109,24 @@ def _descended(
 def _from_one(
     surrogate: Surrogate, data: Any, start: jax.Array, slower: jax.Array, how: Descent
 ) -> Descended:
+    gated = getattr(surrogate, "gated", True)
     # It is called in many places, and traced in one of them.
     surrogate = jax.jit(surrogate)
 
-    def evaluate(x: jax.Array, sharpness: jax.Array) -> jax.Array:
-        return loss(surrogate(x, data, sharpness), sharpness)
+    def evaluate(x: jax.Array, sharpness: jax.Array) -> tuple[jax.Array, Smooth]:
+        seen = surrogate(x, data, sharpness)
+        return loss(seen, sharpness), seen
 
-    if (how.gradient or _by_counting(start.shape[0])) == "forward":
-        evaluate = forward_gradient(evaluate)
-    x = _slowed(surrogate, data, start, slower)
+    forward = (how.gradient or _by_counting(start.shape[0])) == "forward"
+    known = _Known(lambda x, level: surrogate(x, data, level), evaluate, forward, gated)
+    x = _slowed(surrogate, data, start, slower) if gated else start
     ladder = _DULL * (_SHARP / _DULL) ** jnp.linspace(0.0, 1.0, how.steps, dtype=x.dtype)
-    x, first = _run(surrogate, data, evaluate, (how.chain or adam)(how.steps), x, ladder)
+    x, first = _run(known, (how.chain or adam)(how.steps), x, ladder)
     ends, paths = [x], [first]
     if how.polish:
         settle = optax.lbfgs(memory_size=6, linesearch=_line_search())
         level = jnp.full((how.polish,), _SHARP, x.dtype)
-        settled, second = _run(surrogate, data, evaluate, settle, x, level)
+        settled, second = _run(known, settle, x, level)
         ends.append(settled)
         paths.append(second)
     path, value, violation = (jnp.concatenate(p) for p in zip(*paths, strict=True))
@@ -156,10 +159,42 @@ def _slowed(surrogate: Surrogate, data: Any, x: jax.Array, slower: jax.Array) ->
     return jax.lax.fori_loop(0, _SLOWDOWNS, once, x)
 
 
+@dataclass(frozen=True)
+class _Known:
+    """What a descent follows, of one case.
+
+    Attributes:
+        look: from log-gains and sharpness to what the descent sees of them.
+        evaluate: the same, and the loss before it.
+        forward: whether slopes are taken forwards.
+        gated: whether what is seen says if a step may be taken.
+    """
+
+    look: Callable[[jax.Array, jax.Array], Smooth]
+    evaluate: Callable[[jax.Array, jax.Array], tuple[jax.Array, Smooth]]
+    forward: bool
+    gated: bool
+
+    def sloped(self, x: jax.Array, level: jax.Array) -> tuple[jax.Array, Smooth, jax.Array]:
+        """The loss, what is seen, and the slope of the loss."""
+        if not self.forward:
+            (value, seen), slope = jax.value_and_grad(self.evaluate, has_aux=True)(x, level)
+            return value, seen, slope
+        value, push, seen = jax.linearize(lambda y: self.evaluate(y, level), x, has_aux=True)
+        return value, seen, jax.vmap(push)(jnp.eye(len(x), dtype=x.dtype))
+
+    def losses(self, level: jax.Array) -> Callable[[jax.Array], jax.Array]:
+        """The loss alone, for a search along a line."""
+
+        def loss_of(x: jax.Array, level: jax.Array) -> jax.Array:
+            return self.evaluate(x, level)[0]
+
+        found = forward_gradient(loss_of) if self.forward else loss_of
+        return lambda x: found(x, level)
+
+
 def _run(
-    surrogate: Surrogate,
-    data: Any,
-    evaluate: Callable[[jax.Array, jax.Array], jax.Array],
+    known: _Known,
     chain: optax.GradientTransformation,
     x: jax.Array,
     sharpness: jax.Array,
@@ -170,15 +205,17 @@ def _run(
     def step(carry: tuple[jax.Array, Any, jax.Array], level: jax.Array) -> tuple[Any, Any]:
         """One step, shorter after one that was not taken; the path has where it started."""
         x, state, stride = carry
-        value, slope = jax.value_and_grad(evaluate)(x, level)
+        value, seen, slope = known.sloped(x, level)
         # Where a metric has no slope, an infinite margin say, the others lead.
         slope = jnp.nan_to_num(slope, nan=0.0, posinf=0.0, neginf=0.0)
         change, state = chain.update(
-            slope, state, x, value=value, grad=slope, value_fn=lambda y: evaluate(y, level)
+            slope, state, x, value=value, grad=slope, value_fn=known.losses(level)
         )
         there = x + stride * change
-        seen = surrogate(there, data, level)
-        fine = seen.stable & jnp.all(jnp.isfinite(there))
+        fine = jnp.all(jnp.isfinite(there))
+        if known.gated:
+            seen = known.look(there, level)
+            fine &= seen.stable
         stride = jnp.where(fine, jnp.minimum(1.3 * stride, 1.0), 0.3 * stride)
         return (jnp.where(fine, there, x), state, stride), (x, seen.value, seen.violation)
 

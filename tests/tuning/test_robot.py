@@ -259,7 +259,7 @@ def test_smooth_peaks_become_the_exact_ones(arm, tuned):
     low, high = x - 5.0, x + 5.0
     case = RobotCase(table, groups, goal, low, high)
     data = smooth.data(table, groups, goal, low, high, table.angle.shape[1])
-    surrogate = smooth.RobotSurrogate(goal, len(table.loops))
+    surrogate = smooth.RobotSurrogate(goal, *table.angle.shape)
     seen_at = jax.jit(lambda x, sharpness: surrogate(x, data, sharpness))
     seen = seen_at(np.float32(x), np.float32(1e4))
     over = rows.excess(case, x).max()

@@ -38,7 +38,8 @@ def brute_force(case: RobotCase, centre: np.ndarray) -> Found:
     size = len(centre)
     table = case.table.take(np.argsort(-excess(case, centre))[:_LOOPS])
     data = smooth.data(table, case.groups, case.goal, case.low, case.high, table.angle.shape[1])
-    surrogate = smooth.RobotSurrogate(smooth.family(case.goal), len(table.loops))
+    shape = table.angle.shape
+    surrogate = smooth.RobotSurrogate(smooth.family(case.goal), *shape)
     offsets = np.array(list(itertools.product(np.linspace(-1.0, 1.0, _GRID[size]), repeat=size)))
     middle, width, tried = centre, _WIDTH, 0
     best = Found(centre, -np.inf, np.inf, 0, 0)

@@ -109,8 +109,9 @@ def hardest(case: RobotCase, x: np.ndarray) -> RobotCase:
 
 def descended(case: RobotCase, first: np.ndarray, how: Descent) -> Descended:
     """Where the descent leads from several log-gains, shape (starts, 2 g), for a few loops."""
-    surrogate = smooth.RobotSurrogate(smooth.family(case.goal), len(case.table.loops))
-    data = smooth.data(case.table, case.groups, case.goal, case.low, case.high)
+    points = min(smooth.POINTS, case.table.angle.shape[1])
+    surrogate = smooth.RobotSurrogate(smooth.family(case.goal), len(case.table.loops), points)
+    data = smooth.data(case.table, case.groups, case.goal, case.low, case.high, points)
     one = jax.tree.map(lambda leaf: leaf[None], data)
     still = np.zeros(first.shape[1], np.float32)
     found = descend(surrogate, one, jnp.asarray(first[None], jnp.float32), still, how)
@@ -132,7 +133,7 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: Sequence[np.
         *others,
         *(np.clip(end, case.low, case.high) for end in ends if end is not None),
     ]
-    known = sorted((seen(case, x) for x in points), key=Found.rank)
+    known = sorted((seen(case, x, stable=True) for x in points), key=Found.rank)
     course.points += known
     kept: list[Found] = []
     for one in known:

@@ -17,6 +17,7 @@ from jaxact.analysis.robot import multiloop as _multiloop
 from jaxact.tuning.box import Points, ascend, spread
 from jaxact.tuning.certificate import Metrics
 from jaxact.tuning.goal import Goal
+from jaxact.tuning.robot import cores
 from jaxact.tuning.robot.loops import OpenLoops, Situation
 from jaxact.tuning.robot.peaks import SHIFTS, growth_rates, limits, peaks, sensitivity
 from jaxact.tuning.robot.rows import RobotCase, excess
@@ -51,9 +52,14 @@ def exact(loops: OpenLoops, kp: np.ndarray, kd: np.ndarray, metrics: tuple[str, 
     growth = growth_rates(loops, kp, kd)
     log = {name: np.full(len(loops), np.nan) for name in metrics}
     angle = {name: np.full(len(loops), np.nan) for name in metrics}
-    for index in np.flatnonzero(growth < 0.0):
-        loop = _multiloop.multiloop(*loops.closed(int(index), kp, kd), float(loops.period[index]))
-        for name, (value, at) in _peaks(loop, metrics).items():
+    stable = np.flatnonzero(growth < 0.0).tolist()
+
+    def found(index: int) -> dict[str, tuple[float, float]]:
+        loop = _multiloop.multiloop(*loops.closed(index, kp, kd), float(loops.period[index]))
+        return _peaks(loop, metrics)
+
+    for index, peaks_of in zip(stable, cores.each(found, stable), strict=True):
+        for name, (value, at) in peaks_of.items():
             log[name][index], angle[name][index] = value, at
     return Exact(growth < 0.0, log, growth, angle)
 

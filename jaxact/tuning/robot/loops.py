@@ -35,6 +35,8 @@ from jaxact.parameters import base
 from jaxact.simulation import kernel, mujoco_batch, plans, robot_loop
 from jaxact.simulation.kernel import Case
 from jaxact.tuning.box import KNOWN, Box, Points
+from jaxact.tuning.robot.condensed import Condensed, condensed
+from jaxact.tuning.robot.condensed import together as joined_condensed
 
 OF_BODY = (
     parameters.PAYLOAD, parameters.INERTIA_SCALE, parameters.JOINT_DAMPING,
@@ -292,6 +294,7 @@ class OpenLoops:
         A, B: shape (l, n, n), (l, n, m).
         seen: positions and velocities as the controllers measure them, shape (l, m, 2, n).
         period: T [s], shape (l,).
+        condensed: the same without delay lines, for responses.
     """
 
     names: tuple[str, ...]
@@ -301,6 +304,7 @@ class OpenLoops:
     B: np.ndarray
     seen: np.ndarray
     period: np.ndarray
+    condensed: Condensed
 
     def __len__(self) -> int:
         """Number of loops."""
@@ -310,16 +314,12 @@ class OpenLoops:
         """What a loop is called."""
         return self.names[index]
 
-    @property
-    def joints(self) -> int:
-        """Number of joints."""
-        return self.B.shape[-1]
-
     def take(self, index: np.ndarray) -> OpenLoops:
         """Some of the loops, by their numbers."""
         return OpenLoops(
             tuple(self.names[int(i)] for i in index), self.situation[index], self.fraction[index],
             self.A[index], self.B[index], self.seen[index], self.period[index],
+            self.condensed.take(index),
         )  # fmt: skip
 
     def closed(self, index: int, kp: np.ndarray, kd: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -329,16 +329,7 @@ class OpenLoops:
 
     def response(self, index: np.ndarray, angle: np.ndarray) -> np.ndarray:
         """G of loops at w T = `angle` [rad], shape (k,) each: shape (k, m, 2, m), complex."""
-        size = self.A.shape[-1]
-        parts = []
-        step = max(1, 2_000_000 // size**2)
-        for first in range(0, len(index), step):
-            own, z = index[first : first + step], np.exp(1j * angle[first : first + step])
-            right = self.B[own].astype(complex)
-            states = np.linalg.solve(z[:, None, None] * np.eye(size) - self.A[own], right)
-            rows = self.seen[own].reshape(len(own), -1, size)
-            parts.append((rows @ states).reshape(len(own), self.joints, 2, self.joints))
-        return np.concatenate(parts)
+        return self.condensed.response(index, angle)
 
 
 def open_loops(situations: Sequence[Situation], members: Points) -> OpenLoops:
@@ -353,14 +344,16 @@ def open_loops(situations: Sequence[Situation], members: Points) -> OpenLoops:
         number += [place] * len(members)
     size = max(len(A) for A, _, _ in found)
     filled = [_filled(*row, size) for row in found]
+    A, B, seen = (np.stack(column) for column in zip(*filled, strict=True))
     return OpenLoops(
         names=tuple(names),
         situation=np.array(number),
         fraction=np.tile(members.fraction, (len(situations), 1)),
-        A=np.stack([row[0] for row in filled]),
-        B=np.stack([row[1] for row in filled]),
-        seen=np.stack([row[2] for row in filled]),
+        A=A,
+        B=B,
+        seen=seen,
         period=np.array([situations[place].period for place in number]),
+        condensed=condensed(A, B, seen),
     )
 
 
@@ -375,9 +368,9 @@ def together(*parts: OpenLoops) -> OpenLoops:
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("situation", "fraction", "period")
     )
-    return OpenLoops(
-        tuple(name for part in parts for name in part.names), number, fraction, A, B, seen, period
-    )
+    names = tuple(name for part in parts for name in part.names)
+    short = joined_condensed([part.condensed for part in parts])
+    return OpenLoops(names, number, fraction, A, B, seen, period, short)
 
 
 def _kept(A: np.ndarray, B: np.ndarray, Y: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ import numpy as np
 
 from jaxact.analysis.robot import disk as _disk
 from jaxact.analysis.robot.limits import MARGINAL
+from jaxact.tuning.robot import cores
 from jaxact.tuning.robot.loops import OpenLoops, together
 
 # Metric -> (c, c0) of X = c S + c0 I.
@@ -36,6 +37,8 @@ ROWS = _PEAKS * _VALUES
 _FAR, _ROUGH = 0.4, 0.04
 # Columns of a table that are kept on either side of one that is wanted.
 _BESIDE = 2
+# Size of a change of the loops over I + L up to which it leaves them stable.
+_BESIDE_STABLE = 0.5
 # Parabolas through three points that a peak is refined with.
 _PARABOLAS = 3
 
@@ -104,7 +107,8 @@ def sensitivity(response: np.ndarray, kp: np.ndarray, kd: np.ndarray) -> np.ndar
         kp, kd: shape (m,).
     """
     loop = kp[:, None] * response[..., 0, :] + kd[:, None] * response[..., 1, :]
-    return np.linalg.inv(np.eye(len(kp)) + loop)
+    flat = (np.eye(len(kp)) + loop).reshape(-1, *loop.shape[-2:])
+    return cores.stacked(np.linalg.inv, flat).reshape(loop.shape)
 
 
 def growth_rates(loops: OpenLoops, kp: np.ndarray, kd: np.ndarray) -> np.ndarray:
@@ -115,8 +119,38 @@ def growth_rates(loops: OpenLoops, kp: np.ndarray, kd: np.ndarray) -> np.ndarray
     closed = loops.A - loops.B @ (
         kp[:, None] * loops.seen[:, :, 0] + kd[:, None] * loops.seen[:, :, 1]
     )
-    radius = np.abs(np.linalg.eigvals(closed)).max(axis=1)
+    radius = cores.stacked(_radius, closed)
     return (np.log(radius) - np.log1p(MARGINAL)) / loops.period
+
+
+def beside(
+    table: Table, S: np.ndarray, gains: Sequence[np.ndarray], stable: Sequence[np.ndarray]
+) -> bool:
+    """Whether loops are stable with gains since they are with others nearby, by the small gain.
+
+        det(I + L) = det(I - (L' - L) S') det(I + L'),    S' = (I + L')^-1
+
+    has no zero on the way from L to L' where (L' - L) S' is small at all frequencies. Those of the
+    table are looked at, with a distance that leaves room for what is between them.
+
+    Args:
+        table: of the loops.
+        S: on the table with the gains.
+        gains: kp and kd of the joints, shape (m,) each.
+        stable: others with which all loops are stable.
+    """
+    dp, dd = (here - there for here, there in zip(gains, stable, strict=True))
+    moved = dp[:, None] * table.response[..., 0, :] + dd[:, None] * table.response[..., 1, :]
+    change = moved @ S
+    least, most = limits(change)
+    if not least.max(initial=0.0) < _BESIDE_STABLE:  # NaN neither
+        return False
+    unclear = change[most >= _BESIDE_STABLE]
+    return bool((np.linalg.norm(unclear, 2, axis=(-2, -1)) < _BESIDE_STABLE).all())
+
+
+def _radius(closed: np.ndarray) -> np.ndarray:
+    return np.abs(np.linalg.eigvals(closed)).max(axis=1)
 
 
 @dataclass(frozen=True)
@@ -139,15 +173,22 @@ class Peaks:
         return self.log.max(axis=1)
 
 
-def peaks(table: Table, kp: np.ndarray, kd: np.ndarray, metrics: Sequence[str]) -> dict[str, Peaks]:
+def peaks(
+    table: Table,
+    kp: np.ndarray,
+    kd: np.ndarray,
+    metrics: Sequence[str],
+    S: np.ndarray | None = None,
+) -> dict[str, Peaks]:
     """The highest peaks of metrics of every loop, of `disk_margin` those of mu(S - I/2).
 
     Args:
         table: of the loops.
         kp, kd: gains of the joints, shape (m,).
         metrics: names of SHIFTS.
+        S: on the table with these gains, where it is known.
     """
-    S = sensitivity(table.response, kp, kd)
+    S = sensitivity(table.response, kp, kd) if S is None else S
     return {name: _peaks(table, S, kp, kd, name) for name in metrics}
 
 
@@ -195,7 +236,7 @@ def _largest(X: np.ndarray, metric: str) -> np.ndarray:
     """Largest singular value of each, scaled where the metric wants it; shape (k,)."""
     if metric == "disk_margin":
         return _disk.balanced(X)[0]
-    return np.linalg.svd(X, compute_uv=False)[:, 0]
+    return cores.stacked(lambda X: np.linalg.svd(X, compute_uv=False)[:, 0], X)
 
 
 def limits(X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

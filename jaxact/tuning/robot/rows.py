@@ -18,7 +18,7 @@ from jaxact.tuning.groups import Groups
 from jaxact.tuning.newton import inside, newton
 from jaxact.tuning.polish import MET, Polished, Problem, Rows, polish
 from jaxact.tuning.robot.loops import OpenLoops
-from jaxact.tuning.robot.peaks import Table, columns, growth_rates, peaks
+from jaxact.tuning.robot.peaks import Table, beside, columns, growth_rates, peaks, sensitivity
 from jaxact.tuning.rollouts.tracking import Tracking
 
 _ROUNDS = 12
@@ -61,17 +61,31 @@ class RobotCase:
         return bool(growth_rates(self.table.loops, *self.groups.gains(x)).max() < 0.0)
 
 
-def rows(case: RobotCase, x: np.ndarray, *, aim: bool = True, shy: float = 0.0) -> Rows:
+def rows(
+    case: RobotCase,
+    x: np.ndarray,
+    *,
+    aim: bool = True,
+    shy: float = 0.0,
+    anchors: list[tuple[np.ndarray, np.ndarray]] | None = None,
+) -> Rows:
     """Exact values and constraints at log-gains x of shape (2 g,), as those of one problem.
 
     Args:
         aim: False leaves the objective out.
         shy: how far inside the bounds to stay [ln].
+        anchors: gains of the joints with which all loops were found stable, the last one at the
+            end; those at x join them. Near the last one, no roots are computed.
     """
     goal = case.goal
     gains = case.groups.gains(x)
-    usable = case.stable(x)
-    found = peaks(case.table, *gains, goal.wanted)
+    S = sensitivity(case.table.response, *gains)
+    usable = bool(anchors) and beside(case.table, S, gains, anchors[-1])  # type: ignore[index]
+    if not usable:
+        usable = case.stable(x)
+        if usable and anchors is not None:
+            anchors.append(gains)
+    found = peaks(case.table, *gains, goal.wanted, S)
     size = len(x)
     excess, slopes = [np.empty(0)], [np.empty((0, size))]
     for _, metric, sign, bound in goal.rows:
@@ -107,8 +121,10 @@ def _of_metric(case: RobotCase, found, metric: str, gains) -> tuple[np.ndarray, 
 def problem(case: RobotCase, *, aim: bool = True) -> Problem:
     """The rows as a function of the log-gains, for the polish of one case."""
 
+    anchors: list[tuple[np.ndarray, np.ndarray]] = []
+
     def of(x: np.ndarray) -> Rows:
-        return rows(case, x[0], aim=aim, shy=_SHY)
+        return rows(case, x[0], aim=aim, shy=_SHY, anchors=anchors)
 
     return of
 
@@ -161,9 +177,9 @@ class Found:
         return not self.met, -self.value if self.met else self.violation
 
 
-def seen(case: RobotCase, x: np.ndarray) -> Found:
-    """What is known of log-gains."""
-    known = rows(case, x)
+def seen(case: RobotCase, x: np.ndarray, *, stable: bool = False) -> Found:
+    """What is known of log-gains; of those that are known to be stable, no roots are computed."""
+    known = rows(case, x, anchors=[case.groups.gains(x)] if stable else None)
     number = len(case.table.loops)
     return Found(x, float(known.worst_value[0]), float(known.violation[0]), number, 1)
 
@@ -243,7 +259,8 @@ def polished(
             if not missed.any() and last:
                 break
             stage = stage if last else _MIDDLE if stage.steps < _MIDDLE.steps else _FINE
-    whole = rows(case, x, aim=aim)
+    # Where it begins all loops are stable, and everywhere that it went on from.
+    whole = rows(case, x, aim=aim, anchors=[case.groups.gains(x)])
     return Found(x, float(whole.worst_value[0]), float(whole.violation[0]), tried, number)
 
 
@@ -285,9 +302,10 @@ def _curvature(case: RobotCase, x: np.ndarray, weights: np.ndarray) -> np.ndarra
     if not own.size:
         return np.zeros((len(x), len(x)))
     few, heavy = part(case, own), each[:, own].ravel()
+    anchors = [case.groups.gains(x)]
 
     def slope(x: np.ndarray) -> np.ndarray:
-        return heavy @ rows(few, x, aim=False).excess_slope[0]
+        return heavy @ rows(few, x, aim=False, anchors=anchors).excess_slope[0]
 
     here = slope(x)
     found = np.array([(slope(x + _APART * unit) - here) / _APART for unit in np.eye(len(x))])

@@ -221,10 +221,9 @@ def _begun(
     course.phase("screening gains over orders of magnitude")
     lag = max(one.lag for one in situations)
     known, number = screened(case, x, inertia, lag, seed, course)
-    known = [one for one in known if case.stable(one.x)]
     there, tried = (x, 0) if case.stable(x) else stabilised(case, situations, x)
-    if known and not case.stable(there):
-        there = known[0].x
+    if not case.stable(there):
+        there = next((one.x for one in known if case.stable(one.x)), there)
     return case, there, known, number + tried
 
 
@@ -233,7 +232,7 @@ def _searched(
 ) -> tuple[Descended, Found]:
     """The paths of a descent from many gains, and the best of their ends, polished."""
     near = approached(case, x)
-    others = apart(known, starts)[: starts - 1]
+    others = apart(known, starts - 1, case.stable)
     first = np.stack([near.x, *others])
     first = first[np.arange(starts) % len(first)]
     small = hardest(case, near.x)

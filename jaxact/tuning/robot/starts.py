@@ -11,6 +11,7 @@ the spectrum of one loop.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 
@@ -99,11 +100,21 @@ def lattice(case: RobotCase, x: np.ndarray, inertia: np.ndarray, lag: float) -> 
     return np.array(found + scaled(*level, _SCALES, _RATIOS))
 
 
-def apart(found: list[Found], number: int) -> list[np.ndarray]:
-    """Log-gains of the best of them that are not beside a better one, at most that many."""
+def apart(
+    found: list[Found], number: int, wanted: Callable[[np.ndarray], bool] = lambda x: True
+) -> list[np.ndarray]:
+    """Log-gains of the best of them that are not beside a better one, at most that many.
+
+    Args:
+        found: the best first.
+        number: of those to keep.
+        wanted: whether log-gains may be kept.
+    """
     kept: list[np.ndarray] = []
     for one in found:
-        if len(kept) < number and all(np.abs(one.x - other).max() > _SAME for other in kept):
+        if len(kept) == number:
+            break
+        if all(np.abs(one.x - other).max() > _SAME for other in kept) and wanted(one.x):
             kept.append(one.x)
     return kept
 
