@@ -13,6 +13,10 @@ import pytest
 import robots
 from quickly import ENVIRONMENT
 
+import jaxact
+from jaxact.tuning.robot.rows import Found
+from jaxact.tuning.robot.so_far import so_far
+
 ROOT = Path(__file__).resolve().parent.parent
 QUICK = ("--starts", "1", "--steps", "20", "--ensemble", "2")
 ARM = ("--model", "arm.xml", "--keyframe", "home", "--actuator", "hyq", "--delay", "0.002",
@@ -127,6 +131,23 @@ def test_a_robots_tuning_ends_with_what_is_certified(tmp_path, module, name, tur
     assert min(gains["kp"]) > 0.0
     for delay in (0.001, 0.003):
         assert _arm_peaks(gains, delay) <= 1.8 * (1 + 1e-3)
+
+
+@pytest.mark.exhaustive
+def test_a_point_that_exceeds_its_bounds_is_led_inside(tmp_path):
+    (tmp_path / "arm.xml").write_text(robots.PENDULUM)
+    loop = jaxact.robot(tmp_path / "arm.xml", keyframe="home", actuator="hyq", delay=0.002)
+    best = jaxact.tune(loop, max_peak=1.8, uncertainty="delay=0.001..0.003", samples=2, starts=1,
+                       steps=20)  # fmt: skip
+    case = best.robot.case
+    x = case.groups.log_gains(best.kp, best.kd) + 0.1
+    kp, kd = case.groups.gains(x)
+    assert _arm_peaks({"kp": kp, "kd": kd}, 0.003) > 1.8 * 1.01
+    found = so_far(case, [Found(x, 0.0, 0.1, 0, 0)])
+    kp, kd = case.groups.gains(found.found.x)
+    for delay in (0.001, 0.003):
+        assert _arm_peaks({"kp": kp, "kd": kd}, delay) <= 1.8 * (1 + 1e-3)
+    assert so_far(case, [Found(x + 9.0, 0.0, 0.1, 0, 0)]) is None
 
 
 @pytest.mark.parametrize(

@@ -232,6 +232,7 @@ def _searched(
 ) -> tuple[Descended, Found]:
     """The paths of a descent from many gains, and the best of their ends, polished."""
     near = approached(case, x)
+    course.points.append(near)
     others = apart(known, starts - 1, case.stable)
     first = np.stack([near.x, *others])
     first = first[np.arange(starts) % len(first)]

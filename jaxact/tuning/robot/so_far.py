@@ -2,7 +2,7 @@
 
 A search knows many points by their peaks on a table of frequencies. Here the most promising of
 them are evaluated exactly, all loops of each, until one meets every bound; then points between it
-and a better one that does not quite.
+and a better one that does not quite. Where none does, the nearest one is led inside the bounds.
 """
 
 from __future__ import annotations
@@ -16,14 +16,16 @@ from jaxact.parameters import KP
 from jaxact.tuning.polish import MET
 from jaxact.tuning.robot.exact import Exact, exact
 from jaxact.tuning.robot.exchange import Candidate
-from jaxact.tuning.robot.rows import Found, RobotCase
+from jaxact.tuning.robot.rows import Found, RobotCase, polished
 
 # Points that are evaluated: the best ones, and of the others those furthest inside the bounds.
 _BEST, _SAFEST = 6, 3
 # A point on the table that exceeds the bounds by more has nothing to be looked for [ln].
-_NEAR = 0.05
+_NEAR = 0.5
 # Points between one that is certified and a better one; how far before the bound they aim.
 _BETWEEN, _SHORT = 4, 0.98
+# Linear programmes that lead a point inside.
+_INSIDE = 8
 # Points this near each other are one [ln].
 _SAME = 1e-9
 
@@ -44,9 +46,19 @@ def so_far(case: RobotCase, points: Sequence[Found]) -> Candidate | None:
             break
         if np.isfinite(over):
             beyond.append((one, over))
+    if best is None and beyond:
+        return _led_inside(case, min(beyond, key=lambda one: one[1])[0])
     if best is None or not beyond:
         return best
     return _between(best, *beyond[0])
+
+
+def _led_inside(case: RobotCase, found: Found) -> Candidate | None:
+    """The bounds' side of a point where all loops are stable; None where that is not certified."""
+    there = polished(case, found.x, aim=False, steps=_INSIDE)
+    known = exact(case.table.loops, *case.groups.gains(there.x), case.goal.wanted)
+    over = float(known.excess(case.goal).max(initial=-np.inf))
+    return _candidate(case, there, known, over) if over <= MET else None
 
 
 def _promising(points: Sequence[Found]) -> list[Found]:
