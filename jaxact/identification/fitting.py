@@ -23,9 +23,9 @@ from jaxact.parameters import DELAY, WN, ZETA
 LEAST_SQUARES, ADAM = "trf", "adam"
 METHODS = (LEAST_SQUARES, ADAM)
 
-# The most promising pieces are solved; from a solution at a tick the search goes on beyond it.
+# The most promising pieces are solved; from a solution at a tick the search goes on beyond it, as
+# often as that gains anything: a slow loop begins as a delay of many ticks.
 _MOST_PIECES = 2
-_MOST_CROSSED = 4
 # A step that changes the sum by less than this share of one residual's ends the search: what is
 # left is some hundredths of a standard deviation.
 _TOLERANCE = 1e-3
@@ -36,8 +36,9 @@ _MOST_EVALUATIONS = 100
 _AT_THE_TICK = 1e-3
 # Share of its range within which an unknown lies at a bound.
 _AT_THE_BOUND = 1e-6
-# A model that after some evaluations is not better than a simpler one by this share is left there.
-_WORTH = 5e-3
+# A model that after some evaluations is not better than a simpler one by this share is left there;
+# not one that is worse by the second: it contains the simpler one, and is still on its way.
+_WORTH, _ON_ITS_WAY = 5e-3, 0.2
 _HOPELESS_AFTER = 12
 # A search that gains less than this share in so many evaluations creeps along a flat valley.
 _CREEPING = 1e-3
@@ -142,7 +143,7 @@ def solve(
     piece = min(tried, key=lambda one: tried[one].square_sum)
     best = _finished(sought, held, tried[piece], piece, loss, enough)
     ended = {piece}
-    while len(ended) <= _MOST_CROSSED:
+    while True:
         beyond = _beyond(sought, best, piece)
         if beyond is None or beyond in ended:
             break
@@ -154,7 +155,10 @@ def solve(
         found = _finished(sought, held, found, beyond, loss, enough)
         if found.square_sum >= best.square_sum:
             break
+        creeping = found.square_sum > (1.0 - _CREEPING) * best.square_sum
         piece, best = beyond, found
+        if creeping:
+            break
     return best
 
 
@@ -173,7 +177,7 @@ def _finished(
     """A solution searched to its end, or left where it is hardly better than a simpler model's."""
     best = begun
     while not best.converged and best.evaluations < _MOST_EVALUATIONS:
-        hopeless = best.square_sum > (1.0 - _WORTH) * enough > 0.0
+        hopeless = 1.0 - _WORTH < best.square_sum / (enough or math.inf) < 1.0 + _ON_ITS_WAY
         if hopeless and best.evaluations >= _HOPELESS_AFTER:
             break
         before = best.square_sum

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import driven_joint
 import jax
 import numpy as np
 import pytest
@@ -55,6 +56,23 @@ def test_a_search_that_ended_at_a_crease_is_settled_to_where_no_slope_leads_down
 def test_a_search_that_arrived_is_left_as_it_is(creased):
     better = settled(solve(creased))
     assert settled(better) is better
+
+
+def test_a_search_crosses_all_the_ticks_between_a_mere_delay_and_a_loop_with_less():
+    """Lines between setpoints 20 ms apart: a mere delay of 10 ms, lag and all, is begun from."""
+    rows = np.arange(4000)
+    coarse = rows[::20]
+    told = driven_joint.prbs(1, 60, len(rows))
+    log = driven_joint.log(1, np.interp(rows, coarse, told[coarse]))
+    with jax.enable_x64(True):
+        family = motion.family([log], "mass")
+        rungs = {rung.name: rung for rung in family.rungs}
+        mere = solve(of_rung(family, rungs["delay, viscous"], [log]))
+        assert mere.values["delay"] > 9e-3
+        found = solve(of_rung(family, rungs["second order with delay, viscous"], [log]), near=mere)
+    assert found.values["delay"] == pytest.approx(driven_joint.DELAY, abs=5e-5)
+    assert found.values["wn"] == pytest.approx(driven_joint.WN, rel=0.01)
+    assert found.values["zeta"] == pytest.approx(driven_joint.ZETA, abs=2e-3)
 
 
 def test_a_delay_at_a_control_tick_is_not_a_crease():

@@ -5,49 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from driven_joint import DELAY, INERTIA, WN, ZETA, log, prbs
 
 from jaxact.errors import UserError
 from jaxact.identification.identify import identify
-from jaxact.identification.log import Log
-
-ROWS = 2500
-TICK = 1e-3
-INERTIA, VISCOUS, WN, ZETA, DELAY = 0.05, 0.05, 200.0, 0.7, 3.4e-3
-GAINS = (20.0, 1.2)
 
 
-def _joint(seed, hold, limit=np.inf, inertia=INERTIA):
-    """A joint behind its drive under a PD controller, by matrix exponentials between switches."""
-    generator = np.random.default_rng(seed)
-    setpoint = np.repeat(generator.choice([-0.1, 0.1], ROWS // hold + 1), hold)[:ROWS]
-    setpoint[:5] = 0.0
-    # Of position, velocity, force, its rate, and the command that acts.
-    matrix = np.zeros((5, 5))
-    matrix[0, 1], matrix[1, 1:3], matrix[2, 3] = 1.0, (-VISCOUS / inertia, 1.0 / inertia), 1.0
-    matrix[3, 2:] = -(WN**2), -2.0 * ZETA * WN, WN**2
-    late = int(DELAY // TICK)
-    first, last = expm(matrix * (DELAY - late * TICK)), expm(matrix * ((late + 1) * TICK - DELAY))
-    state, position = np.zeros(5), np.empty(ROWS)
-    commands = np.zeros(ROWS + late + 1)  # those before the log began are zero
-    for row in range(ROWS):
-        position[row] = state[0]
-        asked = GAINS[0] * (setpoint[row] - state[0]) - GAINS[1] * state[1]
-        commands[row + late + 1] = np.clip(asked, -limit, limit)
-        state[4] = commands[row]
-        state = first @ state
-        state[4] = commands[row + 1]
-        state = last @ state
-    signals = {
-        "setpoint": setpoint, "position": position + 1e-5 * generator.normal(size=ROWS),
-        "command": commands[late + 1 :],
-    }  # fmt: skip
-    return Log(f"joint_{seed}", np.arange(ROWS) * TICK, signals, gains=GAINS)
+def _joint(seed, hold, **given):
+    return log(seed, prbs(seed, hold), **given)
 
 
-def _with(log, **changes):
-    signals = {**log.signals, **changes}
-    return replace(log, signals={n: rows for n, rows in signals.items() if rows is not None})
+def _with(whole, **changes):
+    signals = {**whole.signals, **changes}
+    return replace(whole, signals={n: rows for n, rows in signals.items() if rows is not None})
 
 
 @pytest.mark.parametrize("recorded", (True, False))
@@ -55,7 +25,7 @@ def test_a_command_at_its_limit_for_most_of_the_rows(recorded):
     logs = [_joint(1, 40, limit=0.5), _joint(2, 70, limit=0.5)]
     held = np.abs(logs[0]["command"]) > 0.499
     assert held.mean() > 0.6
-    logs = logs if recorded else [_with(log, command=None) for log in logs]
+    logs = logs if recorded else [_with(one, command=None) for one in logs]
     found = identify(logs[0], "mass", validate=logs[1])
     known = found.chosen.knowledge
     assert known["inertia"].value == pytest.approx(INERTIA, rel=1e-3)
@@ -84,8 +54,8 @@ def test_what_no_model_explains_is_not_identified(wrong, said):
     logs = [_with(_joint(seed, hold), command=None) for seed, hold in ((3, 40), (4, 70))]
     others = [_joint(5, 55, inertia=0.02), _joint(6, 35, inertia=0.02)]
     turned = {
-        "position": lambda log, _: -log["position"],
-        "unit": lambda log, _: np.degrees(log["position"]),
+        "position": lambda own, _: -own["position"],
+        "unit": lambda own, _: np.degrees(own["position"]),
         "joint": lambda _, other: other["position"],
     }[wrong]
     bad = [_with(a, position=turned(a, b)) for a, b in zip(logs, others, strict=True)]
@@ -100,8 +70,8 @@ def test_what_no_model_explains_is_not_identified(wrong, said):
 
 
 def test_a_command_of_the_wrong_sign_is_said():
-    log = _joint(7, 40)
-    turned = _with(log, command=-log["command"])
+    right = _joint(7, 40)
+    turned = _with(right, command=-right["command"])
     with pytest.raises(UserError, match="command goes against setpoint minus position.*wrong sign"):
         identify(turned, "mass")
     alone = _with(turned, setpoint=None)
@@ -111,7 +81,7 @@ def test_a_command_of_the_wrong_sign_is_said():
 
 
 def test_positions_in_degrees_contradict_the_command():
-    log = _joint(8, 40)
-    degrees = {name: np.degrees(log[name]) for name in ("setpoint", "position")}
+    right = _joint(8, 40)
+    degrees = {name: np.degrees(right[name]) for name in ("setpoint", "position")}
     with pytest.raises(UserError, match="kp 57[0-9.]* times smaller .* positions are in degrees"):
-        identify(_with(log, **degrees), "mass")
+        identify(_with(right, **degrees), "mass")
