@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import csv
 import fnmatch
+import math
 import tomllib
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -30,10 +31,13 @@ from pydantic.dataclasses import dataclass
 
 from jaxact.errors import UserError, nearest, shown
 from jaxact.identification.log import SIGNALS, Log, check
+from jaxact.parameters import MASS
 
 _STRICT = ConfigDict(extra="forbid")
 _TIMES = ("time", "t", "t_s", "time_s", "timestamp")
 _UNITS_OF_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+# Details of a joint that are more than zero.
+_POSITIVE = (MASS, "length", "inertia", "command_limit", "usual_supply")
 _UNREADABLE = {
     ".pkl": "a pickle can run code when it is read; write its arrays with numpy.savez",
     ".pickle": "a pickle can run code when it is read; write its arrays with numpy.savez",
@@ -147,11 +151,29 @@ def _columns(table: Mapping[str, Any]) -> Columns:
         if name not in known:
             raise UserError(f"{name} is not known; {nearest(name, known)}")
     try:
-        return Columns(**table)
+        found = Columns(**table)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"] if isinstance(part, str))
         raise UserError(f"{where}: {first['msg'].lower()}") from None
+    _check_numbers(found)
+    return found
+
+
+def _check_numbers(columns: Columns) -> None:
+    """That the numbers of a map can be what they are said to be.
+
+    Raises:
+        UserError: one cannot.
+    """
+    for name in ("kp", "kd", "difference_ticks"):
+        value = getattr(columns, name)
+        if value != "unknown" and not 0.0 <= value < math.inf:
+            raise UserError(f"{name} = {value:g} must be 0 or more, and finite")
+    for name, value in columns.details.items():
+        if not math.isfinite(value) or (name in _POSITIVE and value <= 0.0):
+            more = ", and more than 0" if name in _POSITIVE else ""
+            raise UserError(f"details: {name} = {value:g} must be finite{more}")
 
 
 def read(
@@ -226,6 +248,9 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
         raise UserError(f"{path}: is not text; give a CSV or NPZ log") from None
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
+    twice = next((name for name in head if name and head.count(name) > 1), None)
+    if twice:
+        raise UserError(f"{path}: has several columns {shown(twice)}; give each a name of its own")
     if not head or not rows:
         raise UserError(f"{path}: is empty; give a CSV with a head and a row for each instant")
     for number, row in enumerate(rows):

@@ -79,6 +79,12 @@ def test_what_cannot_be_used_is_named_with_its_rows(tmp_path, changes, said):
         read(_good(tmp_path / "log.csv", **changes))
 
 
+def test_columns_of_one_name_are_refused(tmp_path):
+    (tmp_path / "log.csv").write_text("time,force,,,force\n" + "0,1,,,2\n" * 300)
+    with pytest.raises(UserError, match="has several columns 'force'"):
+        read(tmp_path / "log.csv")
+
+
 def test_a_short_log_is_refused(tmp_path):
     path = _write(tmp_path / "log.csv", time=TIME[:50], command=COMMAND[:50], force=COMMAND[:50])
     with pytest.raises(UserError, match="50 rows are too few"):
@@ -107,6 +113,11 @@ def test_objects_in_an_npz_are_not_unpickled(tmp_path):
         ('comand = "u"', "comand is not known; did you mean 'command'"),
         ('stamp = "middle"', "stamp"),
         ("joints = 3", "must be tables"),
+        ("kp = inf", "kp = inf must be 0 or more, and finite"),
+        ("kp = -5.0", "kp = -5 must be 0 or more"),
+        ("difference_ticks = -2", "difference_ticks = -2 must be 0 or more"),
+        ("details = { command_limit = 0.0 }", "command_limit = 0 must be finite, and more than 0"),
+        ("details = { other = nan }", "other = nan must be finite"),
         ("time = ", "is not TOML"),
     ],
 )
