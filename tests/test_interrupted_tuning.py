@@ -189,8 +189,10 @@ def test_where_nothing_is_certified_or_at_the_second_signal_nothing_is_written(
 ):
     ran = _tune(tmp_path, [*ARM, "--out", "tuned"], module, name, times=times)
     assert (ran.returncode, ran.stdout) == (130, "")
-    said = "jaxact: interrupted; no gains were certified yet, nothing is kept\n"
-    assert ran.stderr == said
+    said = ["jaxact: interrupted; no gains were certified yet, nothing is kept\n"]
+    if times == 2:  # it may come when they are certified, and being written
+        said.append("jaxact: interrupted; nothing is kept\n")
+    assert ran.stderr in said
     assert [path.name for path in tmp_path.iterdir()] == ["arm.xml"]
 
 
@@ -206,8 +208,10 @@ def test_interrupted_while_it_writes_a_command_writes_all_the_same(tmp_path):
 
 @pytest.mark.exhaustive
 def test_python_gets_the_best_so_far_or_the_interrupt(tmp_path):
+    # An interrupt during a garbage collection is lost in JAX's part of it, which nobody can mend.
     code = """
-import jaxact
+import gc, jaxact
+gc.disable()
 loop = jaxact.joint(mass=0.7, actuator="starleth", delay=1e-3)
 best = jaxact.tune(loop, max_peak=1.6, uncertainty={"wn": (0.8, 1.2)}, samples=2, front=2)
 print(best.interrupted)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from jaxact.cli import _signals
 from jaxact.errors import UserError
 
 
@@ -36,7 +37,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
         UserError: it cannot be written.
     """
     try:
-        with tempfile.TemporaryDirectory(dir=path.absolute().parent, prefix=".jaxact-") as beside:
+        with _temporary(path.absolute().parent) as beside:
             new, old = Path(beside) / "new", Path(beside) / "old"
             new.mkdir()
             yield new
@@ -51,3 +52,14 @@ def whole_folder(path: Path) -> Iterator[Path]:
     except OSError as error:
         reason = error.strerror or error
         raise UserError(f"output {path}: cannot be written ({reason}); choose another") from error
+
+
+@contextmanager
+def _temporary(parent: Path) -> Iterator[str]:
+    """A folder that is gone at the end, whatever ends the block or the process."""
+    with tempfile.TemporaryDirectory(dir=parent, prefix=".jaxact-") as folder:
+        _signals.unfinished(folder)
+        try:
+            yield folder
+        finally:
+            _signals.finished(folder)

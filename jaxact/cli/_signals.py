@@ -2,7 +2,7 @@
 
 While a verb works, the first signal raises an exception where it arrives, so that locks are let go
 of and what is done is kept. Before and after that, and from the second signal on, the process ends
-at once: results are written whole or not at all, so that nothing needs to be put in order.
+at once: results are written whole or not at all, and only what is not finished is removed.
 
 An exception that a signal raises inside a callback of a compiled library is printed or dropped by
 it, or comes out as another one. Long work therefore also asks `check` from time to time.
@@ -33,6 +33,7 @@ class Terminated(BaseException):
 _received: list[int] = []
 _phase = {"working": False, "over": False, "accepted": False}
 _words = {"farewell": _NOTHING}
+_unfinished: list[str] = []
 
 
 def listen() -> None:
@@ -103,6 +104,16 @@ def code() -> int:
     return 128 + _received[0] if _received else 0
 
 
+def unfinished(folder: str) -> None:
+    """Remove a temporary folder should the process end at once."""
+    _unfinished.append(folder)
+
+
+def finished(folder: str) -> None:
+    """Leave a folder alone again."""
+    _unfinished.remove(folder)
+
+
 def check() -> None:
     """Raise what a signal that has arrived should have raised, unless it is seen to already."""
     seen_to = isinstance(sys.exc_info()[1], KeyboardInterrupt | Terminated)
@@ -127,6 +138,11 @@ def leave(words: str | None = "") -> None:
             sys.stdout.flush()
     except (OSError, ValueError, RuntimeError):
         pass  # the terminal has gone, or the signal came while it was written to
+    if _unfinished:
+        import shutil  # there already, with `tempfile`
+
+        for folder in _unfinished:
+            shutil.rmtree(folder, ignore_errors=True)
     os._exit(code())
 
 

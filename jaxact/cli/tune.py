@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 # Exit code of a result that does not meet what was asked.
 NOT_MET = 1
+# At a second signal, once gains are certified.
+_AT_ONCE = "interrupted; nothing is kept"
 
 Parameters = _arguments.parameters((*LINEAR, CONTROL_RATE), several=False)
 
@@ -258,6 +260,7 @@ def main(
     _signals.keep(NOTHING)
     with _progress.phases(quiet=json) as phase:
         best = _tuned(loops, goal, search, robot, unsure, phase)
+        _signals.keep(_AT_ONCE)
         best, rollouts = _held_against(best, robot.validate if whole else 0.0, phase)
 
         def reported() -> tuple[Any, dict[str, Any]]:
