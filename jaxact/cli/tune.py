@@ -260,7 +260,6 @@ def main(
     _signals.keep(NOTHING)
     with _progress.phases(quiet=json) as phase:
         best = _tuned(loops, goal, search, robot, unsure, phase)
-        _signals.keep(_AT_ONCE)
         best, rollouts = _held_against(best, robot.validate if whole else 0.0, phase)
 
         def reported() -> tuple[Any, dict[str, Any]]:
@@ -301,6 +300,7 @@ def _held_against(best: Tuned, seconds: float, phase: Told) -> tuple[Tuned, Roll
     from jaxact.tuning.rollouts import validation
 
     left_out = "the rollouts are left out"
+    _signals.keep(_AT_ONCE)
     if best.interrupted:
         _signals.accept()
         return best.stopped(left_out) if seconds else best, None
