@@ -158,7 +158,7 @@ def report(found: dict[str, Any]) -> str:
 def main() -> None:
     """Train, play, and write the report."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--out", type=Path, default=Path("results/training"))
     parser.add_argument("--redraw", action="store_true", help="from the numbers that are there")
     options = parser.parse_args()
