@@ -279,7 +279,7 @@ def _instead(name: str, goal: Goal) -> str:
         disk = 2.0 * (factor - 1.0) / (factor + 1.0)
         return (
             f"`min_disk_margin` {disk:.4g} leaves a factor of {factor:g} on the gains of every "
-            "joint by its own"
+            "joint by itself"
         )
     if name == "min_delay_margin":
         return (
