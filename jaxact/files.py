@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 import os
+import secrets
+import shutil
 import stat
-import tempfile
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -19,6 +20,8 @@ from jaxact.errors import UserError
 
 T = TypeVar("T")
 
+# Temporary folders that are there, or may be.
+_UNFINISHED: list[Path] = []
 # What was read within `read_once` by what it is, None outside of it.
 _READ: ContextVar[dict[Hashable, object] | None] = ContextVar("read", default=None)
 
@@ -36,10 +39,40 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OSError: the folder cannot be written to.
     """
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".jaxact-") as folder:
-        partial = Path(folder) / path.name
+    with temporary(path.parent) as folder:
+        partial = folder / path.name
         yield partial
         os.replace(partial, path)
+
+
+@contextmanager
+def temporary(parent: Path) -> Iterator[Path]:
+    """A folder that is gone at the end, whatever ends the block or, by a signal, the process.
+
+    Its name is noted before it is there and until it is gone, for `remove_unfinished`.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    folder = parent / f".jaxact-{secrets.token_hex(6)}"
+    _UNFINISHED.append(folder)
+    try:
+        folder.mkdir(mode=0o700)
+        yield folder
+    finally:
+        try:
+            shutil.rmtree(folder, ignore_errors=True)
+        except BaseException:  # interrupted
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+        finally:
+            _UNFINISHED.remove(folder)
+
+
+def remove_unfinished() -> None:
+    """Remove all temporary folders, as the process ends."""
+    for folder in list(_UNFINISHED):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def check_output(path: Path, *, overwrite: bool = True) -> None:

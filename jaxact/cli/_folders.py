@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from jaxact import files
 from jaxact.cli import _signals
 from jaxact.errors import UserError
 
@@ -37,29 +37,24 @@ def whole_folder(path: Path) -> Iterator[Path]:
         UserError: it cannot be written.
     """
     try:
-        with _temporary(path.absolute().parent) as beside:
-            new, old = Path(beside) / "new", Path(beside) / "old"
+        with files.temporary(path.absolute().parent) as beside:
+            new, old = beside / "new", beside / "old"
             new.mkdir()
             yield new
-            if path.exists():
-                os.replace(path, old)
-            try:
-                os.replace(new, path)
-            except OSError:
-                if old.exists():
-                    os.replace(old, path)
-                raise
+            _signals.undivided(lambda: _replace(path, new, old))
     except OSError as error:
         reason = error.strerror or error
         raise UserError(f"output {path}: cannot be written ({reason}); choose another") from error
 
 
-@contextmanager
-def _temporary(parent: Path) -> Iterator[str]:
-    """A folder that is gone at the end, whatever ends the block or the process."""
-    with tempfile.TemporaryDirectory(dir=parent, prefix=".jaxact-") as folder:
-        _signals.unfinished(folder)
-        try:
-            yield folder
-        finally:
-            _signals.finished(folder)
+def _replace(path: Path, new: Path, old: Path) -> None:
+    """Move a new folder to `path`, and what was there to `old`; in between, neither is there."""
+    if path.exists():
+        os.replace(path, old)
+    try:
+        os.replace(new, path)
+    except OSError:
+        if old.exists():
+            os.replace(old, path)
+        raise
+    _signals.keep(f"interrupted; {path} is written")

@@ -31,9 +31,8 @@ class Terminated(BaseException):
 
 
 _received: list[int] = []
-_phase = {"working": False, "over": False, "accepted": False}
+_phase = {"working": False, "over": False, "accepted": False, "held": False}
 _words = {"farewell": _NOTHING}
-_unfinished: list[str] = []
 
 
 def listen() -> None:
@@ -64,6 +63,7 @@ def taken(work: Callable[[], int]) -> int:
         leave()
     if result and result == code():
         leave(None)
+    _tidy()
     # Taking the interpreter down, Python would look for garbage in all that goes with the process:
     # a third of a second after JAX was used.
     gc.freeze()
@@ -104,16 +104,6 @@ def code() -> int:
     return 128 + _received[0] if _received else 0
 
 
-def unfinished(folder: str) -> None:
-    """Remove a temporary folder should the process end at once."""
-    _unfinished.append(folder)
-
-
-def finished(folder: str) -> None:
-    """Leave a folder alone again."""
-    _unfinished.remove(folder)
-
-
 def check() -> None:
     """Raise what a signal that has arrived should have raised, unless it is seen to already."""
     seen_to = isinstance(sys.exc_info()[1], KeyboardInterrupt | Terminated)
@@ -138,18 +128,36 @@ def leave(words: str | None = "") -> None:
             sys.stdout.flush()
     except (OSError, ValueError, RuntimeError):
         pass  # the terminal has gone, or the signal came while it was written to
-    if _unfinished:
-        import shutil  # there already, with `tempfile`
-
-        for folder in _unfinished:
-            shutil.rmtree(folder, ignore_errors=True)
+    _tidy()
     os._exit(code())
+
+
+def undivided(work: Callable[[], None]) -> None:
+    """Do something short at a stretch: a signal that arrives meanwhile does what it does after."""
+    before = len(_received)
+    _phase["held"] = True
+    try:
+        work()
+    finally:
+        _phase["held"] = False
+        if len(_received) > before:
+            _answer()
+
+
+def _tidy() -> None:
+    """Remove temporary folders; where that module is not imported whole, there are none."""
+    getattr(sys.modules.get("jaxact.files"), "remove_unfinished", int)()
 
 
 def _arrived(number: int, frame: FrameType | None) -> None:
     if _phase["over"]:
         return
     _received.append(number)
+    if not _phase["held"]:
+        _answer()
+
+
+def _answer() -> None:
     if not _phase["working"] or len(_received) > 1:
         leave()
     check()
