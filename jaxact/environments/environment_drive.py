@@ -215,7 +215,7 @@ def _substeps(low: float, high: float, step: float) -> int:
     if substeps < 1 or abs(ratio - substeps) > _ROUNDING * ratio:
         raise UserError(
             f"`control_rate`: its period {1 / low:g} s is not a multiple of the physics step"
-            f" {step:g} s; allowed e.g. control_rate = {1 / step:g}"
+            f" {step:g} s; allowed e.g. control_rate = {1 / step:.9g}"
         )
     return substeps
 

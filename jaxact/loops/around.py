@@ -67,8 +67,20 @@ class Simulator:
         return self
 
     def measure(self, state: Any) -> tuple[jax.Array, jax.Array]:
-        """Joint positions [m or rad] and velocities [m/s or rad/s]."""
-        return self.measured(state)
+        """Joint positions [m or rad] and velocities [m/s or rad/s].
+
+        Raises:
+            UserError: `measure` gives something else, or of another number of joints.
+        """
+        found = self.measured(state)
+        shapes = [jnp.shape(part) for part in found] if isinstance(found, tuple | list) else []
+        if shapes != [self.shape, self.shape]:
+            given = " and ".join(map(str, shapes)) or f"one {type(found).__name__}"
+            raise UserError(
+                f"measure: gives {given}; needed are (positions, velocities) of shape {self.shape} "
+                f"each, as joints = {self.joints}"
+            )
+        return found[0], found[1]
 
     def advance(self, state: Any, force: Force) -> Any:
         """State one physics step later under the mean force, so that the impulse is exact."""
@@ -138,6 +150,9 @@ class Driven:
         """
         if not isinstance(setpoint, Setpoint):
             setpoint = Setpoint(jnp.asarray(setpoint))
+        shape, own = jnp.shape(setpoint.position), self.prepared.plant.shape
+        if shape not in ((), own):
+            raise UserError(f"setpoint: has shape {shape}; the joints' is {own}")
         like = self.prepared.drive.drive.controller.kp
         draws = _sensor.draw(self.options.sensor, key, state.tick, like)
         loop, (output, _) = _loop.step(self.prepared, self.options, state.loop, setpoint, draws)
@@ -161,23 +176,37 @@ def drive_around(
 ) -> Driven:
     """Put the drive around a function that advances a simulator by one physics step.
 
+        drive = jaxact.drive_around(
+            lambda data, force: mjx.step(model, data.replace(qfrc_applied=force)), loop,
+            measure=lambda data: (data.qpos, data.qvel), physics_step=5e-4, joints=2,
+        )
+        state = drive.init(mjx.make_data(model))
+        for _ in range(1000):  # control periods: a second at the 1000 Hz of a loop's default
+            state, output = drive.step(state, setpoint)
+        data = state.simulator
+
     Everything can be compiled, mapped and differentiated, as far as the simulator can.
 
     Args:
         step: (state, forces of shape (joints,)) -> the state one physics step later.
         loop: gains, actuator, delays, sensing, limits and control rate, of which a value is a
-            number or has the shape (joints,); the plant's own parameters do not count.
+            number or has the shape (joints,); the plant's own parameters do not count. Of
+            `jaxact.robot`, the driven joints' in their order.
         measure: state -> joint positions [m or rad] and velocities, shape (joints,) each.
         physics_step: of the simulator [s]; the control period is a multiple of it.
-        joints: number of driven joints, None for a single one whose quantities have no axis.
+        joints: number of driven joints, None for a robot's own, and otherwise for a single one
+            whose quantities have no axis.
         longest: where values of `loop` are traced or change later: a loop with the longest delays
             and with every part (noise, resolution, limits) that may occur.
 
     Returns:
-        What begins, and takes control periods; see `Driven`.
+        `init(data)` begins and `step(state, setpoint, key)` takes a control period; it returns the
+        state, in which `simulator` is yours, and an output with the `position` and `velocity` at
+        the end of the period, and its `command` and `force`. With noise, `key` is the
+        simulator's: the same one at every step.
 
     Raises:
-        UserError: the control period is not a multiple of the physics step.
+        UserError: the control period is not a multiple of the physics step, or shapes do not fit.
         TypeError: the loop is traced, and `longest` is not given.
     """
     if isinstance(loop, ControlLoop) and is_traced(loop) and longest is None:
@@ -187,17 +216,20 @@ def drive_around(
         )
     static = loop if longest is None else longest
     drive, known = _drive_in(loop), _drive_in(static)
+    joints = _number(static) if joints is None else joints
+    plant = Simulator(jnp.asarray(physics_step), step, measure, joints)
+    _demand_shapes(drive, plant.shape)
     periods = np.unique(np.asarray(known.control_period, float))
     ratio = float(periods[0]) / physics_step
     substeps = round(ratio)
     if len(periods) > 1 or substeps < 1 or abs(ratio - substeps) > _ROUNDING * ratio:
         raise UserError(
             f"control_rate: its period {periods[0]:g} s is not a multiple of the physics step "
-            f"{physics_step:g} s; allowed e.g. control_rate = {1 / physics_step:g}"
+            f"{physics_step:g} s; allowed e.g. control_rate = "
+            f"{1 / (max(substeps, 1) * physics_step):.9g}"
         )
     differenced = isinstance(static, ControlLoop) and static.kind.velocity == "differenced"
     options = _options.options(known, substeps=substeps, differenced=differenced)
-    plant = Simulator(jnp.asarray(physics_step), step, measure, joints)
     return Driven(_loop.prepare(Loop(plant, drive), options), options)
 
 
@@ -205,5 +237,29 @@ def _drive_in(loop: ControlLoop | Drive) -> Drive:
     if isinstance(loop, Drive):
         return loop
     values = loop.parameters
+    if loop.kind.plant is not None:
+        from jaxact.loops import robots  # imports MuJoCo, which a joint does not need
+
+        values = robots.of_drives(loop.kind.plant, values)
     scale = values[GAIN_SCALE]
     return drive_of({**values, KP: scale * values[KP], KD: scale * values[KD]})
+
+
+def _number(loop: ControlLoop | Drive) -> int | None:
+    """Driven joints of a robot's loop; None of a joint's."""
+    if isinstance(loop, Drive) or loop.kind.plant is None:
+        return None
+    from jaxact.loops import robots  # as above
+
+    return len(robots.read(loop.kind.plant).joints)
+
+
+def _demand_shapes(drive: Drive, shape: tuple[int, ...]) -> None:
+    """Raise UserError where a drive's value is neither a number nor of this shape."""
+    for path, value in jax.tree_util.tree_flatten_with_path(drive)[0]:
+        if jnp.shape(value) not in ((), shape):
+            name = jax.tree_util.keystr(path, simple=True, separator=".")
+            raise UserError(
+                f"loop: its {name} has shape {jnp.shape(value)}; a number or one of shape {shape} "
+                "is needed, as of the simulator's joints (several loops: jax.vmap)"
+            )

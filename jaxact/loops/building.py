@@ -53,7 +53,8 @@ def joint(
             joint_stiffness [N/m], wn [rad/s], zeta, delay, measurement_delay, output_delay [s],
             control_rate [Hz], velocity_filter [rad/s], force_limit [N], position_resolution [m],
             ...
-            What is not given has the default of the table: the joint of the reference study.
+            What is not given has the default of the table (`jaxact parameters` on the command
+            line): the joint of the reference study, controlled at 1000 Hz.
 
     Returns:
         The loop, or a batch of loops.
@@ -106,21 +107,25 @@ def robot(
             stands.
         damping: the joints' own, left in the "joint", or moved into the "drive" as part of kd.
         friction: dry friction of the linearised robot, see `jaxact.loops.specification.Plant`.
-        posture: brought to rest first ("settled"), or as the "keyframe" has it.
+        posture: "settled", where stiff joints that hold the keyframe come to rest on its contacts;
+            or as the "keyframe" has it. The torques that hold the robot there are fed forward, so
+            that it rests there with any gains and does not sag under soft ones.
         gains: file of gains instead of the model's: jaxact's own TOML, MJCF, a deployment's YAML, a
             configuration of legged_gym, Isaac Lab or mjlab, see docs/gains.md. Joints are matched
             by name; what does not match is said by `jaxact.check`.
         payload_body: that carries the payload, None for the heaviest.
         actuator: preset of all joints that sets wn and zeta.
         velocity: that the controllers see.
-        physics_step: [s], None for the model's own.
+        physics_step: [s], None for the longest that divides the control period and is no longer
+            than the model's own.
         integrator_correction: take back MuJoCo's half step of lead.
         motion, push: of the setpoint, and on a body, in simulations.
         drive: an identified drive of every joint, as for `jaxact.joint`; its dynamics, delay,
             friction, limit, resolution and rate say what is not given here.
         parameters: as for `jaxact.joint`; gains, limits and delays that are not given are those of
             the model's own actuators. For some joints, a table of patterns:
-            `kp={".*_knee": 300, ".*_hip": 200}` [N m/rad of hinges].
+            `kp={".*_knee": 300, ".*_hip": 200}` [N m/rad of hinges]. The control rate is 1000 Hz
+            where none is given, whatever the model's time step is.
 
     Returns:
         The loop, or a batch of loops. The model is read when something is asked of it.

@@ -159,7 +159,10 @@ def specification(loop: ControlLoop, **options: Any) -> Specification:
         TypeError: the loop is traced.
     """
     if is_traced(loop):
-        raise TypeError("a simulation of this kind cannot be traced; call it outside jit and grad")
+        raise TypeError(
+            "a robot, a simulation or a tuning cannot be traced: call it outside jit, vmap and "
+            "grad; a batch (kp=[500, 600]) is computed at once"
+        )
     fixed = {name: float(v) for name, v in loop.values.items() if not np.ndim(v)}
     axes = tuple(_axis(name, np.asarray(v)) for name, v in loop.values.items() if np.ndim(v))
     options.setdefault("engine", engines.MASS.name if loop.kind.plant is None else "auto")

@@ -313,6 +313,26 @@ def each_joint(
     return found
 
 
+def of_drives(plant: Plant, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The parameters of a robot's drives, apart from its posture; shapes as of `each_joint`.
+
+    Args:
+        plant: the robot's.
+        values: by key, shape () each; NaN where the model's own counts.
+
+    Raises:
+        UserError: as `read` and `check`.
+    """
+    robot = read(plant)
+    placed = Scene(robot, _posture.given(robot), body(robot, None, "plant.payload_body"))
+    keys = [key for key in values if "@" in key]
+    given = {key for key, value in values.items() if not np.any(np.isnan(value))}
+    check(placed, keys, given)
+    masks = {key: matched(placed, key) for key in keys}
+    known = {key: jnp.asarray(value, float) for key, value in values.items()}
+    return each_joint(known, brought(placed), masks)
+
+
 def spread(
     along: Mapping[str, np.ndarray], defaults: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:

@@ -255,16 +255,18 @@ def _agreeing(paths: Descended) -> float:
 def _wins(
     goal: Goal, value: float, certificate: Certificate, before: float, start: Certificate
 ) -> bool:
-    """Whether the tuned gains beat the start: everything met first, then the objective."""
+    """Whether the tuned gains beat the start: what is met first, then the objective."""
     if certificate.met != start.met:
         return certificate.met
     if certificate.met:
         return goal.sense * (np.log(value) - np.log(before)) > 0.0
+    # A start that is softer or stiffer than allowed is no answer, however stable.
+    if certificate.bounds_met != start.bounds_met:
+        return certificate.bounds_met
     if certificate.stable != start.stable:
         return certificate.stable
     return _missed(certificate) < _missed(start)
 
 
 def _missed(certificate: Certificate) -> float:
-    missed = max((c.excess for c in certificate.checks), default=0.0)
-    return max(missed, 0.0) + (0.0 if certificate.bounds_met else 1.0)
+    return max((c.excess for c in certificate.checks), default=0.0)

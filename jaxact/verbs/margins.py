@@ -55,6 +55,10 @@ class LoopMargins(Reportable):
     loop: ControlLoop
     metrics: Margins | SampledMargins
 
+    def __dir__(self) -> list[str]:
+        """The metrics, too."""
+        return [*super().__dir__(), *margin_tables.NAMES]
+
     def __getattr__(self, name: str) -> Any:
         """A metric by its name."""
         if name.startswith("_") or name not in {f.name for f in fields(Margins)} | {

@@ -63,6 +63,10 @@ class RobotLoopMargins(Reportable):
     of_joints: dict[str, np.ndarray]
     details: tuple[WholeRobot, ...]
 
+    def __dir__(self) -> list[str]:
+        """The metrics, too."""
+        return [*super().__dir__(), *self.metrics]
+
     def __getattr__(self, name: str) -> Any:
         """A metric of all joints at once by its name."""
         if name.startswith("_") or name not in (*_ALWAYS, *_WHOLE):

@@ -129,7 +129,7 @@ def _head(label: str, found: WholeRobot) -> str:
         f"{title(found.specification)}{f': {label}' if label else ''}",
         f"{count} driven joint{'' if count == 1 else 's'}, control {1 / period:g} Hz, physics step "
         f"{step * 1e3:g} ms, {found.engine}, posture {plant.posture}, "
-        f"residual acceleration {found.residual:.2g}",
+        f"held by torques that are fed forward, residual acceleration {found.residual:.2g}",
     ]
     if found.neutral:
         modes = "mode" if found.neutral == 1 else "modes"

@@ -40,6 +40,11 @@ def test_no_stable_gains_at_all_is_said_too():
     assert not tuned.feasible and "stable" in tuned.verdict
 
 
+def test_a_start_softer_than_allowed_is_not_the_closest():
+    tuned = tune(LATE, Goal(max_peak=1.6, min_kp=5000.0), start=(400.0, 20.0), starts=OTHERS)
+    assert tuned.kp >= 5000.0 and tuned.verdict.startswith("found infeasible: no gains with kp")
+
+
 def test_of_an_unstable_start_nothing_is_said_to_be_good_enough():
     tuned = tune(LATE, Goal(max_peak=1.6, min_kp=5000.0), start=(5000.0, 1.0), starts=OTHERS)
     assert not tuned.certificate.stable and tuned.verdict.startswith("found infeasible: no gains")

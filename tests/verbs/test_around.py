@@ -106,6 +106,54 @@ def test_a_control_period_that_does_not_fit_is_refused():
         jx.drive_around(step, jx.joint(control_rate=300.0), measure=measure, physics_step=H)
 
 
+def test_a_rate_that_is_advised_is_taken():
+    with pytest.raises(UserError, match="allowed e.g. control_rate = ") as refused:
+        jx.drive_around(step, jx.joint(), measure=measure, physics_step=3e-4, joints=2)
+    rate = float(str(refused.value).rpartition("= ")[2])
+    assert rate == pytest.approx(1000.0, rel=0.2)
+    jx.drive_around(step, jx.joint(control_rate=rate), measure=measure, physics_step=3e-4, joints=2)
+
+
+@pytest.mark.parametrize(
+    ("loop", "joints", "setpoint", "measured", "said"),
+    [
+        ({}, None, [0.0, 0.0], measure, r"measure: gives \(2,\) and \(2,\).* joints = None"),
+        ({}, 2, [0.0, 0.0], lambda state: state[0], "measure: gives one"),
+        ({}, 2, [0.0, 0.0, 0.0], measure, r"setpoint: has shape \(3,\)"),
+        ({"kp": [1.0, 2.0, 3.0]}, 2, [0.0, 0.0], measure, r"controller.kp has shape \(3,\)"),
+    ],
+)
+def test_shapes_that_do_not_fit_are_said_in_one_line(loop, joints, setpoint, measured, said):
+    start = jnp.zeros(2), jnp.zeros(2)
+    with pytest.raises(UserError, match=said):
+        drive = jx.drive_around(
+            step, jx.joint(**loop), measure=measured, physics_step=H, joints=joints
+        )
+        drive.step(drive.init(start), jnp.array(setpoint))
+
+
+def test_a_robots_loop_gives_each_joint_its_own_drive(tmp_path):
+    rows = "".join(
+        f'<body pos="0 {n} 0"><joint name="{name}" axis="0 1 0"/><geom size="0.1" mass="1"/></body>'
+        for n, name in enumerate(("knee", "hip"))
+    )
+    (tmp_path / "robot.xml").write_text(
+        f"<mujoco><worldbody>{rows}</worldbody><actuator>"
+        '<position joint="knee" kp="8" kv="0.4" forcerange="-3 3"/>'
+        '<position joint="hip" kp="4" kv="0.2"/></actuator></mujoco>'
+    )
+    common = {"actuator": "hyq", "delay": 2 * H, "control_rate": 500.0}
+    robot = jx.robot(tmp_path / "robot.xml", kd={"hip": 0.3}, gain_scale=1.5, **common)
+    plain = jx.joint(kp=np.array([12.0, 6.0]), kd=np.array([0.6, 0.45]),
+                     force_limit=np.array([3.0, np.inf]), **common)  # fmt: skip
+    start = jnp.array([0.01, -0.02]), jnp.zeros(2)
+    found = [
+        rolled(jx.drive_around(step, loop, measure=measure, physics_step=H, **given), start, 60)
+        for loop, given in ((robot, {}), (plain, {"joints": 2}))
+    ]
+    assert np.asarray(found[0]) == pytest.approx(np.asarray(found[1]), abs=1e-7)
+
+
 def test_a_traced_loop_needs_its_longest():
     def build(delay):
         return jx.drive_around(step, jx.joint(delay=delay), measure=measure, physics_step=H)

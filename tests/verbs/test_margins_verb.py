@@ -114,6 +114,17 @@ def test_margins_become_datasets_and_tables():
     assert len(jx.margins(jx.joint()).to_pandas()) == 1
 
 
+@pytest.mark.parametrize("sampled", [False, True])
+def test_where_a_loop_is_unstable_its_margins_have_no_slopes_either(sampled):
+    def margin(kp, name):
+        loop = jx.joint(kp=kp, kd=20.0, actuator="starleth", delay=1e-3)
+        return getattr(jx.margins(loop, sampled=sampled), name)
+
+    for name in ("delay_margin", "disk_margin", "sensitivity_peak"):
+        slopes = [float(jax.grad(margin)(kp, name)) for kp in (400.0, 4000.0)]
+        assert np.isfinite(slopes[0]) and slopes[0] != 0.0 and np.isnan(slopes[1])
+
+
 def test_an_unstable_loop_has_no_margins():
     found = jx.margins(jx.joint(actuator="starleth", delay=0.05))
     assert not found.stable and np.isnan(found.gain_margin) and found.growth_rate > 0.0
@@ -154,7 +165,8 @@ def test_what_moves_a_robot_does_not_change_its_margins(standing):
 
 
 def test_a_robot_cannot_be_traced(standing):
-    loop, _ = standing
+    loop, found = standing
+    assert {"delay_margin", "joints"} <= set(dir(found))
     with pytest.raises(TypeError, match="cannot be traced"):
         jax.grad(lambda kp: jx.margins(loop[0].replace(kp=kp)).disk_margin)(600.0)
 

@@ -28,6 +28,8 @@ _BESIDE, _APPROACH = 1.5, 4
 # Points that are polished roughly, how far apart they are [ln], and how many of them to the end
 # where none meets the bounds.
 _POLISHED, _SAME, _CLOSEST = 4, 0.05, 2
+# Bounds exceeded by less are met in the end [ln], at that price in the objective for each of it.
+_NEARLY, _PRICE = 0.1, 2.0
 # Where on a path that ended unstable to look for a stable point.
 _BACKWARDS = (0.9, 0.75, 0.5, 0.25, 0.1, 0.0)
 
@@ -133,7 +135,7 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: Sequence[np.
         *others,
         *(np.clip(end, case.low, case.high) for end in ends if end is not None),
     ]
-    known = sorted((seen(case, x, stable=True) for x in points), key=Found.rank)
+    known = sorted((seen(case, x, stable=True) for x in points), key=_promise)
     course.points += known
     kept: list[Found] = []
     for one in known:
@@ -145,9 +147,8 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: Sequence[np.
         course.phase(f"polishing end {number} of {len(kept)}", number - 1, len(kept))
         rough.append(polished(case, one.x, fine=False))
         course.points.append(rough[-1])
-    rough.sort(key=Found.rank)
     course.phase("polishing the best")
-    last = [polished(case, one.x) for one in rough[: 1 if rough[0].met else _CLOSEST]]
+    last = _finely(case, rough)
     course.points += last
     best = min([*rough, *last], key=Found.rank)
     if not best.met:
@@ -160,6 +161,29 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: Sequence[np.
         evaluations=sum(one.evaluations for one in spent),
         steps=sum(one.steps for one in spent),
     )
+
+
+def _promise(one: Found) -> tuple[bool, float]:
+    """Smaller is better: what nearly meets the bounds by its value once it does, then as `rank`."""
+    beyond = max(one.violation, 0.0)
+    return beyond > _NEARLY, beyond if beyond > _NEARLY else _PRICE * beyond - one.value
+
+
+def _finely(case: RobotCase, rough: list[Found]) -> list[Found]:
+    """The most promising of what is roughly polished, to the end; more until one meets the bounds.
+
+    What is roughly polished gets stuck a little beyond the bounds where several peaks are level.
+    """
+    few = sorted(rough, key=_promise)[:_CLOSEST]
+    best = min(rough, key=Found.rank)
+    if best.met and all(one is not best for one in few):
+        few.append(best)
+    found: list[Found] = []
+    for one in few:
+        found.append(polished(case, one.x))
+        if found[-1].met:
+            break
+    return found
 
 
 def _stable_end(case: RobotCase, paths: Descended, start: int) -> np.ndarray | None:
