@@ -23,6 +23,9 @@ CASES = (
     (QUADRUPED, "stand", "fixed", {"kp": 300.0, "kd": 15.0, "measurement_delay": 2e-3,
                                    "control_rate": 250.0, "velocity": "differenced",
                                    "velocity_filter": 300.0}),
+    # Two summits of the disk margin's curve that are almost alike, far from each other.
+    (QUADRUPED, "stand", "fixed", {"kp": 40.8, "kd": 1.224, "delay": 6.842e-3, "wn": 229.4,
+                                   "zeta": 0.837, "control_rate": 500.0}),
 )  # fmt: skip
 PUBLIC = ROOT / ".robots" / "mujoco_playground" / "_src" / "locomotion"
 PUBLIC_CASES = tuple(
@@ -37,6 +40,11 @@ PUBLIC_CASES = tuple(
         {"delay": 1.3e-3, "measurement_delay": 1.7e-3, "control_rate": 200.0, "wn": 300.0,
          "zeta": 0.9},
     )
+)  # fmt: skip
+# Nearest to its margins at rest.
+PUBLIC_CASES += (
+    (*PUBLIC_CASES[0][:3], {"kp": 28.3, "kd": 0.0, "delay": 5.1e-3, "control_rate": 500.0,
+                            "wn": 820.0, "zeta": 0.8}),
 )  # fmt: skip
 FREQUENCIES = 12
 

@@ -11,6 +11,7 @@ import { test } from "node:test";
 import {
   eigenvalues, inverse, largestSingularValue, shifted, singularValues, zeros,
 } from "../../jaxact/reports/page/matrices.js";
+import { bound, diskMargin } from "../../jaxact/reports/page/robot_disk.js";
 import { glance, roughly } from "../../jaxact/reports/page/robot_glance.js";
 import * as limits from "../../jaxact/reports/page/robot_limits.js";
 import * as closed from "../../jaxact/reports/page/robot_loop.js";
@@ -68,6 +69,28 @@ test("eigenvalues, singular values and the inverse of a matrix", () => {
   }
 });
 
+test("the bound of mu is mu where that is known, and never below it", () => {
+  // For up to three joints it is the largest spectral radius of U H over diagonal unitary U.
+  const ring = zeros(3);
+  [ring.re[1], ring.re[5], ring.re[6]] = [8, 1, 1];
+  near(finished(bound(ring)).value, 2, 1e-8, "a ring: the cube root of the product");
+  for (const n of [2, 3, 5]) {
+    const H = random(n);
+    const { value } = finished(bound(H));
+    let most = 0;
+    for (let k = 0; k < 2000; k++) {
+      const turned = zeros(n);
+      for (let at = 0; at < n * n; at++) {
+        const angle = 2 * Math.PI * ((k * Math.sqrt(2 + 3 * Math.floor(at / n))) % 1);
+        const [c, s] = [Math.cos(angle), Math.sin(angle)];
+        [turned.re[at], turned.im[at]] = [c * H.re[at] - s * H.im[at], s * H.re[at] + c * H.im[at]];
+      }
+      most = Math.max(most, ...eigenvalues(turned).map(({ re, im }) => Math.hypot(re, im)));
+    }
+    assert.ok(most <= value * (1 + 1e-9) && most > 0.97 * value, `${n}: ${most} of ${value}`);
+  }
+});
+
 function closedOf({ data }) {
   const [own] = data.loops;
   const plant = plantOf(data.plants[own.plants[own.rate]], data.joints.length);
@@ -107,6 +130,8 @@ test("robots have Python's margins", { skip }, () => {
     for (const name of ["sensitivity_peak", "complementary_peak", "unscaled_disk_margin"]) {
       near(found[name], row.whole[name], EXACT, `${row.robot}: ${name}`);
     }
+    const disk = finished(diskMargin(loop));
+    near(disk.margin, row.whole.disk_margin, EXACT, `${row.robot}: disk margin`);
     const up = finished(limits.gainLimit(loop, true));
     near(up?.factor ?? Infinity, row.whole.gain_margin, LIMIT, `${row.robot}: gain margin`);
     const down = finished(limits.gainLimit(loop, false));
@@ -131,6 +156,9 @@ function ofJoints(loop, row) {
   row.joints.forEach((joint, i) => {
     const own = finished(margins.ofJoint(loop, i));
     for (const name of names) near(own[name], joint[name], EXACT, `${row.robot}: ${name} of ${joint.name}`);
+    // That of a joint that stays stable with almost none of its gains is rounding.
+    const [here, there] = [own.gain_reduction_margin, joint.gain_reduction_margin];
+    if (Math.max(here, there) > EXACT) near(here, there, EXACT, `${row.robot}: gains of ${joint.name} down`);
   });
 }
 

@@ -24,6 +24,8 @@ FEW, MANY = 4, 40
 LIMIT = 1e-4
 PATIENCE = 60.0  # [s] for numbers in full
 
+PEAKS = ("sensitivity_peak", "complementary_peak", "unscaled_disk_margin", "disk_margin")
+
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
 
 TYPE = """(() => {
@@ -105,7 +107,7 @@ def test_the_page_follows_its_sliders_as_python_does(page, report, loop, points)
         values = {name: float(column[point]) for name, column in moved.items()}
         page.run(TYPE.replace("VALUES", json.dumps(values)))
         time.sleep(0.05)
-        found.append(settled(page))
+        found.append(settled(page, "joints"))
     theirs = jx.margins(loop.replace(**moved | {"delay": 1e-3 * moved["delay"]}))
     compared = 0
     for own, detail in zip(found, theirs.details, strict=True):
@@ -114,7 +116,7 @@ def test_the_page_follows_its_sliders_as_python_does(page, report, loop, points)
         assert float(own["growth_rate"]) == pytest.approx(margins.growth_rate, rel=1e-6)
         if margins.whole is None:
             continue
-        for name in ("sensitivity_peak", "complementary_peak", "unscaled_disk_margin"):
+        for name in PEAKS:
             assert float(own[name]) == pytest.approx(getattr(margins.whole, name), rel=1e-6), name
         for name in ("gain_margin", "delay_margin"):
             assert float(own[name]) == pytest.approx(getattr(margins.whole, name), rel=LIMIT), name
@@ -122,6 +124,41 @@ def test_the_page_follows_its_sliders_as_python_does(page, report, loop, points)
     assert compared > 0
     assert page.requests == [report.as_uri()] and page.said == []
     assert report.stat().st_size < LARGEST
+
+
+LEFT = """[...document.querySelectorAll(
+  "#robot-margins td, #robot-joints td, #robot-shape-says"
+)].map((one) => one.textContent)"""
+
+
+@in_browser
+def test_nothing_of_before_a_move_is_left_as_if_it_were_of_now(page, report):
+    page.open(report)
+    settled(page, "joints")
+    page.run("document.querySelectorAll('details').forEach((one) => one.open = true)")
+    before = page.run(LEFT)
+    # In one step with the move: at once, and with the first picture.
+    left = page.run(
+        f"(async () => {{ {TYPE.replace('VALUES', json.dumps({'wn': 300}))};"
+        f" await new Promise((done) => requestAnimationFrame(done)); return {LEFT}; }})()"
+    )
+    assert len(left) == len(before) > 100
+    assert set(left) == {"…"}
+    assert page.run("document.querySelectorAll('.outdated').length") == 2
+    after = settled(page, "joints")
+    assert "…" not in page.run(LEFT) and "disk_margin" in after
+    # Another width draws again, and interrupts nothing.
+    page.run(TYPE.replace("VALUES", json.dumps({"wn": 350})))
+    time.sleep(0.05)
+    settled(page)
+    page.run("document.getElementById('robot-pad').style.width = '80%'")
+    settled(page, "joints")
+    deadline = time.monotonic() + PATIENCE
+    drawing = "document.getElementById('robot-drawing').textContent"
+    while page.run(drawing) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert page.run(drawing) == ""
+    assert page.run("document.querySelectorAll('.outdated').length") == 0
 
 
 @in_browser

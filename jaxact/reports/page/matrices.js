@@ -96,6 +96,45 @@ function lessRow({ n, re, im }, i, k) {
   }
 }
 
+/** A B, two rows of B at once; into E, where it is given. */
+export function product(A, B, E = zeros(A.n)) {
+  const { n, re, im } = E;
+  const { re: br, im: bi } = B;
+  re.fill(0);
+  im.fill(0);
+  for (let i = 0; i < n; i++) {
+    for (let k = 0, at = i * n; k < n; k += 2, at += 2) {
+      const more = k + 1 < n;
+      const a = A.re[at];
+      const b = A.im[at];
+      const c = more ? A.re[at + 1] : 0;
+      const d = more ? A.im[at + 1] : 0;
+      for (let j = 0, u = i * n, v = k * n, w = more ? v + n : v; j < n; j++, u++, v++, w++) {
+        const e = br[v];
+        const f = bi[v];
+        const g = br[w];
+        const h = bi[w];
+        re[u] += a * e - b * f + c * g - d * h;
+        im[u] += a * f + b * e + c * h + d * g;
+      }
+    }
+  }
+  return E;
+}
+
+/** The adjoint of M, conjugated and turned over. */
+export function adjoint(M) {
+  const { n } = M;
+  const found = zeros(n);
+  for (let i = 0; i < n; i++) {
+    for (let j = 0; j < n; j++) {
+      found.re[j * n + i] = M.re[i * n + j];
+      found.im[j * n + i] = -M.im[i * n + j];
+    }
+  }
+  return found;
+}
+
 function swapColumns(array, n, a, b) {
   for (let at = 0; at < n * n; at += n) {
     const kept = array[at + a];

@@ -2,6 +2,7 @@
 
 import { fill } from "./chart.js";
 import { sliders } from "./controls.js";
+import { diskMargin } from "./robot_disk.js";
 import { glance } from "./robot_glance.js";
 import { delayLimit, gainLimit, ranges } from "./robot_limits.js";
 import { closing, responding } from "./robot_loop.js";
@@ -79,7 +80,6 @@ export function start(data, host) {
 
   function redraw() {
     asked = 0;
-    running += 1;
     drawMap();
     // Asked for again where nothing has moved, as by another width of the window.
     if (kept.settled?.key === JSON.stringify(state)) {
@@ -87,8 +87,9 @@ export function start(data, host) {
       return;
     }
     kept.settled = null;
+    running += 1;
     const drives = drivesOf();
-    views.waiting(by("robot-margins"));
+    outdate(drives);
     by("robot-command").value = words.command(data, state, drives);
     by("robot-toml").value = words.toml(data, state, drives);
     // What moves faster than a robot with many joints is computed is skipped, not queued.
@@ -102,6 +103,18 @@ export function start(data, host) {
       else settleSoon(drives);
     };
     work(quick(drives), done, AT_ONCE);
+  }
+
+  /** Nothing of before a move is left as if it were of now. */
+  function outdate(drives) {
+    for (const name of ["margins", "joints"]) views.waiting(by(`robot-${name}`));
+    for (const name of ["sensitivity", "shape"]) fill(by(`robot-${name}-data`), () => ["…"]);
+    by("robot-shape").classList.add("outdated");
+    by("robot-shape-says").textContent = "…";
+    if (!kept.map || kept.map.key === mapKey(drives)) return;
+    by("robot-map").classList.add("outdated");
+    by("robot-drawing").textContent = "(of before the move)";
+    fill(by("robot-map-data"), () => ["…"]);
   }
 
   /** Whether it is stable, and the singular values as a first picture. */
@@ -155,7 +168,7 @@ export function start(data, host) {
     yield;
     found.shape = shapeOf(loop, found, plant.inertias);
     const said = words.verdict(found, data.joints);
-    views.showMargins(by("robot-margins"), words.rows(found));
+    views.showMargins(by("robot-margins"), words.rows(found, open.period));
     by("robot-shape-says").textContent = words.shapeSays(found);
     const points = margins.withSensitivities(loop);
     fill(by("robot-sensitivity-data"), () => [views.sensitivityTable(points, open.period)]);
@@ -163,6 +176,7 @@ export function start(data, host) {
     const draw = () => {
       views.drawSensitivities(by("robot-sensitivity"), points, open.period);
       views.drawShape(by("robot-shape"), data.joints, found.shape);
+      by("robot-shape").classList.remove("outdated");
     };
     draw();
     kept.settled = { key: JSON.stringify(state), draw };
@@ -173,6 +187,10 @@ export function start(data, host) {
       joints.push(yield* margins.ofJoint(loop, i));
     }
     by("robot-joints").replaceChildren(views.jointTable(data.joints, drives, joints, found.shape));
+    if (growth.stable) {
+      found.disk = yield* diskMargin(loop);
+      views.showMargins(by("robot-margins"), words.rows(found, open.period));
+    }
     by("robot-verdict").dataset.joints = "true";
     yield* map(drives);
   }
@@ -188,12 +206,19 @@ export function start(data, host) {
     return null;
   }
 
+  /** What the map is of: all but the point. */
+  function mapKey(drives) {
+    const base = (gains) => gains.map((k) => Math.fround(k / state.gain_scale));
+    return `${state.loop} ${state.rate} ${drives.wn} ${drives.zeta} ${base(drives.kp)} ${base(drives.kd)} ${window.delay}`;
+  }
+
   /** Which gains are stable over the delay, a column after the other between those that are there. */
   function* map(drives) {
     const base = { ...drives, kp: drives.kp.map((k) => k / state.gain_scale) };
     base.kd = drives.kd.map((k) => k / state.gain_scale);
-    const key = `${state.loop} ${state.rate} ${drives.wn} ${drives.zeta} ${base.kp.map(Math.fround)} ${base.kd.map(Math.fround)} ${window.delay}`;
+    const key = mapKey(drives);
     if (kept.map?.key !== key) kept.map = { key, columns: [] };
+    by("robot-map").classList.remove("outdated");
     const { columns } = kept.map;
     const parts = data.joints.length > MANY ? FEWER : COLUMNS;
     if (columns.length > parts) return;

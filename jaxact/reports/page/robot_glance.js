@@ -9,7 +9,7 @@
 // pivots: none leaves the right half plane on the way. Eigenvalues, which cost ten times as much, are
 // for the numbers that are shown at rest.
 
-import { inverse, zeros } from "./matrices.js";
+import { inverse, product, zeros } from "./matrices.js";
 import { loopOf } from "./robot_loop.js";
 
 const MOST_POINTS = 2000;
@@ -60,31 +60,6 @@ export function* glance(known, kp, kd) {
 /** Of each joint the size of its gains, whose root makes L nearly symmetric. */
 const scales = (kp, kd, period) =>
   kp.map((own, i) => Math.sqrt(Math.hypot(own, kd[i] / period)) || 1);
-
-/** E = A B of square matrices, two rows of B at once. */
-function product(A, B, E) {
-  const { n, re, im } = E;
-  const { re: br, im: bi } = B;
-  re.fill(0);
-  im.fill(0);
-  for (let i = 0; i < n; i++) {
-    for (let k = 0, at = i * n; k < n; k += 2, at += 2) {
-      const more = k + 1 < n;
-      const a = A.re[at];
-      const b = A.im[at];
-      const c = more ? A.re[at + 1] : 0;
-      const d = more ? A.im[at + 1] : 0;
-      for (let j = 0, u = i * n, v = k * n, w = more ? v + n : v; j < n; j++, u++, v++, w++) {
-        const e = br[v];
-        const f = bi[v];
-        const g = br[w];
-        const h = bi[w];
-        re[u] += a * e - b * f + c * g - d * h;
-        im[u] += a * f + b * e + c * h + d * g;
-      }
-    }
-  }
-}
 
 /** Whether the Hermitian part of D^-1 E D is positive definite, by Cholesky's factors, put there. */
 function accretive({ n, re, im }, weights, { re: lr, im: li }) {

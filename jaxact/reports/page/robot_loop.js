@@ -122,7 +122,7 @@ export function* closing(known, kp, kd) {
   function* refine(more) {
     const all = new Set(points.map(({ t }) => t));
     const added = [];
-    for (const t of more.filter((t) => t > points[0].t && t < Math.PI && !all.has(t))) {
+    for (const t of more.filter((t) => t > 0 && t < Math.PI && !all.has(t))) {
       added.push(own(known.at(t)));
       yield;
     }

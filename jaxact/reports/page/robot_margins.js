@@ -3,18 +3,19 @@
 import { crossing } from "./margins.js";
 import { eigenvalues, largestSingularValue, shifted } from "./matrices.js";
 import * as robot from "./robot_loop.js";
+import { highest } from "./summits.js";
 
 const TURN = 2 * Math.PI;
-const PEAKS = 3;
 // Factors below it are rounding.
 const NO_FACTOR = 1e-12;
 const STARTS = 24;
 const ATTEMPTS = 6;
 // Places around a root of the closed loop, in widths.
 const PLACES = [-4, -2, -1, -0.5, 0, 0.5, 1, 2, 4];
+// Of the lowest angle of the grid: as good as 0.
+const AT_REST = 0.003;
 // A root is real whose imaginary part is below this share of its real one.
 const REAL = 1e-9;
-const GOLDEN = 0.5 * (3 - Math.sqrt(5));
 // S, T = I - S and the disk margin's S - I/2, as c I + d S.
 const KINDS = [
   [0, 1],
@@ -35,69 +36,12 @@ export function withSensitivities(loop) {
   return loop.points;
 }
 
-/** The largest value of a curve over w T, refined near its highest points on the grid: {t, value}; in steps. */
-function* highest(points, value, exact) {
-  const heights = points.map(value);
-  let best = { t: points[0].t, value: -Infinity };
-  const tops = heights
-    .map((height, i) => ({ height, i }))
-    .filter(({ height, i }) => !(heights[i - 1] > height) && !(heights[i + 1] > height))
-    .sort((a, b) => b.height - a.height)
-    .slice(0, PEAKS)
-    .filter(({ height }, _, all) => height > 0.9 * all[0].height);
-  for (const { i } of tops) {
-    const [low, middle, high] = [Math.max(i - 1, 0), i, Math.min(i + 1, points.length - 1)];
-    const found = summit(exact, points[low].t, points[middle].t, points[high].t);
-    if (found.value > best.value) best = found;
-    yield;
-  }
-  return best;
-}
-
-/** The maximum of f between low and high, beside a point inside, by Brent's method. */
-function summit(f, low, inside, high) {
-  let [a, b, x, w, v] = [low, high, inside, inside, inside];
-  let [fx, fw, fv] = [f(x), -Infinity, -Infinity];
-  [fw, fv] = [fx, fx];
-  let [d, e] = [0, 0];
-  for (let i = 0; i < 60; i++) {
-    const middle = 0.5 * (a + b);
-    const near = 1e-9 * Math.abs(x) + 1e-13;
-    if (Math.abs(x - middle) <= 2 * near - 0.5 * (b - a)) break;
-    let parabolic = false;
-    if (Math.abs(e) > near) {
-      const [r, q] = [(x - w) * (fx - fv), (x - v) * (fx - fw)];
-      const p = (x - v) * q - (x - w) * r;
-      const u = 2 * (q - r);
-      const step = -p / u;
-      if (Math.abs(step) < Math.abs(0.5 * e) && x + step > a && x + step < b) {
-        [e, d, parabolic] = [d, step, true];
-      }
-    }
-    if (!parabolic) {
-      e = x < middle ? b - x : a - x;
-      d = GOLDEN * e;
-    }
-    const u = Math.abs(d) >= near ? x + d : x + Math.sign(d) * near;
-    const fu = f(u);
-    if (fu >= fx) {
-      if (u >= x) a = x;
-      else b = x;
-      [v, fv, w, fw, x, fx] = [w, fw, x, fx, u, fu];
-    } else {
-      if (u < x) a = u;
-      else b = u;
-      if (fu >= fw || w === x) [v, fv, w, fw] = [w, fw, u, fu];
-      else if (fu >= fv || v === x || v === w) [v, fv] = [u, fu];
-    }
-  }
-  return { t: x, value: fx };
-}
+/** The frequency of a peak [rad/s]: 0 at the lowest angle that is looked at. */
+export const frequencyOf = ({ points, open }, { t }) => (t <= 2 * points[0].t ? 0 : t / open.period);
 
 /** Ms, Mt and the disk margin of changes that may mix the joints, with frequencies [rad/s]; in steps. */
 export function* peaks(loop) {
   const points = withSensitivities(loop);
-  const { period } = loop.open;
   const found = [];
   for (const [which, [c, d]] of KINDS.entries()) {
     const exact = (t) => largestSingularValue(shifted(robot.sensitivityOf(loop.at(t)), c, d));
@@ -106,9 +50,9 @@ export function* peaks(loop) {
   const [S, T, disk] = found;
   return {
     sensitivity_peak: S.value,
-    sensitivity_peak_frequency: S.t / period,
+    sensitivity_peak_frequency: frequencyOf(loop, S),
     complementary_peak: T.value,
-    complementary_peak_frequency: T.t / period,
+    complementary_peak_frequency: frequencyOf(loop, T),
     modulus_margin: 1 / S.value,
     unscaled_disk_margin: 1 / disk.value,
   };
@@ -310,7 +254,10 @@ export function* sharpen(loop, roots) {
   const more = roots.flatMap(({ re, im }) =>
     PLACES.map((x) => (im + x * Math.max(Math.abs(re), 1e-6 * im)) * period),
   );
-  yield* loop.refine([...new Set(more.map((t) => Number(t.toPrecision(9))))]);
+  // What is highest at rest is not seen at the lowest angle of the grid exactly.
+  const lowest = AT_REST * loop.points[0].t;
+  const all = [lowest, ...more.filter((t) => t > lowest)];
+  yield* loop.refine([...new Set(all.map((t) => Number(t.toPrecision(9))))]);
 }
 
 /** How the joints move where more delay makes the loop marginal. */

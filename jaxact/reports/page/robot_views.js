@@ -177,7 +177,7 @@ export function shapeTable(names, shape) {
   ]);
 }
 
-/** Rows {name, label, text, value} of the margins of all joints at once. */
+/** Rows {name, label, text, value} of the margins of all joints at once; no value is one that is not there yet. */
 export function showMargins(body, rows) {
   body.replaceChildren(
     ...rows.map(({ name, label, text, value }) => {
@@ -188,7 +188,7 @@ export function showMargins(body, rows) {
       head.textContent = label;
       made.append(head);
       const cell = made.insertCell();
-      cell.dataset.value = String(value);
+      if (value !== undefined) cell.dataset.value = String(value);
       cell.textContent = text;
       return made;
     }),
@@ -200,6 +200,7 @@ export function waiting(body) {
   for (const cell of body.querySelectorAll("td")) {
     cell.textContent = "…";
     delete cell.dataset.value;
+    delete cell.parentElement.dataset.margins;
   }
 }
 

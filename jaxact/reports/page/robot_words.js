@@ -63,7 +63,7 @@ export function shapeSays({ growth, later, up, shape }) {
 }
 
 /** Rows of the table of all joints at once. */
-export function rows({ growth, peaks, up, down, later }) {
+export function rows({ growth, peaks, up, down, later, disk }, period) {
   const row = (name, label, value, text) => ({ name, label, value, text });
   const known = (value) => (value === null || Number.isNaN(value) ? "not known here" : short(value));
   const found = [
@@ -74,13 +74,18 @@ export function rows({ growth, peaks, up, down, later }) {
   ];
   const shakes = growth.stable ? "" : growth.shakes ? ": number of motions changes" : ": begins to shake";
   const [high, low] = [up?.factor ?? Infinity, down?.factor ?? 0];
-  found.push(
-    row("gain_margin", `gains up${shakes} [×]`, high, short(high)),
-    row("gain_reduction_margin", `gains down${shakes} [×]`, low, short(low)),
-  );
+  const where = (name, limit) => {
+    const frequency = limit ? limit.t / period : Infinity;
+    if (limit) found.push(row(`${name}_frequency`, "where [rad/s]", frequency, short(frequency)));
+  };
+  found.push(row("gain_margin", `gains up${shakes} [×]`, high, short(high)));
+  where("gain_margin", up);
+  found.push(row("gain_reduction_margin", `gains down${shakes} [×]`, low, short(low)));
+  where("gain_reduction", down);
   if (!growth.shakes) {
     const delay = later ? later.delay : Infinity;
     found.push(row("delay_margin", `more delay${shakes} [ms]`, delay, known(1000 * delay)));
+    where("delay_margin", Number.isNaN(delay) ? null : later);
   }
   if (!peaks) return found;
   const labels = {
@@ -89,12 +94,30 @@ export function rows({ growth, peaks, up, down, later }) {
     complementary_peak: "Mt, peak of σmax T",
     complementary_peak_frequency: "where [rad/s]",
     modulus_margin: "modulus margin, 1/Ms",
-    unscaled_disk_margin: "disk margin, joints mixed too",
+    unscaled_disk_margin: "disk margin, full-block uncertainty",
   };
   for (const [name, label] of Object.entries(labels)) {
     found.push(row(name, label, peaks[name], short(peaks[name])));
   }
-  return found;
+  return [...found, ...diskRows(disk)];
+}
+
+/** Rows of the disk margin of all joints, each changed by itself; it comes last, and is undefined before. */
+function diskRows(disk) {
+  const { margin, frequency } = disk ?? {};
+  const row = (name, label, value, text) => ({ name, label, value, text: disk ? text(value) : "…" });
+  return [
+    row("disk_margin", "disk margin, joints independently", margin, short),
+    row("disk_margin_frequency", "where [rad/s]", frequency, short),
+    row("guaranteed", "it guarantees of each joint", margin, guaranteed),
+  ];
+}
+
+/** Gains and phase of each joint that a balanced disk margin guarantees. */
+function guaranteed(margin) {
+  const [low, high] = [(2 - margin) / (2 + margin), margin < 2 ? (2 + margin) / (2 - margin) : Infinity];
+  const angle = (360 / Math.PI) * Math.atan(margin / 2);
+  return `gains ×${short(Math.max(low, 0), 3)} to ×${short(high, 3)}, phase ±${short(angle, 3)}°`;
 }
 
 const differ = (values) => values.some((one) => one !== values[0]);
