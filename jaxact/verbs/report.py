@@ -136,13 +136,19 @@ def _whole(path: Path) -> Iterator[None]:
 
 
 def tuned_file(path: Path) -> tuple[Path, Mapping[str, Any]] | None:
-    """The file of tuned gains that a path means and what it says; None where it means none."""
+    """The file of tuned gains that a path means and what it says; None where it means none.
+
+    Raises:
+        UserError: that of a folder cannot be read, or is no TOML.
+    """
     own = path / GAINS if path.is_dir() else path
     if own.suffix != ".toml" or not own.is_file():
         return None
     try:
         document = tomllib.loads(own.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+    except (OSError, ValueError, RecursionError) as error:
+        if own != path:
+            raise UserError(f"{own}: is damaged ({error}); make it anew") from None
         return None
     meant = own != path or {"gains", "assumed"} <= document.keys() or {KP, KD} <= document.keys()
     return (own, document) if meant else None

@@ -133,13 +133,26 @@ def _subject(subject: Any) -> Subject:
         if path.suffix.lower() in (".xml", ".urdf"):
             raise UserError(ROBOT)
         if path.suffix != ".toml":
-            from jaxact.sweeping import opening
-
-            return _of_sweep(opening.open_result(subject, unfinished=True))
+            return _of_sweep(_opened(subject))
         if listed.rows(path) is not None:
             return Subject(loop_of(path), specification=path.read_text(encoding="utf-8"))
         return _of_specification(reading.load(path))
     raise UserError(f"a report cannot be of a {type(subject).__name__}; give a loop or a result")
+
+
+def _opened(where: str | os.PathLike[str]) -> xr.Dataset:
+    """The sweep that a path means, which nothing else that a report is of was."""
+    from jaxact.sweeping import opening
+
+    try:
+        opening.find(os.fspath(where))
+    except UserError as error:
+        if error.__cause__ is not None:  # it cannot be read, whatever it is
+            raise
+        raise UserError(
+            f"{error}, the folder of a tuning, an identified drive, a robot's model, or a TOML file"
+        ) from None
+    return opening.open_result(where, unfinished=True)
 
 
 def _of_sweep(results: xr.Dataset) -> Subject:

@@ -24,7 +24,7 @@ from jaxact.reports.page import Content
 from jaxact.robot_margins.open_loop import OpenPlant, open_loops
 from jaxact.tuning import report as tuning_report
 from jaxact.tuning.result import Tuned
-from jaxact.verbs import naming, report_tuned_robot, robot_tables
+from jaxact.verbs import naming, report_run, report_tuned_robot, robot_tables
 from jaxact.verbs.margins_of_robot import RobotLoopMargins
 
 RATES = (50.0, 100.0, 200.0, 250.0, 500.0, 1000.0, 2000.0)
@@ -123,7 +123,8 @@ def content(loop: ControlLoop, specified: str = "", tuned: Tuned | None = None) 
     head = robot_tables.title(own)
     return Content(
         title=f"Tuned: {tuned.verdict}" if tuned is not None else f"Robot: {head}",
-        description=f"{head}; linearised, {len(names)} joints, velocity {loop.kind.velocity}",
+        description=f"{head}; linearised, {report_run.counted(len(names), 'joint')},"
+        f" velocity {loop.kind.velocity}",
         parts=parts | {"robot": data},
         made={"Specification": specified} if specified else {},
     )

@@ -122,6 +122,25 @@ def test_a_damaged_result_is_one_line(text, tmp_path):
     assert not (tmp_path / "result.html").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("gains.toml", "no [[ TOML", r"gains\.toml: is damaged"),
+        ("notes.txt", "of something else", "the folder of a tuning, an identified drive"),
+        (None, "", "no such result.* a robot's model"),
+    ],
+    ids=["damaged", "other", "missing"],
+)
+def test_a_folder_of_nothing_that_a_report_is_of(name, text, words, tmp_path):
+    folder = tmp_path / "result"
+    if name is not None:
+        folder.mkdir()
+        (folder / name).write_text(text)
+    with pytest.raises(jx.UserError, match=f"^[^\n]*{words}[^\n]*$"):
+        jx.report(folder, tmp_path / "result.html")
+    assert not (tmp_path / "result.html").exists()
+
+
 def test_the_command_writes_and_says_so(tmp_path):
     out = tmp_path / "joint.html"
     ran = jaxact("report", "--actuator", "hyq", "--out", str(out))
