@@ -98,7 +98,7 @@ WARP = Engine(
 # loops of a chunk.
 LINEAR = Engine(
     "linear", "margins of the linearised robot", robot=True, in_jax=False, simulates=False,
-    tiles=(24, 24), work=96, memory=700 * _MIB, startup=4.0, worth=math.inf,
+    tiles=(24, 24), work=200, memory=700 * _MIB, startup=4.0, worth=math.inf,
     reproducible=False, rates=(40.0, 40.0),
 )  # fmt: skip
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,9 +22,8 @@ from jaxact.robot_margins.whole_robot import Moved, WholeRobot
 from jaxact.simulation.kernel import Case
 
 Found = tuple[Motion, WholeMargins | None] | None
-Mapped = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 _GAINS = (KP, KD, GAIN_SCALE)
-# Loops that are computed together: bounds the memory, and is what a thread gets.
+# Loops that are computed together: bounds the memory, and is what a process gets at a time.
 _TOGETHER = 24
 
 
@@ -52,7 +51,6 @@ def evaluate(
     samples: Samples,
     numbers: np.ndarray,
     reference: Mapping[str, float],
-    mapped: Mapped = map,
 ) -> list[Found]:
     """What some samples do, and the margins of all joints at once of those that are stable.
 
@@ -61,7 +59,6 @@ def evaluate(
         samples: of it.
         numbers: of those that are wanted, rising, shape (n,).
         reference: gains by key that frequency responses are computed with, from `reference`.
-        mapped: as `map`, perhaps by several threads.
 
     Returns:
         For each sample, in order; None of one without any gains, of which there is nothing to say.
@@ -74,24 +71,43 @@ def evaluate(
     for row in whole_robot.linearised(specification, samples, numbers):
         own = _Row(*row)
         families.setdefault(own.family, []).append(own)
-    parts: list[tuple[SharedResponse, dict[int, WholeRobot]]] = []
+    found: dict[int, Found] = {}
     for rows in families.values():
         shared = _shared(specification, rows[0], reference)
         for first in range(0, len(rows), _TOGETHER):
             part = rows[first : first + _TOGETHER]
-            parts.append((shared, {row.number: _whole(specification, row) for row in part}))
-    found: dict[int, Found] = {}
-    for some in mapped(_of_part, parts):
-        found |= some
+            found |= _of_part(shared, {row.number: _whole(specification, row) for row in part})
     return [found[int(number)] for number in numbers]
+
+
+def parts(samples: Samples, numbers: np.ndarray) -> list[np.ndarray]:
+    """Samples in parts to compute side by side, numbers rising in each; families stay together.
+
+    Args:
+        samples: of a robot.
+        numbers: of those that are wanted, rising, shape (n,).
+    """
+    rows = samples.take(numbers)
+    others = [np.asarray(row) for key, row in sorted(rows.items()) if base(key) not in _GAINS]
+    families: dict[tuple[str, ...], list[int]] = {}
+    for place, number in enumerate(numbers):
+        # Not a number stands for what the model has, and is not equal to itself.
+        families.setdefault(tuple(repr(row[place]) for row in others), []).append(int(number))
+    found: list[list[int]] = [[]]
+    for own in families.values():
+        pieces = -(-len(own) // _TOGETHER)
+        for piece in np.array_split(np.array(own), pieces):
+            if len(found[-1]) + len(piece) > _TOGETHER:
+                found.append([])
+            found[-1] += piece.tolist()
+    return [np.sort(np.array(part)) for part in found if part]
 
 
 def _whole(specification: Specification, row: _Row) -> WholeRobot:
     return whole_robot.one(row.case, specification, row.template, row.values, row.moved)
 
 
-def _of_part(part: tuple[SharedResponse, dict[int, WholeRobot]]) -> dict[int, Found]:
-    shared, wholes = part
+def _of_part(shared: SharedResponse, wholes: dict[int, WholeRobot]) -> dict[int, Found]:
     found: dict[int, Found] = {}
     together: dict[int, Member] = {}
     for number, whole in wholes.items():

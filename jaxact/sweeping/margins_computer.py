@@ -1,26 +1,49 @@
-"""Chunks of a sweep of margins: a robot's linearised loops, on the cores of this process."""
+"""Chunks of a sweep of margins: a robot's linearised loops, on the cores of this machine."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxact import engines
+from jaxact.errors import UserError
 from jaxact.loops.samples import Samples
 from jaxact.parameters import CONTROL_RATE
 from jaxact.status import Verdict
+from jaxact.sweeping.processes import Helpers, helping
 from jaxact.sweeping.variables import variables
 
 if TYPE_CHECKING:
     from jaxact.analysis.robot.many import Motion
     from jaxact.loops.specification import Specification
+    from jaxact.robot_margins.families import Found
     from jaxact.simulation.plans import Plan
     from jaxact.sweeping.computer import ChunkTask
+
+# Loops for each process beside this one, at least: what one does while another starts.
+_WORTH = 64
+
+
+@dataclass(frozen=True)
+class _Shared:
+    """What all tasks of a sweep have in common.
+
+    Attributes:
+        specification: with the engine that its robot is linearised in.
+        samples: all loops.
+        reference: gains by key, from `families.reference`.
+        model: digest of the robot.
+    """
+
+    specification: Specification
+    samples: Samples
+    reference: Mapping[str, float]
+    model: str
 
 
 class MarginsComputer:
@@ -29,29 +52,27 @@ class MarginsComputer:
     plan: tuple[Plan, Specification] | None = None
 
     def __init__(self, work: ChunkTask) -> None:
-        from jaxact.robot_margins import families
-
         self._work = work
-        self._threads = threads(work.specification)
-        self._specification = linearised(work.specification)
-        self._reference = families.reference(work.samples)
+        self._shared = _shared(work.specification, work.samples)
 
     def __call__(self, number: int) -> tuple[dict[str, np.ndarray], int]:
         """The results of a chunk by variable, and the tile of the store."""
-        with ThreadPoolExecutor(self._threads) as pool:
-            return self._computed(number, pool), self._work.store.tile
+        ((_, found),) = self.each([number])
+        return found
 
     def each(
         self, numbers: Iterable[int]
     ) -> Iterator[tuple[int, tuple[dict[str, np.ndarray], int]]]:
         """The results of chunks in order."""
-        with ThreadPoolExecutor(self._threads) as pool:
-            for number in numbers:
-                yield number, (self._computed(number, pool), self._work.store.tile)
-
-    def _computed(self, number: int, pool: ThreadPoolExecutor) -> dict[str, np.ndarray]:
-        numbers = self._work.store.layout.numbers(number)
-        return _margins(self._specification, self._work.samples, numbers, self._reference, pool)
+        chunks = list(numbers)
+        layout = self._work.store.layout
+        count = helping_processes(
+            self._work.specification, sum(layout.span(number)[1] for number in chunks)
+        )
+        with helping(count, _computing, self._shared) as pool:
+            for number in chunks:
+                found = _margins(self._shared, layout.numbers(number), pool)
+                yield number, (found, self._work.store.tile)
 
 
 def recomputed(
@@ -64,11 +85,36 @@ def recomputed(
         samples: all its loops.
         numbers: of those, rising, shape (n,).
     """
+    shared = _shared(specification, samples)
+    count = helping_processes(specification, len(numbers))
+    with helping(count, _computing, shared) as pool:
+        return _margins(shared, numbers, pool)
+
+
+def _shared(specification: Specification, samples: Samples) -> _Shared:
     from jaxact.robot_margins import families
 
     asked = linearised(specification)
-    with ThreadPoolExecutor(threads(specification)) as pool:
-        return _margins(asked, samples, numbers, families.reference(samples), pool)
+    return _Shared(asked, samples, families.reference(samples), _model(asked, samples))
+
+
+def _model(specification: Specification, samples: Samples) -> str:
+    from jaxact.simulation import plans
+
+    return plans.groups(specification, samples)[0].case.model
+
+
+def _computing(shared: _Shared) -> Callable[[np.ndarray], list[Found]]:
+    """What computes the margins of some samples, by their numbers, rising."""
+    from jaxact.robot_margins import families
+
+    if _model(shared.specification, shared.samples) != shared.model:
+        raise UserError("the robot's model has changed since the sweep began")
+
+    def compute(numbers: np.ndarray) -> list[Found]:
+        return families.evaluate(shared.specification, shared.samples, numbers, shared.reference)
+
+    return compute
 
 
 def linearised(specification: Specification) -> Specification:
@@ -76,8 +122,8 @@ def linearised(specification: Specification) -> Specification:
     return dataclasses.replace(specification, engine=engines.MUJOCO.name, tile=None, devices=None)
 
 
-def threads(specification: Specification) -> int:
-    """Threads that compute: as many as there are cores, or as devices are asked for."""
+def processes(specification: Specification) -> int:
+    """Processes that compute: as many as there are cores, or as devices are asked for."""
     if specification.devices is not None:
         return specification.devices
     if hasattr(os, "sched_getaffinity"):
@@ -85,18 +131,23 @@ def threads(specification: Specification) -> int:
     return os.cpu_count() or 1
 
 
-def _margins(
-    specification: Specification,
-    samples: Samples,
-    numbers: np.ndarray,
-    reference: Mapping[str, float],
-    pool: ThreadPoolExecutor,
-) -> dict[str, np.ndarray]:
+def helping_processes(specification: Specification, loops: int) -> int:
+    """Processes beside this one; few loops are done before one has started."""
+    return min(processes(specification) - 1, loops // _WORTH)
+
+
+def _margins(shared: _Shared, numbers: np.ndarray, pool: Helpers) -> dict[str, np.ndarray]:
     from jaxact.robot_margins import families
 
-    found = families.evaluate(specification, samples, numbers, reference, pool.map)
+    parts = families.parts(shared.samples, numbers)
+    by_number = {
+        int(number): one
+        for part, found in zip(parts, pool.map(parts), strict=True)
+        for number, one in zip(part, found, strict=True)
+    }
+    found = [by_number[int(number)] for number in numbers]
     rows = {name: np.full(len(found), np.nan) for name in variables(robot=True, margins=True)}
-    rate = samples.take(numbers)[CONTROL_RATE]
+    rate = shared.samples.take(numbers)[CONTROL_RATE]
     for place, one in enumerate(found):
         rows["verdict"][place] = Verdict.INVALID if one is None else _verdict(one[0])
         if one is None:

@@ -17,7 +17,7 @@ from jaxact.sweeping.variables import KIND, of_margins, variables_of
 
 # Chunks of a sweep that are enough, where they would otherwise be a second of work each.
 _CHUNKS = 32
-# What the margins of some loops of a robot take in a thread [bytes].
+# What the margins of some loops of a robot take in a process [bytes].
 _OF_ROBOT = 300 * 2**20
 # Longest chunk, in seconds of work: what is lost at most when a process is killed.
 _LONGEST = 8
@@ -134,13 +134,14 @@ def _of_margins(specification: Specification, samples: Samples, budget: int | No
     assert engine is not None and engine.rates is not None
     asked = margins_computer.linearised(specification)
     case = plans.groups(asked, samples)[0].case
-    threads = margins_computer.threads(specification)
+    processes = margins_computer.processes(specification)
     coordinates = sum(array.nbytes for array in samples.along.values() if array.size > 1)
     results = len(variables_of(specification)) * 8
-    least = engine.memory + 4 * coordinates + threads * _OF_ROBOT
+    beside = margins_computer.helping_processes(specification, len(samples))
+    least = (1 + beside) * (engine.memory + 4 * coordinates + _OF_ROBOT)
     if budget is None:
         budget = max(int(memory.SHARE * memory.free()), least)
-    loops = int(engine.work) * threads
+    loops = int(engine.work) * processes
     if budget < least + loops * results:
         raise UserError(
             f"memory: {memory.text(budget)} are too little; this sweep needs at least"
@@ -149,14 +150,14 @@ def _of_margins(specification: Specification, samples: Samples, budget: int | No
     return Planned(
         tile=min(specification.tile or engine.tiles[0], max(1, len(samples))),
         loops=loops,
-        devices=threads,
+        devices=processes,
         engine=engine.name,
         digest=case.model,
         platform="cpu",
-        device=f"{threads} x cpu",
+        device=f"{processes} x cpu",
         memory=budget,
         peak=least + min(loops, len(samples)) * results,
-        seconds=len(samples) / (engine.rates[0] * threads),
+        seconds=len(samples) / (engine.rates[0] * processes),
         startup=engine.startup,
         measured=False,
     )

@@ -93,8 +93,8 @@ def changes(
         factor, at = known.gains[0 if up else 1]
         if now.any() or (0.0 < factor < math.inf and (at > 0.0) != swing):
             own = [item for item in candidates if (item.angle > 0.0) == swing]
-            bad = _modes.shakes if swing else _modes.topples
-            factor, _ = _limits.gain_limit(loop, robot.matrices, own, up=up, bad=bad)
+            counted = _modes.shaking if swing else _modes.toppling
+            factor, _ = _limits.gain_limit(loop, robot.matrices, own, up=up, counted=counted)
         if not 0.0 < factor < math.inf:
             return None
         M, N, C = robot.matrices

@@ -74,7 +74,7 @@ def limit(robot: Robot, grid: np.ndarray, followed: np.ndarray) -> tuple[float, 
         grid, followed: w T [rad] and the eigenvalues of S there, from `multiloop_limits.followed`.
     """
     turned = _limits.crossings(grid, followed, lambda s: s.real - 0.5)
-    return _limits.delay_limit(robot.later_by, robot.period, turned, _modes.shakes)
+    return _limits.delay_limit(robot.later_by, robot.period, turned, _modes.shaking)
 
 
 def marginal(robot: Robot, angle: float, delay: float) -> np.ndarray:

@@ -107,15 +107,18 @@ def _squared(values: np.ndarray) -> np.ndarray:
     return values.real**2 + values.imag**2
 
 
-def largest(S: list[np.ndarray], grids: list[np.ndarray], family: Family) -> np.ndarray:
+def largest(
+    S: list[np.ndarray], grids: list[np.ndarray], above: list[np.ndarray], family: Family
+) -> np.ndarray:
     """max over w of the bound of mu(S - I/2) of several loops, and w T [rad] there; (loops, 2).
 
     Args:
         S: of each loop on its grid, shape (k, m, m) each.
         grids: w T [rad], rising, shape (k,) each.
+        above: upper bounds of sigma_max(S - I/2) there, as `singular_bound`, shape (k,) each.
         family: (angles (j,), numbers of loops (j,)) -> S - I/2, shape (j, m, m).
     """
-    tops = _highest(S)
+    tops = _highest(S, above)
     brackets = np.array(
         [grid[[max(top - 1, 0), top, min(top + 1, len(grid) - 1)]] for grid, top in
          zip(grids, tops, strict=True)]
@@ -124,10 +127,10 @@ def largest(S: list[np.ndarray], grids: list[np.ndarray], family: Family) -> np.
     return summits(brackets, lambda at, which: bounds(family(at, numbers[which])))
 
 
-def _highest(S: list[np.ndarray]) -> np.ndarray:
+def _highest(S: list[np.ndarray], plain: list[np.ndarray]) -> np.ndarray:
     """The grid point of the largest bound of each loop, but for the accuracy of the search."""
     shifted = [part - 0.5 * np.eye(part.shape[-1]) for part in S]
-    above = [_above(part) for part in shifted]
+    above = [_above(part, size) for part, size in zip(shifted, plain, strict=True)]
     found = np.zeros(len(S))
     tops = np.zeros(len(S), int)
     looked = [np.zeros(len(part), bool) for part in shifted]
@@ -152,9 +155,8 @@ def _highest(S: list[np.ndarray]) -> np.ndarray:
                 found[loop], tops[loop] = value, place
 
 
-def _above(P: np.ndarray) -> np.ndarray:
+def _above(P: np.ndarray, plain: np.ndarray) -> np.ndarray:
     """Upper bounds of the bound at every frequency: by the scaling at the highest of them."""
-    plain = singular_bound(P)
     _, scale = disk.balanced(P[[int(np.argmax(plain))]])
     return np.minimum(plain, singular_bound(P * (scale[0][:, None] / scale[0])))
 

@@ -17,17 +17,21 @@ import numpy as np
 import scipy.linalg
 
 from jaxact.analysis.robot.multiloop import Matrices, Multiloop, joined, reduced, sensitivity
+from jaxact.analysis.robot.stability import (
+    MARGINAL,
+    Counted,
+    all_roots,
+    beyond,
+    decays,
+    excess,
+    moving,
+    switch,
+)
 
-# A root this little outside the unit circle is on it: a robot's matrices come from differences.
-MARGINAL = 1e-9
-# Roots this near to 1 are those of rigid-body motions: double ones, which rounding parts.
-NEUTRAL = 1.5e-7
-# And those that move so little in a period.
-DRIFT = 1e-5
 # Factors further from 1 than this are none.
 FURTHEST = 1e9
-# Halvings of the grid's intervals, and of intervals of factors and delays.
-_HALVINGS, _BISECTIONS = 40, 44
+# Halvings of the grid's intervals.
+_HALVINGS = 40
 # How far beside a crossing stability is looked at, of its distance.
 BESIDE = 1e-4
 # A root that turns by less than this in a period does not turn [rad].
@@ -58,32 +62,6 @@ class Crossing:
     above: complex
     angle: float
     value: complex
-
-
-def unstable(M: np.ndarray) -> bool:
-    """Whether a root of a matrix is outside the unit circle, beyond rounding."""
-    return bool(np.any(beyond(np.linalg.eigvals(M))))
-
-
-def unstable_by_delay(M: np.ndarray) -> bool:
-    """As `unstable`, without roots next to 1: what is static no delay changes, and none moves."""
-    roots = np.linalg.eigvals(M)
-    return bool(np.any(beyond(roots) & ~drifting(roots)))
-
-
-def drifting(roots: np.ndarray) -> np.ndarray:
-    """Which roots neither turn nor grow by a hundred-thousandth of a period: no shaking does."""
-    return np.abs(roots - 1.0) < DRIFT
-
-
-def beyond(roots: np.ndarray) -> np.ndarray:
-    """Which roots are outside the unit circle, to the last digit; what is not a number is."""
-    return ~(np.abs(roots) <= 1.0 + MARGINAL)
-
-
-def neutral(roots: np.ndarray) -> np.ndarray:
-    """Which roots are those of rigid-body motions, at 1 but for rounding."""
-    return np.abs(roots - 1.0) < NEUTRAL
 
 
 def followed(S: np.ndarray) -> np.ndarray:
@@ -177,14 +155,14 @@ def gain_limit(
     candidates: list[Crossing],
     *,
     up: bool,
-    bad: Callable[[np.ndarray], bool] = unstable,
+    counted: Counted = all_roots,
 ) -> tuple[float, float]:
     """The nearest factor on all gains at which stability changes, above or below 1.
 
     Args:
         matrices: M, N, C of the loop.
         candidates: from `gain_factors`.
-        bad: what a loop with this matrix is, or is not; of its growing roots only those count.
+        counted: of the roots those that stability is asked of.
 
     Returns:
         The factor (inf above, 0 below if there is none) and its frequency w T [rad] (inf).
@@ -196,8 +174,11 @@ def gain_limit(
     def matrix(distance: float) -> np.ndarray:
         return M + math.expm1(sign * distance) * feedback
 
+    def growth(distance: float) -> float:
+        return excess(matrix(distance), counted)
+
     def fails(distance: float) -> bool:
-        return bad(matrix(distance))
+        return growth(distance) > 0.0
 
     ahead = sorted(
         (item for item in candidates if (factor(item) > 1.0) == up),
@@ -208,26 +189,17 @@ def gain_limit(
     # Stability may change at a crossing only: it is looked at between them.
     stops = [*between, *(1.5 * last + 0.1 for last in distances[-1:])]
     start, now = 0.0, fails(0.0)
-    for item, beyond in zip(ahead, stops, strict=True):
-        if fails(beyond) != now:
+    for item, stop in zip(ahead, stops, strict=True):
+        if fails(stop) != now:
             exact = refined(loop, item)
             at = abs(math.log(factor(exact)))
             if fails(at - BESIDE * at) != now or fails(at + BESIDE * at) == now:
                 # Another crossing, between two points of the grid.
-                at = _switch(fails, start, beyond)
+                at = switch(growth, start, stop)
                 return math.exp(sign * at), _angle_of_change(matrix, at)
             return math.exp(sign * at), exact.angle
-        start = beyond
+        start = stop
     return (math.inf if up else 0.0), math.inf
-
-
-def _switch(fails: Callable[[float], bool], low: float, high: float) -> float:
-    """Where a loop changes from stable to unstable, or back, by bisection to rounding."""
-    first = fails(low)
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if fails(middle) == first else (low, middle)
-    return 0.5 * (low + high)
 
 
 def _angle_of_change(matrix: Callable[[float], np.ndarray], at: float) -> float:
@@ -261,7 +233,7 @@ def delay_limit(
     later_by: Callable[[float], Matrices],
     period: float,
     candidates: list[Crossing],
-    bad: Callable[[np.ndarray], bool] = unstable_by_delay,
+    counted: Counted = moving,
 ) -> tuple[float, float]:
     """The smallest delay of all commands, on top of what they have, that destabilises [s].
 
@@ -269,7 +241,7 @@ def delay_limit(
         later_by: extra delay of a part of a period [s], in [0, T] -> M, N, C.
         period: T [s].
         candidates: crossings with Re s = 1/2 of the loop as it is.
-        bad: what the loop as it is is not, see `gain_limit`.
+        counted: the roots that are asked of, see `gain_limit`.
 
     Returns:
         The delay (inf if there is none) and its frequency w T [rad] (inf).
@@ -286,7 +258,7 @@ def delay_limit(
         for found in marginal_delays(later_by, period, item.angle, guess, best):
             if found[0] < best:
                 best, where = found
-    early = early_delay(later_by, period, min(best, float(_TRIED)) * (1.0 - 1e-9), bad)
+    early = early_delay(later_by, period, min(best, float(_TRIED)) * (1.0 - 1e-9), counted)
     if early is not None:
         best, where = early
     return best * period, where
@@ -366,7 +338,7 @@ def early_delay(
     later_by: Callable[[float], Matrices],
     period: float,
     last: float,
-    bad: Callable[[np.ndarray], bool],
+    counted: Counted,
 ) -> tuple[float, float] | None:
     """An unstable delay before the last one, by trying [periods]; None if there is none."""
 
@@ -374,15 +346,16 @@ def early_delay(
         whole = math.floor(delay)
         return later(later_by((delay - whole) * period), whole)
 
-    def fails(delay: float) -> bool:
-        return bad(matrix(delay))
+    def growth(delay: float) -> float:
+        return excess(matrix(delay), counted)
 
     before = 0.0
     # Parts of a period that all loops have alike, so that what they share is computed once.
     parts = np.arange(1, math.ceil(_PARTS * last)) / _PARTS
     for delay in (*(parts if parts.size else [0.5 * last]), last):
-        if fails(float(delay)):
-            found = _switch(fails, before, float(delay))
+        tried = matrix(float(delay))
+        if not decays(tried) and excess(tried, counted) > 0.0:
+            found = switch(growth, before, float(delay))
             values = np.linalg.eigvals(matrix(found))
             # Delay changes nothing that does not turn.
             turning = np.where(np.abs(np.angle(values)) > _STILL, np.abs(values), 0.0)

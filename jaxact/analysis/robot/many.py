@@ -22,6 +22,7 @@ from jaxact.analysis.robot.margins import WholeMargins, demand_answers
 from jaxact.analysis.robot.modes import Robot
 from jaxact.analysis.robot.nearest import Loci
 from jaxact.analysis.robot.shared_response import SharedResponse
+from jaxact.analysis.robot.stability import excess
 from jaxact.analysis.robot.summits import summits
 
 # Share of the largest value on the grid from which on maxima are refined, and how many at most.
@@ -65,12 +66,16 @@ class Motion:
 
 @dataclass(frozen=True)
 class _Looked:
-    """A stable loop on its grid; limits are (value, w T)."""
+    """A stable loop on its grid; limits are (value, w T).
+
+    `above` are upper bounds of sigma_max of S, S - I and S - I/2, as `_SHIFTS`, shape (k,) each.
+    """
 
     number: int
     member: Member
     angle: np.ndarray
     S: np.ndarray
+    above: tuple[np.ndarray, np.ndarray, np.ndarray]
     gains: tuple[Limit, Limit]
     delay: Limit
 
@@ -121,9 +126,11 @@ def _look(shared: SharedResponse, number: int, member: Member, roots: np.ndarray
     # At the ends of the axis it is real but for rounding.
     S[[0, -1]] = S[[0, -1]].real
     unit = np.eye(S.shape[-1])
-    loci = Loci(angle, S, disk_batch.singular_bound(S), disk_batch.singular_bound(unit - S))
+    most, complementary, half = (disk_batch.singular_bound(S - by * unit) for by in _SHIFTS)
+    loci = Loci(angle, S, most, complementary)
     gains = _gain(shared, member, loci, up=True), _gain(shared, member, loci, up=False)
-    return _Looked(number, member, angle, S, gains, _delay(member, loci))
+    above = most, complementary, half
+    return _Looked(number, member, angle, S, above, gains, _delay(member, loci))
 
 
 def _gain(shared: SharedResponse, member: Member, loci: Loci, *, up: bool) -> Limit:
@@ -142,7 +149,7 @@ def _gain(shared: SharedResponse, member: Member, loci: Loci, *, up: bool) -> Li
     at, sign = _distance(best), 1.0 if up else -1.0
 
     def fails(distance: float) -> bool:
-        return _unstable(M + math.expm1(sign * distance) * (N @ C))
+        return excess(M + math.expm1(sign * distance) * (N @ C)) > 0.0
 
     if not fails(at * (1.0 - _limits.BESIDE)) and fails(at * (1.0 + _limits.BESIDE)):
         return math.exp(sign * at), best.angle
@@ -153,10 +160,6 @@ def _gain(shared: SharedResponse, member: Member, loci: Loci, *, up: bool) -> Li
 
 def _distance(crossing: _limits.Crossing) -> float:
     return abs(math.log(_limits.factor(crossing)))
-
-
-def _unstable(M: np.ndarray) -> bool:
-    return bool(np.any(_limits.beyond(np.linalg.eigvals(M))))
 
 
 def _delay(member: Member, loci: Loci) -> Limit:
@@ -175,7 +178,12 @@ def _whole(shared: SharedResponse, looked: Sequence[_Looked]) -> list[WholeMargi
 
     peaks = _singular_peaks(looked, shifted)
     S, grids = [one.S for one in looked], [one.angle for one in looked]
-    disks = disk_batch.largest(S, grids, lambda t, loop: shifted(np.full(len(t), 0.5), t, loop))
+    above = [one.above[_HALF] for one in looked]
+
+    def family(t: np.ndarray, loop: np.ndarray) -> np.ndarray:
+        return shifted(np.full(len(t), 0.5), t, loop)
+
+    disks = disk_batch.largest(S, grids, above, family)
     period = looked[0].member.robot.period
     return [
         _of_all(one, top, disk, period) for one, top, disk in zip(looked, peaks, disks, strict=True)
@@ -205,7 +213,7 @@ def _of_all(one: _Looked, top: np.ndarray, disk: np.ndarray, period: float) -> W
 
 
 # What is taken from S for S, -T, and the disk margin's (S - T)/2.
-_SHIFTS = np.array([0.0, 1.0, 0.5])
+_SHIFTS, _HALF = np.array([0.0, 1.0, 0.5]), 2
 
 
 def _singular_peaks(looked: Sequence[_Looked], shifted) -> np.ndarray:
@@ -219,7 +227,7 @@ def _singular_peaks(looked: Sequence[_Looked], shifted) -> np.ndarray:
     for number, one in enumerate(looked):
         for kind, shift in enumerate(_SHIFTS):
             P = one.S - shift * np.eye(one.S.shape[-1])
-            values = _high_values(P)
+            values = _high_values(P, one.above[kind])
             top = int(np.argmax(values))
             best[number, kind] = values[top], one.angle[top]
             inner = 1 + np.flatnonzero(
@@ -243,9 +251,8 @@ def _singular_peaks(looked: Sequence[_Looked], shifted) -> np.ndarray:
     return best
 
 
-def _high_values(P: np.ndarray) -> np.ndarray:
+def _high_values(P: np.ndarray, above: np.ndarray) -> np.ndarray:
     """Largest singular values where they may be near the largest of all, 0 elsewhere; (k,)."""
-    above = disk_batch.singular_bound(P)
     values = np.zeros(len(P))
     first = int(np.argmax(above))
     values[first] = np.linalg.norm(P[first], 2)

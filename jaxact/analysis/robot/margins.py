@@ -24,6 +24,7 @@ from jaxact.analysis.robot import multiloop as _multiloop
 from jaxact.analysis.robot.changes import Changes, Limits, changes
 from jaxact.analysis.robot.modes import Mode, Robot
 from jaxact.analysis.robot.multiloop import Multiloop
+from jaxact.analysis.robot.stability import MARGINAL
 from jaxact.errors import UserError
 
 _TURN = 2.0 * math.pi
@@ -145,7 +146,7 @@ class RobotMargins:
     @property
     def _faults(self) -> list[str]:
         words = {"shakes": self.shaking_rate, "topples": self.toppling_rate}
-        growing = math.log1p(_limits.MARGINAL)  # a period's share of it does not count as growth
+        growing = math.log1p(MARGINAL)  # a period's share of it does not count as growth
         return [word for word, rate in words.items() if rate * self.period > growing]
 
     @property

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxact.analysis.robot import multiloop as _multiloop
-from jaxact.analysis.robot.limits import beyond, drifting, neutral
 from jaxact.analysis.robot.multiloop import Matrices, Multiloop
+from jaxact.analysis.robot.stability import beyond, drifting, excess, neutral
 
 # A root that turns by less than this in a period does not turn [rad].
 _STILL = 1e-9
@@ -77,16 +77,19 @@ def swinging(roots: np.ndarray) -> np.ndarray:
     return np.abs(rates.imag) > np.abs(rates.real)
 
 
+def shaking(roots: np.ndarray) -> np.ndarray:
+    """Which roots shake a robot if they grow: those that swing."""
+    return swinging(roots) & ~drifting(roots)
+
+
+def toppling(roots: np.ndarray) -> np.ndarray:
+    """Which roots topple a robot if they grow: those that do not swing."""
+    return ~swinging(roots)
+
+
 def shakes(M: np.ndarray) -> bool:
     """Whether a loop with this matrix has a growing motion that swings."""
-    roots = np.linalg.eigvals(M)
-    return bool(np.any(beyond(roots) & swinging(roots) & ~drifting(roots)))
-
-
-def topples(M: np.ndarray) -> bool:
-    """Whether a loop with this matrix has a growing motion that does not swing."""
-    roots = np.linalg.eigvals(M)
-    return bool(np.any(beyond(roots) & ~swinging(roots)))
+    return excess(M, shaking) > 0.0
 
 
 def fastest(roots: np.ndarray, period: float, *, swing: bool) -> float:

@@ -4,7 +4,9 @@ Where |s| <= sigma_max(S) = u, |1 - s| <= sigma_max(T) = t, an eigenvalue s is m
 
     under a factor on all gains above 1, g = s / (s - 1), only from g >= u / (u - 1) on,
     under one below 1 only up to g <= 1 - 1 / t,
-    under a delay only from 2 asin(1 / 2t) / w on.
+    under a delay, where |s| = |1 - s|, only from 2 asin(1 / 2 min(u, t)) / w on,
+
+and u <= 1 + t, t <= 1 + u of what is real.
 
 Blocks of the frequency grid are looked at in the order of what they might have, until the best that
 was found is nearer than anything that is left.
@@ -55,19 +57,21 @@ class Loci:
     def more_gain(self) -> list[Crossing]:
         """Crossings with a real factor above 1, the nearest one and some of the others."""
         with np.errstate(divide="ignore"):
-            beyond = 1.0 / np.maximum(_BETWEEN * self.most, 1.0)
-            distance = -np.log1p(-beyond)
+            most = np.minimum(_BETWEEN * self.most, 1.0 + _BETWEEN * self.complementary)
+            distance = -np.log1p(-1.0 / np.maximum(most, 1.0))
         return self._nearest(distance, functools.partial(self._factors, up=True), _distance)
 
     def less_gain(self) -> list[Crossing]:
         """Crossings with a factor below 1, as `more_gain`."""
         with np.errstate(divide="ignore"):
-            distance = -np.log1p(-1.0 / np.maximum(_BETWEEN * self.complementary, 1.0))
+            most = np.minimum(_BETWEEN * self.complementary, 1.0 + _BETWEEN * self.most)
+            distance = -np.log1p(-1.0 / np.maximum(most, 1.0))
         return self._nearest(distance, functools.partial(self._factors, up=False), _distance)
 
     def more_delay(self) -> list[Crossing]:
         """Crossings with the unit circle of an eigenvalue of the loop, the nearest and others."""
-        sine = 1.0 / (2.0 * np.maximum(_BETWEEN * self.complementary, 0.5))
+        most = _BETWEEN * np.minimum(self.complementary, self.most)
+        sine = 1.0 / (2.0 * np.maximum(most, 0.5))
         with np.errstate(divide="ignore"):
             delay = np.where(sine < 1.0, 2.0 * np.arcsin(np.minimum(sine, 1.0)), math.inf)
             delay = np.where(self.angle > 0.0, delay / self.angle, math.inf)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxact.analysis.robot import disk as _disk
-from jaxact.analysis.robot.limits import MARGINAL
+from jaxact.analysis.robot.stability import MARGINAL
 from jaxact.tuning.robot import cores
 from jaxact.tuning.robot.loops import OpenLoops, together
 
@@ -114,7 +114,7 @@ def sensitivity(response: np.ndarray, kp: np.ndarray, kd: np.ndarray) -> np.ndar
 def growth_rates(loops: OpenLoops, kp: np.ndarray, kd: np.ndarray) -> np.ndarray:
     """Growth rate of every closed loop [1/s], shape (l,); 0 at the edge of stability, as counted.
 
-    A root this little outside the unit circle is on it: `jaxact.analysis.robot.limits.MARGINAL`.
+    A root this little outside the unit circle is on it: `jaxact.analysis.robot.stability.MARGINAL`.
     """
     closed = loops.A - loops.B @ (
         kp[:, None] * loops.seen[:, :, 0] + kd[:, None] * loops.seen[:, :, 1]
