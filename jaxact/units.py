@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 # What a joint's position is measured in: it slides, or it turns.
 UNITS = ("m", "rad")
 # The units of a rotary joint, by how those of one that slides begin.
@@ -22,3 +24,19 @@ def turned(units: str) -> str:
 def in_unit(units: str, unit: str | None) -> str:
     """A unit as it is written for a joint whose position is in `unit`; None: m."""
     return turned(units) if unit == "rad" else units
+
+
+def joint_units(units: str, rotary: Sequence[bool]) -> str:
+    """A unit that is written for slides, of joints of these kinds.
+
+    Args:
+        units: of slides: "N/m", "m s", "N^2 s".
+        rotary: of each joint, whether it is measured in rad and N m.
+
+    Returns:
+        `units` of slides, that of hinges ("rad s", "(N m)^2 s"), or both of a robot that has both.
+    """
+    hinge = turned(units)
+    if hinge == units or not any(rotary):
+        return units
+    return hinge if all(rotary) else f"{hinge} or {units}"

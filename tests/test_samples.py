@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from jaxact.loops.joint_units import with_units
 from jaxact.loops.reading import parse
 from jaxact.loops.samples import expand
 from jaxact.parameters import PARAMETERS, PRESETS
@@ -115,3 +116,24 @@ def test_a_range_has_its_ends_and_even_spacing(low, width, number, log):
     assert values[0] == low and values[-1] == low + width and len(values) == number
     steps = np.diff(np.log(values) if log else values)
     np.testing.assert_allclose(steps, steps.mean(), rtol=1e-6, atol=1e-12)
+
+
+def test_axes_of_robots_are_in_the_units_of_the_joints_they_are_meant_for(tmp_path):
+    """One joint slides and one turns; a payload is a mass whatever they do."""
+    (tmp_path / "robot.xml").write_text(
+        "<mujoco><option timestep='0.002'/><worldbody><body>"
+        "<joint name='lift' type='slide' axis='0 0 1' stiffness='1e3'/>"
+        "<geom size='0.1' mass='2'/><body pos='0.2 0 0'><joint name='knee' axis='0 1 0'/>"
+        "<geom size='0.1' pos='0 0 -0.2' mass='1'/></body></body></worldbody>"
+        "<actuator><motor name='l' joint='lift'/><motor name='k' joint='knee'/></actuator></mujoco>"
+    )
+    specification = parse(
+        '[plant]\nmodel = "robot.xml"\n[axes]\nkp = [5.0, 6.0]\n"kp@knee" = [5.0]\n'
+        '"kd@lift" = [0.1, 0.2]\npayload = [0.0, 1.0]\ndelay = [0.0, 1e-3]\nwn = [100.0]\n',
+        tmp_path,
+    )
+    found = with_units(expand(specification).coords, specification.plant)
+    assert {name: place.attributes["units"] for name, place in found.items()} == {
+        "kp": "N m/rad or N/m", "kp@knee": "N m/rad", "kd@lift": "N s/m",
+        "payload": "kg", "delay": "s", "wn": "rad/s",
+    }  # fmt: skip

@@ -13,8 +13,9 @@ from jaxact.errors import UserError
 from jaxact.loops import reading
 from jaxact.loops.samples import expand
 from jaxact.status import Verdict
-from jaxact.sweeping import atomic_store, opening, store, variables
+from jaxact.sweeping import atomic_store, opening, store
 from jaxact.sweeping.summary import summary
+from jaxact.units import joint_units
 
 TEXT = """
 description = "three actuators"
@@ -235,7 +236,7 @@ def test_summary_of_a_sample_is_its_totals():
     ],
 )
 def test_units_are_those_of_the_joints(units, hinge):
-    assert variables.joint_units(units, [False, False]) == units
-    assert variables.joint_units(units, [True, True]) == hinge
+    assert joint_units(units, [False, False]) == units
+    assert joint_units(units, [True, True]) == hinge
     mixed = units if hinge == units else f"{hinge} or {units}"
-    assert variables.joint_units(units, [True, False]) == mixed
+    assert joint_units(units, [True, False]) == mixed

@@ -25,6 +25,7 @@ from jaxact.errors import UserError
 from jaxact.loops import checks
 from jaxact.loops.axes import NO_AXIS, Axis
 from jaxact.loops.control_loop import ACTUATOR, ControlLoop, is_traced
+from jaxact.loops.joint_units import with_units
 from jaxact.loops.reading import explained
 from jaxact.loops.samples import Coordinate, Samples
 from jaxact.loops.specification import Specification
@@ -220,7 +221,7 @@ def samples(loop: ControlLoop) -> Samples:
     dims, coords = _dimensions(arrays, shape, loop.kind.unit)
     nominal = Specification(plant=loop.kind.plant).nominal
     along = {name: np.full((1,) * rank, value, float) for name, value in nominal.items()} | arrays
-    return Samples(along, dims, shape, coords)
+    return Samples(along, dims, shape, with_units(coords, loop.kind.plant))
 
 
 def _dimensions(

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxact import __version__, engines
+from jaxact.loops.joint_units import with_units
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.parameters import of
@@ -84,7 +85,7 @@ def skeleton(
     memory = MemoryStore(files)
     coords = {
         name: (place.dims, _plain(place.values), dict(place.attributes))
-        for name, place in samples.coords.items()
+        for name, place in with_units(samples.coords, specification.plant).items()
     }
     with warnings.catch_warnings():
         # one metadata file for the whole store, without which xarray warns whenever it is opened

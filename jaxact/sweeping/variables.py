@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from jaxact.loops.specification import Specification
-from jaxact.units import turned
 
 KIND = "margins"
 """Attribute of a dataset of margins: of which loops its growth rate and verdict are."""
@@ -97,22 +95,6 @@ MARGINS: dict[str, Variable] = {
 }
 """Of robots whose margins are computed, beside their rates and their verdict."""
 _BOTH = ("growth_rate", "shaking_rate", "verdict")
-
-
-def joint_units(units: str, rotary: Sequence[bool]) -> str:
-    """The unit of a result, written for slides in `VARIABLES`, of joints of these kinds.
-
-    Args:
-        units: as `Variable.units`: "m s", "N^2 s".
-        rotary: of each joint, whether it is measured in rad and N m.
-
-    Returns:
-        `units` of slides, that of hinges ("rad s", "(N m)^2 s"), or both of a robot that has both.
-    """
-    hinge = turned(units)
-    if hinge == units or not any(rotary):
-        return units
-    return hinge if all(rotary) else f"{hinge} or {units}"
 
 
 OF_ROBOTS = ("shaking_rate",)

@@ -11,7 +11,8 @@ from jaxact.files import plain
 from jaxact.parameters import SETPOINT
 from jaxact.plotting.wording import quantity
 from jaxact.status import Verdict
-from jaxact.sweeping.variables import VARIABLES, joint_units
+from jaxact.sweeping.variables import VARIABLES
+from jaxact.units import joint_units
 from jaxact.verbs import rendering, starts
 
 if TYPE_CHECKING:

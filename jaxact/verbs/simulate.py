@@ -14,7 +14,8 @@ from jaxact.loops.control_loop import ControlLoop
 from jaxact.loops.samples import Samples
 from jaxact.simulation import engines, single
 from jaxact.status import Verdict
-from jaxact.sweeping.variables import VARIABLES, joint_units
+from jaxact.sweeping.variables import VARIABLES
+from jaxact.units import joint_units
 from jaxact.verbs import run_tables
 from jaxact.verbs.run_tables import SIGNALS
 

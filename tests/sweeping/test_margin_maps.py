@@ -179,3 +179,8 @@ def test_summits_are_found_wherever_they_lie_in_their_brackets():
     found = summits(brackets, curve)
     np.testing.assert_allclose(found[:, 0], 1.0, rtol=1e-9)
     np.testing.assert_allclose((found[:, 1] - centre) / width, 0.0, atol=1e-4)
+
+
+def test_the_axes_are_in_the_units_of_the_joints(maps):
+    units = {name: maps[name].attrs["units"] for name in ("kp", "kd", "delay")}
+    assert units == {"kp": "N m/rad", "kd": "N m s/rad", "delay": "s"}
