@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
 from jaxact.identification import between_rows, forces, inspection, motion
+from jaxact.identification.alignment import aligned
 from jaxact.identification.fitting import ADAM, LEAST_SQUARES, METHODS
 from jaxact.identification.ladder import climb
 from jaxact.identification.log import Log, renewed, stretches
@@ -100,10 +101,12 @@ def identify(
 def usable(logs: Sequence[Log]) -> list[Log]:
     """Logs cut where time is missing, with what was measured less often interpolated.
 
+    Columns that their controller shows to be some rows apart are brought together.
+
     Raises:
         UserError: of a log nothing is left.
     """
-    return [renewed(part) for log in logs for part in stretches(log)]
+    return [aligned(renewed(part)) for log in logs for part in stretches(log)]
 
 
 def with_gains(log: Log) -> Log:

@@ -10,7 +10,7 @@ from enum import Enum
 import numpy as np
 from scipy import signal as _signal
 
-from jaxact.identification import signs
+from jaxact.identification import signs, skew
 from jaxact.identification.inspection import excited_band
 from jaxact.identification.ladder import Candidate, Ladder
 from jaxact.identification.log import Log
@@ -51,6 +51,7 @@ class Verdict:
             reported, and decides nothing alone.
         correlated: largest correlation of residual and stimulus over lags.
         reasons: why it is not good, in words.
+        provided: what the logs do not show and the numbers rest on, in words; "" for nothing.
     """
 
     level: Level
@@ -59,13 +60,15 @@ class Verdict:
     whiteness: float
     correlated: float
     reasons: tuple[str, ...]
+    provided: str = ""
 
     @property
     def sentence(self) -> str:
         """The verdict in one sentence."""
         if self.level is Level.GOOD:
-            return f"good: {self.score:.1f} % of what logs show that it has not seen is predicted"
-        why = "; ".join(self.reasons)
+            said = f"good: {self.score:.1f} % of what logs show that it has not seen is predicted"
+            return f"{said}, {self.provided}" if self.provided else said
+        why = "; ".join((*self.reasons, *([self.provided] if self.provided else [])))
         if self.level is Level.USABLE:
             return f"usable below {self.below:.3g} Hz: {why}"
         return f"not good enough: {why}"
@@ -118,7 +121,8 @@ def judge(ladder: Ladder) -> Verdict:
     else:
         level = Level.NOT_ENOUGH
         reasons = reasons or ["its error is as large as the signal at all frequencies"]
-    return Verdict(level, below, score, _whiteness(rests), correlated, tuple(reasons))
+    provided = "" if level is Level.NOT_ENOUGH else skew.taken_for(ladder)
+    return Verdict(level, below, score, _whiteness(rests), correlated, tuple(reasons), provided)
 
 
 def _opposed(ladder: Ladder) -> list[str]:
