@@ -20,6 +20,8 @@ from jaxact.parameters import SETPOINT
 _MOST_ROWS, _LOOKED_AT = 2, 20_000
 # So little of the command may be left, and so many times less than with the rows as they are.
 _LEFT, _BETTER = 1e-3, 10.0
+# Rounding alone leaves about as much; a row's lateness of the position may leave no more than 1e-4.
+_NOTHING = 1e-7
 # Less than this is suspicious enough to be said.
 _PERHAPS_LEFT, _PERHAPS_BETTER = 0.05, 2.0
 
@@ -58,7 +60,7 @@ def aligned(log: Log) -> Log:
 def _apart(log: Log) -> tuple[dict[str, int], bool]:
     """Rows by which columns are late, none where they agree, and whether that is certain."""
     here = _unexplained(log, {})
-    if here < _LEFT / _BETTER:
+    if here < _NOTHING:
         return {}, False
     columns = ["position", "command", *(["velocity"] if "velocity" in log else [])]
     tried = range(-_MOST_ROWS, _MOST_ROWS + 1)
@@ -80,6 +82,8 @@ def _apart(log: Log) -> tuple[dict[str, int], bool]:
 def agree(log: Log) -> bool:
     """Whether the command, under the stated gains, shows the position to be of its own instant."""
     if not {SETPOINT, "position", "command"} <= set(log.signals) or None in log.gains:
+        return False
+    if UNSEEN in log.notes:  # its gains are those of the command as it is, and agree with anything
         return False
     part = log.part(0, _LOOKED_AT)
     here = _unexplained(part, {})

@@ -45,7 +45,8 @@ class LoopMargins(Reportable):
     `stable`, `unstable_roots`, `gain_margin`, `phase_margin` [rad], `delay_margin` [s],
     `sensitivity_peak`, `disk_margin`, ...: all of `jaxact.analysis.joint.margins.Margins`, or of
     the sampled loop those of `jaxact.analysis.sampled.margins.SampledMargins`. NaN where the loop
-    is unstable. A pytree of arrays.
+    is unstable, and the slope of such a margin is 0: `log_gain_to_boundary` is negative there, and
+    its slope leads back. A pytree of arrays.
 
     Attributes:
         loop: what they are of.

@@ -10,6 +10,7 @@ from scipy.linalg import expm
 
 from jaxact.identification import motion, skew
 from jaxact.identification.alignment import UNSEEN, agree, aligned
+from jaxact.identification.identify import with_gains
 from jaxact.identification.ladder import climb
 from jaxact.identification.log import Log
 from jaxact.identification.verdict import judge
@@ -27,6 +28,10 @@ def double():
 
 @pytest.fixture(scope="module")
 def signals():
+    return _signals(1, 40)
+
+
+def _signals(seed, hold):
     """A joint behind a drive, by matrix exponentials; the delay is three rows."""
     wn, zeta, inertia = TRUTH["wn"], TRUTH["zeta"], TRUTH["inertia"]
     matrix = np.zeros((5, 5))
@@ -34,7 +39,9 @@ def signals():
     matrix[1, 1:3] = -TRUTH["viscous"] / inertia, 1.0 / inertia
     matrix[3, 2:] = -(wn**2), -2.0 * zeta * wn, wn**2
     onward = expm(matrix * PERIOD)
-    setpoint = np.repeat(np.random.default_rng(1).choice([-0.1, 0.1], ROWS // 40), 40)
+    setpoint = np.repeat(np.random.default_rng(seed).choice([-0.1, 0.1], ROWS // hold + 1), hold)[
+        :ROWS
+    ]
     setpoint[:5] = 0.0
     state, states, commands = np.zeros(5), np.zeros((ROWS, 5)), np.zeros(ROWS)
     for row in range(ROWS):
@@ -60,8 +67,9 @@ def _log(signals, *names, late=None, gains=(KP, KD)):
     return Log("joint", rows * PERIOD, own, gains=gains)
 
 
-def test_a_late_position_is_found_by_the_stated_gains(signals):
-    names = ("setpoint", "position", "velocity", "command")
+@pytest.mark.parametrize("hold", [20, 40, 70, 200])
+def test_a_late_position_is_found_by_the_stated_gains(hold):
+    names, signals = ("setpoint", "position", "velocity", "command"), _signals(hold, hold)
     found = aligned(_log(signals, *names, late={"position": 1}))
     assert found.notes[0].startswith("position is logged 1 row later than the setpoint")
     np.testing.assert_array_equal(found["position"][:-1], signals["position"][: ROWS - 2])
@@ -128,3 +136,10 @@ def test_a_command_that_shows_the_instant_leaves_nothing_to_be_assumed(signals):
     assert not agree(late)
     assert agree(aligned(late))
     assert not agree(_log(signals, "setpoint", "position"))
+
+
+def test_gains_that_are_taken_from_the_command_do_not_show_the_instant(signals):
+    names = ("setpoint", "position", "velocity", "command")
+    taken = with_gains(aligned(_log(signals, *names, late={"position": 1}, gains=(None, None))))
+    assert taken.gains[1] == pytest.approx(KD + KP * PERIOD, rel=1e-2)  # not the true one
+    assert not agree(taken)

@@ -1,5 +1,7 @@
 """The report of a robot's tuned gains: certificate, gains before and after, worst rollout."""
 
+import re
+
 import numpy as np
 import pytest
 from browser import in_browser
@@ -66,7 +68,9 @@ def test_the_page_has_gains_before_and_after_and_the_worst_rollout(report):
 
 
 def test_gains_without_rollouts_have_no_motion(tmp_path):
-    page = jx.report(ROOT / "results" / "tuning" / "quadruped" / "gains.toml", tmp_path / "t.html")
+    text = (ROOT / "results" / "tuning" / "quadruped" / "gains.toml").read_text()
+    (tmp_path / "gains.toml").write_text(re.sub(r"\n\[motion\]\n(.+\n)+", "\n", text))
+    page = jx.report(tmp_path / "gains.toml", tmp_path / "t.html")
     assert data_of(page, "tuned_robot")["certified"]
     assert '"run":' not in page.text
 

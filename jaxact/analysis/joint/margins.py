@@ -229,8 +229,7 @@ def _assemble(loop: JointLoop, found: _Found) -> Margins:
     sensitivity, complementary, disk, w_peak = _peaks(loop, found.peaks)
 
     def only_stable(value: jax.Array) -> jax.Array:
-        """NaN where unstable, and so are its slopes: those of a choice would be 0."""
-        return value * jnp.where(stable, 1.0, jnp.nan).astype(value.dtype)
+        return jnp.where(stable, value, jnp.nan)
 
     return Margins(
         stable=stable,

@@ -168,7 +168,7 @@ def _assemble(
         heights, theta_peak = _or_at_rest(loop, heights, theta_peak)
 
     def only_stable(value: jax.Array) -> jax.Array:
-        return value * jnp.where(stable, 1.0, jnp.nan).astype(value.dtype)  # slopes are NaN, too
+        return jnp.where(stable, value, jnp.nan)
 
     def where_some(value: jax.Array, exists: jax.Array) -> jax.Array:
         return only_stable(jnp.where(exists, value, jnp.inf))
