@@ -176,12 +176,14 @@ def drive_around(
 ) -> Driven:
     """Put the drive around a function that advances a simulator by one physics step.
 
+    Two hinges in MJX, for a second at the 1000 Hz that a loop has by default::
+
         drive = jaxact.drive_around(
             lambda data, force: mjx.step(model, data.replace(qfrc_applied=force)), loop,
             measure=lambda data: (data.qpos, data.qvel), physics_step=5e-4, joints=2,
         )
         state = drive.init(mjx.make_data(model))
-        for _ in range(1000):  # control periods: a second at the 1000 Hz of a loop's default
+        for _ in range(1000):  # control periods
             state, output = drive.step(state, setpoint)
         data = state.simulator
 
