@@ -99,7 +99,7 @@ WARP = Engine(
 LINEAR = Engine(
     "linear", "margins of the linearised robot", robot=True, in_jax=False, simulates=False,
     tiles=(24, 24), work=200, memory=700 * _MIB, startup=4.0, worth=math.inf,
-    reproducible=False, rates=(40.0, 40.0),
+    reproducible=False, rates=(20.0, 20.0),
 )  # fmt: skip
 
 ENGINES = (MASS, JOINT_IN_MJX, ROBOT_IN_MJX, MUJOCO, WARP, LINEAR)

@@ -53,7 +53,7 @@ def aligned(log: Log) -> Log:
         notes = [f"{each}; it is moved" for each in said]
         log = _moved(log, moved)
     else:
-        notes = [f"{each}, it seems; a delay is wrong by as much" for each in said]
+        notes = [f"{each}, it seems; numbers may be wrong by that" for each in said]
     return replace(log, notes=(*log.notes, *notes, *unseen))
 
 

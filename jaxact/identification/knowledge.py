@@ -159,6 +159,9 @@ def _estimate(
         reason = f"cannot be told from {others}"
     elif at_bound:
         reason = "lies at a bound of its range"
+    elif unknown.name == WN and value > math.pi / (fit.problem.period or math.inf):
+        # What happens between rows may be anything that was fitted badly.
+        reason = "is faster than the rows of the log can show"
     elif unknown.name in wide:
         reason = "its interval is wide"
     return Estimate(

@@ -90,20 +90,22 @@ class Helpers:
         assert helper.stdin is not None
         assert helper.stdout is not None
         own: _Task | None = None
-        with contextlib.suppress(OSError, ValueError, EOFError, pickle.UnpicklingError):
-            helper.stdin.write(first)
-            helper.stdin.flush()
-            pickle.load(helper.stdout)  # it is ready
-            while (own := self._tasks.get()) is not None:
-                pickle.dump(own.task, helper.stdin)
+        try:
+            with contextlib.suppress(OSError, ValueError, EOFError, pickle.UnpicklingError):
+                helper.stdin.write(first)
                 helper.stdin.flush()
-                own.result.append(pickle.load(helper.stdout))
+                pickle.load(helper.stdout)  # it is ready
+                while (own := self._tasks.get()) is not None:
+                    pickle.dump(own.task, helper.stdin)
+                    helper.stdin.flush()
+                    own.result.append(pickle.load(helper.stdout))
+                    own.done.set()
+        finally:
+            if own is not None:  # or `map` would wait for it for ever
                 own.done.set()
-        if own is not None:
-            own.done.set()
-        for pipe in (helper.stdin, helper.stdout):
-            with contextlib.suppress(OSError):
-                pipe.close()
+            for pipe in (helper.stdin, helper.stdout):
+                with contextlib.suppress(OSError):
+                    pipe.close()
 
 
 @contextlib.contextmanager

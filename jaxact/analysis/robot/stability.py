@@ -15,9 +15,10 @@ NEUTRAL = 1.5e-7
 DRIFT = 1e-5
 # Halvings of an interval that are worth as much as rounding.
 _HALVINGS = 44
-# Squarings of a matrix at most, and how large its powers may become meanwhile for rounding errors
-# of theirs to stay far below 1, which is what a root that does not decay keeps.
-_SQUARINGS, _LARGE, _SMALL = 16, 1e5, 0.1
+# Squarings of a matrix at most, and how large its powers P may become meanwhile. Rounding carries a
+# root of P^2 by at most its condition, which |P| bounds, times n u |P|^2: for 100 states 1e-2, far
+# below 1, which is what a root that does not decay keeps.
+_SQUARINGS, _LARGE, _SMALL = 16, 1e4, 0.1
 
 # Which of some roots count, of shape (n,).
 Counted = Callable[[np.ndarray], np.ndarray]
