@@ -114,6 +114,7 @@ def test_margins_become_datasets_and_tables():
     assert len(jx.margins(jx.joint()).to_pandas()) == 1
 
 
+@pytest.mark.exhaustive
 def test_where_a_loop_is_unstable_the_slope_to_the_boundary_leads_back():
     def of(kp, name):
         loop = jx.joint(kp=kp, kd=20.0, actuator="starleth", delay=1e-3)
