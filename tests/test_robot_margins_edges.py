@@ -1,13 +1,19 @@
 """Margins of robots with joints that nothing moves, and with objects that nothing holds."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
+from scipy.optimize import brentq
 
+import jaxact as jx
 from jaxact.analysis.robot import disk, limits, multiloop
 from jaxact.analysis.robot.margins import robot_margins
 from jaxact.analysis.robot.modes import Robot
 from jaxact.errors import UserError
+
+QUADRUPED = Path(__file__).resolve().parents[1] / "experiments" / "quadruped" / "quadruped.xml"
 
 
 def _robot(reach, inertias=(1.0, 1.0), coupling=0.0):
@@ -118,3 +124,19 @@ def test_a_gain_limit_that_no_crossing_shows_has_the_frequency_of_the_root_that_
     monkeypatch.setattr(limits, "refined", lambda loop, crossing: crossing)
     found = limits.gain_limit(None, (M, np.eye(4), C), [seen], up=True)
     assert found == pytest.approx((first, 0.3), rel=1e-6)
+
+
+def test_of_legs_that_are_alike_the_first_to_shake_bounds_the_gains():
+    # Rounding in the model parts the four legs by 5e-7 of their gain margin.
+    loop = jx.robot(
+        QUADRUPED, keyframe="stand", base="fixed", control_rate=500.0, kp=72.888, kd=2.18664,
+        delay=5.228e-3, wn=329.617, zeta=0.642243,
+    )  # fmt: skip
+    (found,) = jx.margins(loop).details
+    M, N, C = found.robot.matrices
+
+    def radius(factor):
+        return np.abs(np.linalg.eigvals(M + (factor - 1.0) * N @ C)).max() - 1.0
+
+    first = brentq(radius, 1.2, 1.4, xtol=1e-12)
+    assert found.margins.whole.gain_margin == pytest.approx(first, rel=1e-7)

@@ -39,12 +39,22 @@ def with_units(coords: Mapping[str, Coordinate], plant: Plant | None) -> dict[st
 
 def _rotary(plant: Plant, key: str) -> list[bool]:
     """Of each joint that a key is meant for, whether it turns."""
+    from jaxact.loops import robots
+
+    turns = np.array(rotary(plant))
+    return (turns[robots.matched(robots.scene(plant), key)] if "@" in key else turns).tolist()
+
+
+def rotary(plant: Plant) -> list[bool]:
+    """Of each joint of a robot, whether it turns.
+
+    Raises:
+        UserError: as `jaxact.loops.robots.scene`.
+    """
     import mujoco  # which single joints do without
 
     from jaxact.loops import robots
 
-    scene = robots.scene(plant)
-    kinds = np.array([scene.robot.model.jnt_type[joint.joint] for joint in scene.robot.joints])
-    if "@" in key:
-        kinds = kinds[robots.matched(scene, key)]
+    own = robots.scene(plant).robot
+    kinds = [own.model.jnt_type[joint.joint] for joint in own.joints]
     return [bool(kind == mujoco.mjtJoint.mjJNT_HINGE) for kind in kinds]

@@ -14,7 +14,7 @@ import xarray as xr
 
 from jaxact.engines import MUJOCO
 from jaxact.errors import UserError
-from jaxact.loops import conversion, reading, robots, toml
+from jaxact.loops import conversion, joint_units, reading, robots, toml
 from jaxact.loops.axes import NO_AXIS
 from jaxact.loops.building import loop_of, robot
 from jaxact.loops.control_loop import ControlLoop
@@ -116,6 +116,7 @@ def content(loop: ControlLoop, specified: str = "", tuned: Tuned | None = None) 
     shown = {name: list(v) if isinstance(v, tuple) else str(v) for name, v in given.items()}
     mounting = [word for name, v in shown.items() for word in _options(name, v)]
     data |= {
+        "rotary": joint_units.rotary(plant),
         "mounting": ["--model", str(plant.model), *mounting],
         "plant": toml.dumps({"plant": {"model": str(plant.model), **shown}}),
         "patterns": [re.escape(name) for name in names],

@@ -7,6 +7,7 @@ import numpy as np
 import jaxact as jx
 from jaxact import files
 from jaxact.analysis.robot import multiloop
+from jaxact.parameters import KP
 from jaxact.verbs import report_robot
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,7 +47,33 @@ PUBLIC_CASES += (
     (*PUBLIC_CASES[0][:3], {"kp": 28.3, "kd": 0.0, "delay": 5.1e-3, "control_rate": 500.0,
                             "wn": 820.0, "zeta": 0.8}),
 )  # fmt: skip
+# Where random points are taken: a robot, its gains, and factors on them.
+RANDOM = (
+    (QUADRUPED, "stand", "fixed", GAINS, (0.3, 2.0)),
+    (QUADRUPED, "stand", "free", GAINS, (0.3, 2.0)),
+    (ROOT / "tests" / "data" / "chain.xml", None, "fixed", {"kp": 30.0, "kd": 1.0}, (0.2, 5.0)),
+)
 FREQUENCIES = 12
+TICKS = 200
+
+
+def random_cases(number, *, seed=0):
+    """Cases at random gains, delays and actuators, so many of each of `RANDOM`."""
+    rng = np.random.default_rng(seed)
+    return tuple(
+        (model, keyframe, base, {
+            **{name: gain * scale for name, gain in gains.items()}, "control_rate": 500.0,
+            "delay": delay, "wn": wn, "zeta": zeta,
+        })
+        for model, keyframe, base, gains, factors in RANDOM
+        for scale, delay, wn, zeta in zip(
+            np.exp(rng.uniform(*np.log(factors), number)),
+            rng.uniform(0.0, 5e-3, number),
+            rng.uniform(200.0, 900.0, number),
+            rng.uniform(0.4, 1.1, number),
+            strict=True,
+        )
+    )  # fmt: skip
 
 
 def rows(cases=CASES, *, seed=0):
@@ -61,11 +88,14 @@ def _row(model, keyframe, base, parameters, rng):
     closed = multiloop.multiloop(*found.robot.matrices, found.robot.period)
     angle = np.append(np.exp(rng.uniform(np.log(1e-2), np.log(np.pi), FREQUENCIES)), np.pi)
     S = multiloop.sensitivity(closed, angle)
+    data = report_robot.content(loop).parts["robot"]
+    (drawn,) = data["loops"]
+    used = drawn["plants"][f"{drawn['rate']:.10g}"]
     own = found.margins
     first = own.first_to_shake
     return {
         "robot": f"{model.stem}, {base}, {parameters}",
-        "data": report_robot.content(loop).parts["robot"],
+        "data": data | {"plants": [p if k == used else None for k, p in enumerate(data["plants"])]},
         "angle": angle.tolist(),
         "S": np.linalg.svd(S, compute_uv=False).tolist(),
         "T": np.linalg.svd(np.eye(S.shape[-1]) - S, compute_uv=False).tolist(),
@@ -75,5 +105,17 @@ def _row(model, keyframe, base, parameters, rng):
         "whole": None if own.whole is None else vars(own.whole),
         "joints": [vars(joint) for joint in own.joints],
         "first": None if first is None else first.tolist(),
+        "step": _step(found.robot, drawn["drives"][KP]),
         "more_gain": None if own.changes.more_gain is None else own.changes.more_gain.value,
     }
+
+
+def _step(robot, kp):
+    """Positions of all joints at the ticks after a unit step of the last one's setpoint."""
+    M, N, _ = robot.matrices
+    state, found = np.zeros(len(M)), []
+    for _ in range(TICKS):
+        found.append(robot.positions @ state)
+        # What the setpoint adds to the command is the gain times it.
+        state = M @ state + N[:, -1] * kp[-1]
+    return np.array(found).tolist()

@@ -16,10 +16,10 @@ import { glance, roughly } from "../../jaxact/reports/page/robot_glance.js";
 import * as limits from "../../jaxact/reports/page/robot_limits.js";
 import * as closed from "../../jaxact/reports/page/robot_loop.js";
 import * as margins from "../../jaxact/reports/page/robot_margins.js";
+import { stepResponse } from "../../jaxact/reports/page/robot_step.js";
 import { openRobot, plantOf } from "../../jaxact/reports/page/robot_response.js";
 
 const EXACT = 1e-6;
-const LIMIT = 1e-4;
 const SHARE = 0.02;
 const PICTURED = 0.03;
 const given = process.env.JAXACT_ROBOTS;
@@ -133,11 +133,11 @@ test("robots have Python's margins", { skip }, () => {
     const disk = finished(diskMargin(loop));
     near(disk.margin, row.whole.disk_margin, EXACT, `${row.robot}: disk margin`);
     const up = finished(limits.gainLimit(loop, true));
-    near(up?.factor ?? Infinity, row.whole.gain_margin, LIMIT, `${row.robot}: gain margin`);
+    near(up?.factor ?? Infinity, row.whole.gain_margin, EXACT, `${row.robot}: gain margin`);
     const down = finished(limits.gainLimit(loop, false));
-    near(down?.factor ?? 0, row.whole.gain_reduction_margin, LIMIT, `${row.robot}: gains down`);
+    near(down?.factor ?? 0, row.whole.gain_reduction_margin, EXACT, `${row.robot}: gains down`);
     const later = finished(limits.delayLimit(loop));
-    near(later?.delay ?? Infinity, row.whole.delay_margin, LIMIT, `${row.robot}: delay margin`);
+    near(later?.delay ?? Infinity, row.whole.delay_margin, EXACT, `${row.robot}: delay margin`);
     if (later && row.first) {
       // Which of two legs that are alike is named is rounding.
       const own = margins.lateShape(loop, later, plant.inertias);
@@ -161,6 +161,27 @@ function ofJoints(loop, row) {
     if (Math.max(here, there) > EXACT) near(here, there, EXACT, `${row.robot}: gains of ${joint.name} down`);
   });
 }
+
+test("robots answer a step as Python's loops over their periods", { skip }, () => {
+  for (const row of rows) {
+    const { loop, plant } = closedOf(row);
+    const { drives } = loop.open;
+    const [which, ticks] = [row.data.joints.length - 1, row.step.length - 1];
+    const differenced = row.data.velocity === "differenced";
+    const { time, positions } = finished(stepResponse(plant, drives, differenced, which, ticks));
+    assert.ok(time.length > 10, row.robot);
+    const largest = Math.max(...row.step.slice(0, time.length).flat().map(Math.abs));
+    time.forEach((t, k) => {
+      near(t, k * loop.open.period, 1e-12, "time");
+      positions.forEach((all, i) => {
+        const far = Math.abs(all[k] - row.step[k][i]);
+        assert.ok(far < EXACT * largest, `${row.robot}: joint ${i} at tick ${k}: off by ${far}`);
+      });
+    });
+    // What grows beyond all bounds is left off there, and only that.
+    if (time.length <= ticks) assert.ok(positions.some((all) => Math.abs(all.at(-1)) >= 20));
+  }
+});
 
 test("a first glance has Python's number of unstable roots, and its outline", { skip }, () => {
   for (const row of rows) {

@@ -13,18 +13,22 @@ import pytest
 from browser import in_browser
 from command_line import jaxact
 from quickly import compiled_quickly as compiled_quickly
-from random_robots import CASES, PUBLIC, PUBLIC_CASES, QUADRUPED, rows
+from random_robots import CASES, PUBLIC, PUBLIC_CASES, QUADRUPED, random_cases, rows
 
 import jaxact as jx
 from jaxact.verbs import report_robot
 
 FOLDER = Path(__file__).parent
 LARGEST = 3_000_000  # bytes
-FEW, MANY = 4, 40
-LIMIT = 1e-4
+FEW, MANY = 4, 100
+EXACT = 1e-6
+RANDOM_POINTS = 40  # of each robot
 PATIENCE = 60.0  # [s] for numbers in full
 
-PEAKS = ("sensitivity_peak", "complementary_peak", "unscaled_disk_margin", "disk_margin")
+MARGINS = (
+    "sensitivity_peak", "complementary_peak", "unscaled_disk_margin", "disk_margin", "gain_margin",
+    "delay_margin",
+)  # fmt: skip
 
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
 
@@ -65,6 +69,12 @@ def test_the_page_computes_what_python_computes(tmp_path):
 @pytest.mark.skipif(not PUBLIC.is_dir(), reason="needs the public robots in .robots")
 def test_the_page_computes_what_python_computes_of_public_robots(tmp_path):
     checked_by_node(PUBLIC_CASES, tmp_path)
+
+
+@needs_node
+@pytest.mark.exhaustive
+def test_the_page_computes_what_python_computes_at_random_points(tmp_path):
+    checked_by_node(random_cases(RANDOM_POINTS), tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -113,13 +123,11 @@ def test_the_page_follows_its_sliders_as_python_does(page, report, loop, points)
     for own, detail in zip(found, theirs.details, strict=True):
         margins = detail.margins
         assert own["stable"] == str(margins.stable).lower()
-        assert float(own["growth_rate"]) == pytest.approx(margins.growth_rate, rel=1e-6)
+        assert float(own["growth_rate"]) == pytest.approx(margins.growth_rate, rel=EXACT)
         if margins.whole is None:
             continue
-        for name in PEAKS:
-            assert float(own[name]) == pytest.approx(getattr(margins.whole, name), rel=1e-6), name
-        for name in ("gain_margin", "delay_margin"):
-            assert float(own[name]) == pytest.approx(getattr(margins.whole, name), rel=LIMIT), name
+        for name in MARGINS:
+            assert float(own[name]) == pytest.approx(getattr(margins.whole, name), rel=EXACT), name
         compared += 1
     assert compared > 0
     assert page.requests == [report.as_uri()] and page.said == []
@@ -127,7 +135,7 @@ def test_the_page_follows_its_sliders_as_python_does(page, report, loop, points)
 
 
 LEFT = """[...document.querySelectorAll(
-  "#robot-margins td, #robot-joints td, #robot-shape-says"
+  "#robot-margins td, #robot-joints td, #robot-shape-says, #robot-step-says"
 )].map((one) => one.textContent)"""
 
 
@@ -144,7 +152,7 @@ def test_nothing_of_before_a_move_is_left_as_if_it_were_of_now(page, report):
     )
     assert len(left) == len(before) > 100
     assert set(left) == {"…"}
-    assert page.run("document.querySelectorAll('.outdated').length") == 2
+    assert page.run("document.querySelectorAll('.outdated').length") == 3
     after = settled(page, "joints")
     assert "…" not in page.run(LEFT) and "disk_margin" in after
     # Another width draws again, and interrupts nothing.
@@ -161,6 +169,30 @@ def test_nothing_of_before_a_move_is_left_as_if_it_were_of_now(page, report):
     assert page.run("document.querySelectorAll('.outdated').length") == 0
 
 
+STEPPED = """[...document.querySelectorAll("#robot-step-data tbody tr")].map(
+  (row) => [...row.cells].map((cell) => Number(cell.textContent)))"""
+
+
+@in_browser
+def test_the_joint_that_steps_is_chosen_and_reaches_its_setpoint(page, report):
+    page.open(report)
+    settled(page, "joints")
+    page.run("document.getElementById('robot-step-data').open = true")
+    says = "document.getElementById('robot-step-says').textContent"
+    before = page.run(says)
+    assert before.startswith("A step of 0.01 rad of the setpoint of ")
+    joint = "document.getElementById('robot-step-joint')"
+    page.run(f"{joint}.value = '2'; {joint}.dispatchEvent(new Event('change'))")
+    deadline = time.monotonic() + PATIENCE
+    while page.run(says) in ("…", before) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert page.run(f"{joint}.selectedOptions[0].textContent") in page.run(says)
+    rows = page.run(STEPPED)
+    assert len(rows) > 20 and rows[0][1] == 0.0
+    # On the stand the legs bear no load but their own weight, which the posture carries already.
+    assert rows[-1][1] == pytest.approx(0.01, rel=0.2)
+
+
 @in_browser
 def test_what_is_copied_computes_the_same(page, report, tmp_path):
     page.open(report)
@@ -173,7 +205,7 @@ def test_what_is_copied_computes_the_same(page, report, tmp_path):
         ran = jaxact("margins", *arguments, "--json")
         assert ran.returncode == 0, ran.stderr
         theirs = json.loads(ran.stdout)["growth_rate"]
-        assert float(own["growth_rate"]) == pytest.approx(theirs, rel=1e-6)
+        assert float(own["growth_rate"]) == pytest.approx(theirs, rel=EXACT)
 
 
 @in_browser

@@ -34,6 +34,8 @@ FURTHEST = 1e9
 _HALVINGS = 40
 # How far beside a crossing stability is looked at, of its distance.
 BESIDE = 1e-4
+# And before one that destabilises: legs that are alike cross nearly together, and the first counts.
+EARLIER = 1e-7
 # A root that turns by less than this in a period does not turn [rad].
 _STILL = 1e-9
 # Imaginary parts below this share are rounding.
@@ -193,8 +195,9 @@ def gain_limit(
         if fails(stop) != now:
             exact = refined(loop, item)
             at = abs(math.log(factor(exact)))
-            if fails(at - BESIDE * at) != now or fails(at + BESIDE * at) == now:
-                # Another crossing, between two points of the grid.
+            before = BESIDE if now else EARLIER
+            if fails(at - before * at) != now or fails(at + BESIDE * at) == now:
+                # Another crossing, between two points of the grid or of a leg that is alike.
                 at = switch(growth, start, stop)
                 return math.exp(sign * at), _angle_of_change(matrix, at)
             return math.exp(sign * at), exact.angle

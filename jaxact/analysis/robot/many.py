@@ -151,7 +151,7 @@ def _gain(shared: SharedResponse, member: Member, loci: Loci, *, up: bool) -> Li
     def fails(distance: float) -> bool:
         return excess(M + math.expm1(sign * distance) * (N @ C)) > 0.0
 
-    if not fails(at * (1.0 - _limits.BESIDE)) and fails(at * (1.0 + _limits.BESIDE)):
+    if not fails(at * (1.0 - _limits.EARLIER)) and fails(at * (1.0 + _limits.BESIDE)):
         return math.exp(sign * at), best.angle
     loop = _multiloop.multiloop(*member.robot.matrices, member.robot.period)
     every = _limits.gain_factors(loci.angle, _limits.followed(loci.S))

@@ -8,6 +8,8 @@ import { delayLimit, gainLimit, ranges } from "./robot_limits.js";
 import { closing, responding } from "./robot_loop.js";
 import * as margins from "./robot_margins.js";
 import { openRobot, plantOf } from "./robot_response.js";
+import { stepResponse, ticksOf } from "./robot_step.js";
+import * as steps from "./robot_step_view.js";
 import * as views from "./robot_views.js";
 import * as words from "./robot_words.js";
 
@@ -111,6 +113,7 @@ export function start(data, host) {
     for (const name of ["sensitivity", "shape"]) fill(by(`robot-${name}-data`), () => ["…"]);
     by("robot-shape").classList.add("outdated");
     by("robot-shape-says").textContent = "…";
+    steps.outdate(by);
     if (!kept.map || kept.map.key === mapKey(drives)) return;
     by("robot-map").classList.add("outdated");
     by("robot-drawing").textContent = "(of before the move)";
@@ -176,23 +179,43 @@ export function start(data, host) {
     const draw = () => {
       views.drawSensitivities(by("robot-sensitivity"), points, open.period);
       views.drawShape(by("robot-shape"), data.joints, found.shape);
+      kept.settled?.drawStep?.();
       by("robot-shape").classList.remove("outdated");
     };
     draw();
-    kept.settled = { key: JSON.stringify(state), draw };
+    kept.settled = { key: JSON.stringify(state), draw, drives, found, plant };
     say(said, growth.stable, true);
     yield;
+    yield* stepped();
     const joints = [];
     for (let i = 0; growth.stable && i < data.joints.length; i++) {
       joints.push(yield* margins.ofJoint(loop, i));
     }
-    by("robot-joints").replaceChildren(views.jointTable(data.joints, drives, joints, found.shape));
+    by("robot-joints").replaceChildren(views.jointTable(data, drives, joints, found.shape));
     if (growth.stable) {
       found.disk = yield* diskMargin(loop);
       views.showMargins(by("robot-margins"), words.rows(found, open.period));
     }
     by("robot-verdict").dataset.joints = "true";
     yield* map(drives);
+  }
+
+  /** The answer to a step of one joint's setpoint, of what has settled. */
+  function* stepped() {
+    const { drives, found, plant } = kept.settled;
+    const which = steps.joint(by, found.shape);
+    const ticks = ticksOf(found.growth, plant.step * plant.substeps);
+    const differenced = data.velocity === "differenced";
+    const answer = yield* stepResponse(plant, drives, differenced, which, ticks);
+    kept.settled.drawStep = steps.show(by, data, which, answer);
+  }
+
+  /** Another joint steps: at once where all else has settled, else in its turn. */
+  function stepOther() {
+    if (!kept.settled?.drawStep) return;
+    const own = running;
+    steps.outdate(by);
+    work(stepped(), () => {}, SLICE, () => own === running);
   }
 
   /** The motion in which the loop is lost first: by delay, else by gain; as it is, if it shakes. */
@@ -286,6 +309,7 @@ export function start(data, host) {
     later();
   }
 
+  steps.choices(by, data.joints, stepOther);
   data.loops.forEach(({ name }, i) => by("robot-loop").append(new Option(name, i)));
   by("robot-loop").addEventListener("change", () => take(Number(by("robot-loop").value)));
   by("robot-again").addEventListener("click", () => take(Number(by("robot-loop").value)));

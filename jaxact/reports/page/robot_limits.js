@@ -3,17 +3,20 @@
 // A factor g on all gains is marginal where -1/g is an eigenvalue of L on the circle, a delay of d
 // periods where exp(-j w d) l_i(w) = -1; the count of roots on either side confirms each.
 
-import { eigenvalues } from "./matrices.js";
-import { loopOf, OUTSIDE, rootsBeyond } from "./robot_loop.js";
+import { eigenvalues, shifted } from "./matrices.js";
+import { closing, loopOf, OUTSIDE, responding, rootsBeyond } from "./robot_loop.js";
+import { marginalPoints } from "./robot_marginal.js";
 
 // Beside a crossing, relative.
 const BESIDE = 1e-4;
 const FURTHEST = 1e6;
-// Crossings so near to each other are looked at together; of delays, eigenvalues this near to -1.
+// Crossings so near to each other are looked at together; of delays.
 const NEAR = 1e-3;
 const TOGETHER = 1e-2;
-const AROUND = 0.5;
 const MOST_CANDIDATES = 24;
+// Where counting has found a change it is within this share, as it looks a little outside the circle.
+const COUNTED = 1e-3;
+const MOST_STARTS = 6;
 
 /** Where a real function of an eigenvalue passes 0 between points: {t, low, high, value}. */
 function crossings({ points }, curve) {
@@ -143,13 +146,14 @@ function* limited(loop, candidates, sign, at, [start, beyond], before) {
   for (const one of candidates) {
     if (one.t > 0 && one.t < Math.PI) {
       const { t, value, sure } = refined(loop, one, (l) => l.im);
-      exact.push({ t, d: sure && value.re < 0 ? sign * Math.log(-1 / value.re) : Infinity });
+      if (sure && value.re < 0) exact.push({ t, d: sign * Math.log(-1 / value.re) });
+      exact.push(...alike(loop, one, sign));
     } else {
       exact.push({ t: one.t, d: sign * Math.log(-1 / nearestRoot(loop, one.t, one.value).re) });
     }
     yield;
   }
-  let { t, d } = exact.reduce((a, b) => (b.d < a.d ? b : a));
+  let { t, d } = exact.reduce((a, b) => (b.d < a.d ? b : a), { t: candidates[0].t, d: Infinity });
   const near = Math.max(d, 1e-3);
   // Slow growth shows on a circle a little outside only further beyond.
   const beside = [1, 10, 100].some((x) => at(d + x * BESIDE * near) !== before);
@@ -162,8 +166,18 @@ function* limited(loop, candidates, sign, at, [start, beyond], before) {
       yield;
     }
     d = 0.5 * (low + high);
+    const counted = exact.filter((one) => Math.abs(one.d - d) < COUNTED * d);
+    if (counted.length) ({ t, d } = counted.reduce((a, b) => (b.d < a.d ? b : a)));
   }
   return { factor: Math.exp(sign * d), t };
+}
+
+/** Crossings {t, d} of all eigenvalues that are near one, those of legs that are alike among them. */
+function alike(loop, { t, factor }, sign) {
+  const at = (angle, g) => shifted(loop.at(angle), 0, g);
+  const near = (_, g) => g > 0.5 * factor && g < 2 * factor;
+  const found = marginalPoints(at, [t, factor], near);
+  return found.map(({ x, y }) => ({ t: x, d: sign * Math.log(y) })).filter(({ d }) => d > 0);
 }
 
 /**
@@ -209,39 +223,36 @@ export function* delayLimit(loop) {
     if ((yield* first([middle])) === null) low = middle;
     else high = middle;
   }
-  return { delay: high * period, t: best.t };
+  const found = yield* beside(loop, high);
+  return found ? { delay: found.delay * period, t: found.t } : { delay: high * period, t: best.t };
 }
 
 /** Delays [periods] and angles near a guess at which an eigenvalue of L is -1. */
 function marginal({ open, kp, kd }, { t, delay }) {
   const at = (angle, late) => {
     const { respond } = open.later(late * open.period);
-    return eigenvalues(loopOf(respond(Math.cos(angle), Math.sin(angle)), kp, kd));
+    return loopOf(respond(Math.cos(angle), Math.sin(angle)), kp, kd);
   };
-  const near = at(t, delay).filter(({ re, im }) => Math.hypot(re + 1, im) < AROUND);
-  return near.map((value) => newton(at, t, delay, value)).filter((found) => found !== null);
+  const near = (_, late) => Math.abs(late - delay) < 2;
+  return marginalPoints(at, [t, delay], near).map(({ x, y }) => ({ t: x, delay: y }));
 }
 
-/** Newton's method over angle and delay, from an eigenvalue near -1. */
-function newton(at, t, delay, first) {
-  let [x, y, value] = [t, delay, first];
-  const eigenvalue = (angle, late) => {
-    const far = (one) => Math.hypot(one.re - value.re, one.im - value.im);
-    return at(angle, late).reduce((a, b) => (far(b) < far(a) ? b : a));
-  };
-  for (let i = 0; i < 20; i++) {
-    const [fr, fi] = [value.re + 1, value.im];
-    if (Math.hypot(fr, fi) < 1e-12) return { t: x, delay: y };
-    const [dx, dy] = [1e-6 * x, 1e-6 * (y + 1e-3)];
-    const [along, late] = [eigenvalue(x + dx, y), eigenvalue(x, y + dy)];
-    const [ar, ai] = [(along.re - value.re) / dx, (along.im - value.im) / dx];
-    const [br, bi] = [(late.re - value.re) / dy, (late.im - value.im) / dy];
-    const det = ar * bi - ai * br;
-    const step = [(fr * bi - fi * br) / det, (ar * fi - ai * fr) / det];
-    [x, y] = [x - step[0], Math.max(y - step[1], 0)];
-    if (!(x > 0 && x <= Math.PI && Math.abs(y - delay) < 2)) return null;
-    value = eigenvalue(x, y);
-    if (Math.hypot(step[0] / x, step[1] / (y + 1e-3)) < 1e-12) return { t: x, delay: y };
+/** Where, near a delay [periods] that counting has found, an eigenvalue of L is -1; null if nowhere. */
+function* beside({ open, kp, kd }, delay) {
+  const known = yield* responding(open.later(delay * open.period), true);
+  const { points } = yield* closing(known, kp, kd);
+  const apart = ({ roots }) => Math.min(...roots.map(({ re, im }) => Math.hypot(re + 1, im)));
+  const lows = points.map((point) => ({ t: point.t, apart: apart(point) }));
+  const starts = lows
+    .filter(({ apart: own }, i) => !(lows[i - 1]?.apart < own) && !(lows[i + 1]?.apart < own))
+    .sort((a, b) => a.apart - b.apart);
+  let best = null;
+  for (const { t } of starts.slice(0, MOST_STARTS)) {
+    for (const found of marginal({ open, kp, kd }, { t, delay })) {
+      const far = Math.abs(found.delay - delay);
+      if (far < COUNTED * delay && (!best || found.delay < best.delay)) best = found;
+    }
+    yield;
   }
-  return null;
+  return best;
 }

@@ -208,15 +208,17 @@ export function waiting(body) {
 const percent = (share) => (share < 1e-6 ? 0 : 100 * share);
 
 /** Every joint with all others closed, the one that shakes first at the top. */
-export function jointTable(names, drives, joints, shape) {
+export function jointTable({ joints: names, rotary }, drives, joints, shape) {
+  const units = [true, false].filter((kind) => rotary.includes(kind));
+  const per = (hinge, slide) => units.map((kind) => (kind ? hinge : slide)).join(" or ");
   const order = names.map((_, i) => i);
   const rank = shape ? (i) => -shape[i].share : (i) => joints[i]?.disk_margin ?? i;
   order.sort((a, b) => rank(a) - rank(b));
   const own = (name) => order.map((i) => joints[i]?.[name] ?? NaN);
   const columns = [
     ["joint", order.map((i) => names[i])],
-    ["kp", order.map((i) => drives.kp[i])],
-    ["kd", order.map((i) => drives.kd[i])],
+    [`kp [${per("N m/rad", "N/m")}]`, order.map((i) => drives.kp[i])],
+    [`kd [${per("N m s/rad", "N s/m")}]`, order.map((i) => drives.kd[i])],
     ["disk margin", own("disk_margin")],
     ["Ms", own("sensitivity_peak")],
     ["Mt", own("complementary_peak")],
