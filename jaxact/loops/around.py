@@ -11,6 +11,7 @@ steps under the force of the drive, and where a measurement is delayed it is cap
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -208,7 +209,8 @@ def drive_around(
         simulator's: the same one at every step.
 
     Raises:
-        UserError: the control period is not a multiple of the physics step, or shapes do not fit.
+        UserError: the control period is not a multiple of the physics step, shapes do not fit, the
+            loop is neither a loop nor a drive, or a robot's that is a batch.
         TypeError: the loop is traced, and `longest` is not given.
     """
     if isinstance(loop, ControlLoop) and is_traced(loop) and longest is None:
@@ -217,6 +219,9 @@ def drive_around(
             "every part that may occur"
         )
     static = loop if longest is None else longest
+    _demand_loop("loop", loop)
+    _demand_loop("longest", static)
+    _demand_numbers(physics_step, joints)
     drive, known = _drive_in(loop), _drive_in(static)
     joints = _number(static) if joints is None else joints
     plant = Simulator(jnp.asarray(physics_step), step, measure, joints)
@@ -254,6 +259,37 @@ def _number(loop: ControlLoop | Drive) -> int | None:
     from jaxact.loops import robots  # as above
 
     return len(robots.read(loop.kind.plant).joints)
+
+
+def _demand_loop(name: str, loop: Any) -> None:
+    """Raise UserError for what is no loop, and for robots whose batch would pass for joints."""
+    if isinstance(loop, Drive):
+        return
+    if not isinstance(loop, ControlLoop):
+        raise UserError(
+            f"{name}: a {type(loop).__name__} is no loop; needed is what jaxact.joint(...), "
+            "jaxact.robot(...) or an identification's .loop gives"
+        )
+    if loop.kind.plant is not None and loop.shape:
+        raise UserError(
+            f"{name}: a batch of robots of shape {loop.shape}; one is needed (several: jax.vmap; "
+            'gains per joint: kp={"knee": 80.0})'
+        )
+
+
+def _demand_numbers(physics_step: Any, joints: Any) -> None:
+    """Raise UserError for a step that no simulator has, and for a number of joints that is none."""
+    number = isinstance(physics_step, float | int | np.number | np.ndarray | jax.Array)
+    if not number or np.ndim(physics_step) or not 0.0 < float(physics_step) < math.inf:
+        raise UserError(
+            f"physics_step: {physics_step!r} is no step; needed are seconds above 0, e.g. 0.002"
+        )
+    whole = isinstance(joints, int | np.integer) and not isinstance(joints, bool)
+    if joints is not None and not (whole and joints > 0):
+        raise UserError(
+            f"joints: {joints!r} is no number of joints; needed is 1 or more, or None for one "
+            "joint without an axis"
+        )
 
 
 def _demand_shapes(drive: Drive, shape: tuple[int, ...]) -> None:

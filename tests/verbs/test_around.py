@@ -132,6 +132,40 @@ def test_shapes_that_do_not_fit_are_said_in_one_line(loop, joints, setpoint, mea
         drive.step(drive.init(start), jnp.array(setpoint))
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"physics_step": 0.0}, "physics_step: 0.0 is no step; needed are seconds above 0"),
+        ({"physics_step": -1e-3}, "physics_step: -0.001 is no step"),
+        ({"physics_step": float("nan")}, "physics_step: nan is no step"),
+        ({"physics_step": "1ms"}, "physics_step: '1ms' is no step"),
+        ({"joints": 0}, "joints: 0 is no number of joints; needed is 1 or more"),
+        ({"joints": 2.0}, "joints: 2.0 is no number of joints"),
+        ({"loop": {"kp": 8.0}}, "loop: a dict is no loop; needed is what jaxact.joint"),
+        ({"longest": {"kp": 8.0}}, "longest: a dict is no loop"),
+    ],
+)
+def test_what_is_no_loop_or_no_number_is_said_in_one_line(given, said):
+    given = {"loop": jx.joint(), "joints": 2, "physics_step": H, **given}
+    with pytest.raises(UserError, match=said) as refused:
+        jx.drive_around(step, given.pop("loop"), measure=measure, **given)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_batch_of_robots_does_not_pass_for_joints(tmp_path):
+    rows = "".join(
+        f'<body><joint name="{name}" axis="0 1 0"/><geom size="0.1" mass="1"/></body>'
+        for name in ("knee", "hip")
+    )
+    drives = "".join(f'<position joint="{name}" kp="8" kv="0.4"/>' for name in ("knee", "hip"))
+    (tmp_path / "robot.xml").write_text(
+        f"<mujoco><worldbody>{rows}</worldbody><actuator>{drives}</actuator></mujoco>"
+    )
+    robots = jx.robot(tmp_path / "robot.xml", kp=[10.0, 20.0])
+    with pytest.raises(UserError, match=r"loop: a batch of robots of shape \(2,\); one is needed"):
+        jx.drive_around(step, robots, measure=measure, physics_step=H)
+
+
 def test_a_robots_loop_gives_each_joint_its_own_drive(tmp_path):
     rows = "".join(
         f'<body pos="0 {n} 0"><joint name="{name}" axis="0 1 0"/><geom size="0.1" mass="1"/></body>'
