@@ -32,9 +32,18 @@ def with_units(coords: Mapping[str, Coordinate], plant: Plant | None) -> dict[st
     for key, place in coords.items():
         name = base(key)
         if name in PARAMETERS and name not in _OF_BODIES:
-            units = joint_units(PARAMETERS[name].unit, _rotary(plant, key))
+            units = of_joints(PARAMETERS[name].unit, plant, key)
             found[key] = replace(place, attributes=place.attributes | {"units": units})
     return found
+
+
+def of_joints(units: str, plant: Plant, key: str = "") -> str:
+    """A unit that is written for slides, of the joints that a key is meant for, or of all.
+
+    Raises:
+        UserError: as `with_units`.
+    """
+    return joint_units(units, _rotary(plant, key))
 
 
 def _rotary(plant: Plant, key: str) -> list[bool]:

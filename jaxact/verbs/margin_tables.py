@@ -40,6 +40,7 @@ UNITS = {
 NAMES = (*ALWAYS, *MARGINS)
 """All metrics."""
 _MOST_COLUMNS = 4
+_MOST_LINES, _ENDS = 200, 20
 _OF_LOOP = (*LINEAR, CONTROL_RATE)
 
 Metrics = Mapping[str, np.ndarray]
@@ -173,10 +174,24 @@ def masked(name: str, metrics: Metrics) -> np.ndarray:
 
 
 def tables(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Metrics]) -> str:
-    """A column for each of a few loops, a line for each of many."""
+    """A column for each of a few loops, a line for each of many, the two ends of very many."""
     columns = len(labels) * len(found)
-    made = _tall(labels, rates, found) if columns <= _MOST_COLUMNS else _wide(labels, found)
-    return rendered(made, width=30 + 26 * max(columns, 4))
+    if columns <= _MOST_COLUMNS:
+        return rendered(_tall(labels, rates, found), width=_width(columns))
+    number = len(labels)
+    if number <= _MOST_LINES:
+        return rendered(_wide(labels, found, range(number)), width=_width(columns))
+    ends = [*range(_ENDS), *range(number - _ENDS, number)]
+    words = (
+        f"{number:,} loops, of which the first and the last {_ENDS} are shown; all of them: "
+        "to_pandas(), --csv, --json"
+    )
+    return rendered(_wide(labels, found, ends), words, width=_width(len(ends)))
+
+
+def _width(columns: int) -> int:
+    """Of a table [characters], so that nothing in it is broken into lines."""
+    return 30 + 26 * max(columns, 4)
 
 
 def _tall(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Metrics]) -> Any:
@@ -249,12 +264,15 @@ def _phase_range(disk: float) -> float:
     return 2.0 * math.degrees(math.atan(0.5 * disk))
 
 
-def _wide(labels: Sequence[str], found: Mapping[str, Metrics]) -> Any:
+def _wide(labels: Sequence[str], found: Mapping[str, Metrics], rows: Sequence[int]) -> Any:
+    """A line for each of these loops, an empty one where some between them are left out."""
     made = table("loop", "gain margin", "phase margin [°]", "delay margin [ms]", "Ms", "Mt",
                  "disk margin", "unstable roots", "log gain to boundary")  # fmt: skip
-    for index, label in enumerate(labels):
+    for before, index in zip((rows[0] - 1, *rows), rows, strict=False):
+        if index > before + 1:
+            made.add_row("…")
         for prefix, metrics in found.items():
-            name = f"{label}, sampled" if prefix else label
+            name = f"{labels[index]}, sampled" if prefix else labels[index]
             scaled = metrics | {"delay_margin": 1e3 * metrics["delay_margin"]}
             names = ("gain_margin", "phase_margin", "delay_margin", "sensitivity_peak",
                      "complementary_peak", "disk_margin", "unstable_roots",

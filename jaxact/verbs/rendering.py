@@ -29,7 +29,8 @@ def rendered(*parts: Any, width: int) -> str:
     """What `rich` prints of some parts at a width [characters], without spaces at its ends."""
     from rich.console import Console
 
-    console = Console(width=width, highlight=False)
+    # What is in brackets is a unit, and what is between colons a name.
+    console = Console(width=width, highlight=False, markup=False, emoji=False)
     with console.capture() as captured:
         for part in parts:
             console.print(part)

@@ -11,7 +11,8 @@ import mujoco
 import numpy as np
 
 from jaxact.files import plain
-from jaxact.parameters import KD, KP
+from jaxact.loops.joint_units import of_joints
+from jaxact.parameters import KD, KP, PARAMETERS
 from jaxact.plotting.wording import quantity
 from jaxact.robots import mounting
 from jaxact.verbs import rendering
@@ -111,7 +112,8 @@ def as_text(label: str, found: WholeRobot, stiction: Stiction | None) -> str:
         parts.append(
             "Each joint with all others closed, the one that shakes first at the top:\n"
             + _rendered(_joint_table(found))
-            + "\nshakes, sways: shares in what shakes first, and in the least damped mode"
+            + f"\n{_units(found)}; shakes, sways: shares in what shakes first, and in the least "
+            "damped mode"
         )
     else:
         parts.append(_advice(found) + _stand(found))
@@ -136,8 +138,8 @@ def _head(label: str, found: WholeRobot) -> str:
         lines.append(f"{found.neutral} rigid-body {modes} removed")
     if found.left_out:
         lines.append(
-            f"dry friction of up to {found.left_out:.3g} left out: these are the margins of joints "
-            "that move, which it does not damp"
+            f"dry friction of up to {found.left_out:.3g} {of_joints('N', plant)} left out: these "
+            "are the margins of joints that move, which it does not damp"
         )
     if plant.base == "held":
         lines.append(
@@ -305,6 +307,13 @@ def _joint_table(found: WholeRobot) -> Any:
                   for shares in (first, sway)]  # fmt: skip
         table.add_row(own.name, *cells)
     return table
+
+
+def _units(found: WholeRobot) -> str:
+    """Units of the columns with the gains."""
+    plant = found.specification.plant
+    assert plant is not None
+    return ", ".join(f"{name} in {of_joints(PARAMETERS[name].unit, plant)}" for name in (KP, KD))
 
 
 def _creeps(found: WholeRobot) -> bool:

@@ -39,7 +39,7 @@ def text(run: Single) -> str:
 
     table = Table(box=None, show_header=False, pad_edge=False)
     verdict = Verdict(int(run.results["verdict"]))
-    table.add_row("verdict", f"[bold]{verdict.label}[/bold]")
+    table.add_row("verdict", verdict.label)
     for name, about in VARIABLES.items():
         value = run.results.get(name, np.nan)
         if name == "verdict" or np.isnan(value):

@@ -102,6 +102,14 @@ def test_what_is_printed_names_the_loops():
         assert words in text
 
 
+def test_of_thousands_of_loops_both_ends_are_printed():
+    text = repr(jx.margins(jx.joint(kp=np.arange(1.0, 3001.0), kd=5.0)))
+    assert "delay margin [ms]" in text and "phase margin [°]" in text
+    lines = [line.split()[1] for line in text.splitlines() if line.startswith(" kp ")]
+    assert [float(line) for line in lines] == [*range(1, 21), *range(2981, 3001)]
+    assert "3,000 loops, of which the first and the last 20 are shown" in text
+
+
 def test_margins_become_datasets_and_tables():
     loop = jx.joint(actuator=["hyq", "starleth"], delay=np.array([[0.0], [1e-3]]))
     found = jx.margins(loop)
