@@ -187,6 +187,7 @@ def test_only_the_sum_of_the_delays_matters():
     np.testing.assert_allclose(split[0].kp, whole[0].kp, rtol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_the_euler_boundary_approaches_the_exact_one():
     exact = sampled_limits(0.7, 110.0, 0.9, 1e-3, PERIOD, kp=400.0, kd=20.0).kd_max
     window = {"kp_range": (399.0, 401.0), "kd_range": (20.0, 400.0)}

@@ -267,6 +267,7 @@ LOOP = ("--mass", "0.02", "--wn", "300", "--zeta", "0.7", "--delay", "0.002", "-
         "--kd", "1.5")  # fmt: skip
 
 
+@pytest.mark.exhaustive
 def test_margins_know_of_the_filter_in_continuous_time_and_sampled(capsys):
     filtered = ("--velocity", "differenced", "--velocity-filter", "300", "inf")
     said = _said(capsys, "margins", *LOOP, *filtered, "--control-rate", "2000", "--json")

@@ -139,6 +139,7 @@ def _chain(rng, joints):
     return LinearPlant(*(jnp.asarray(a) for a in (A, B, *seen)), step=jnp.asarray(step))
 
 
+@pytest.mark.exhaustive
 def test_robots_with_lines_of_tens_of_periods():
     """The Krylov space of a robot, against all eigenvalues of its whole period matrix."""
     rng = np.random.default_rng(3)

@@ -104,6 +104,7 @@ def test_the_count_changes_exactly_at_the_margins():
             assert (there[concerned] == unstable).all()
 
 
+@pytest.mark.exhaustive
 def test_margins_and_peaks_are_those_of_a_frequency_grid():
     values, cutoff, (figures, _, _) = found(delay=True)
     for index in np.flatnonzero(figures.stable)[:150]:

@@ -97,6 +97,7 @@ def test_differenced_velocity_and_long_delays(cutoff):
         np.testing.assert_array_less(np.abs(got - want)[near], 0.01 * np.abs(want[near]) + 0.02)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("quickly_compiled")
 def test_high_control_rates():
     """Where a control period is short, all modes are close to each other."""

@@ -88,6 +88,7 @@ def rates(slide):
 KP, KD = np.geomspace(1.0, 1e5, 100), np.geomspace(1e-3, 2000.0, 100)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("name", "delay"), [("ideal", 0.0), ("ideal", 1e-3), ("hyq", 5e-3), ("starleth", 1e-3)]
 )

@@ -115,6 +115,7 @@ def crowd_margins(crowd):
         return evaluate(crowd[0])
 
 
+@pytest.mark.exhaustive
 def test_ten_thousand_root_counts_agree_with_collocation(crowd, crowd_margins):
     np.testing.assert_array_equal(crowd_margins.unstable_roots, crowd[1])
 
@@ -325,6 +326,7 @@ def test_every_derivative_equals_central_differences(crowd):
             assert np.isfinite(derivative[known]).all(), name
 
 
+@pytest.mark.exhaustive
 def test_derivatives_of_an_ideal_actuator_are_finite():
     loop = np.array([[400.0], [20.0], [0.7], [np.inf], [1.0], [0.001]])
     (jacobian,) = jacobians(backwards, loop)

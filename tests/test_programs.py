@@ -367,6 +367,7 @@ def test_programs_that_were_not_used_for_longest_make_room(folder, monkeypatch):
         assert _made(X, name=name)[1] == anew, name
 
 
+@pytest.mark.exhaustive
 def test_a_process_lets_go_of_the_programs_that_it_has_not_used_for_longest():
     """Whichever functions they are of; else it runs out of mappings of memory."""
     traced = []

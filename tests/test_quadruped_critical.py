@@ -77,6 +77,7 @@ def test_the_bare_loop_has_the_same_gains_and_no_drive():
     assert without["wn"] == np.inf and without["delay"] == 0.0 and without["position_noise"] == 0.0
 
 
+@pytest.mark.exhaustive
 def test_a_bias_that_walks_is_no_part_of_the_growth_rate():
     specification = reading.parse(SPECIFICATION)
     parameters = specification.parameters | {"position_bias_walk": 1e-4}

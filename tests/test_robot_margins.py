@@ -508,6 +508,7 @@ def quadruped():
     return reading.parse(QUADRUPED + "feedforward = [0.0]", folder), folder
 
 
+@pytest.mark.exhaustive
 def test_the_growth_rate_of_a_quadruped_changes_sign_at_its_gain_margins(quadruped):
     specification, folder = quadruped
     (found,) = whole_robot.evaluate(specification)

@@ -219,6 +219,7 @@ def test_response_is_accurate_far_above_a_slow_actuator():
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_a_slow_loop_approaches_the_continuous_one():
     from jaxact.analysis.joint.margins import margins
 

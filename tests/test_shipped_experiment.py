@@ -68,6 +68,7 @@ def test_the_published_armature_is_in_the_model(arm):
     assert not np.any(written.dof_armature[:6])
 
 
+@pytest.mark.exhaustive
 def test_one_robot_from_end_to_end(experiment, arm):
     row, model, folder = arm
     experiment["run"].DELAYS[:] = [0.0, 0.005, 0.02]

@@ -63,7 +63,7 @@ def _fraction(values, index, cutoff=np.inf):
     return numerator, np.trim_zeros(np.polymul(np.polymul(plant, servo), lag), "f")
 
 
-@pytest.mark.parametrize("cutoff", [np.inf, 300.0])
+@pytest.mark.parametrize("cutoff", [np.inf, pytest.param(300.0, marks=pytest.mark.exhaustive)])
 def test_roots_of_random_joints_are_those_of_their_polynomials(cutoff):
     values = _random(0)
     more = {} if np.isinf(cutoff) else {"velocity_filter": np.full(NUMBER, cutoff)}
@@ -183,6 +183,7 @@ def test_sampled_spectral_radius_is_that_of_scipy():
     np.testing.assert_allclose(radii, expected, rtol=1e-10)
 
 
+@pytest.mark.exhaustive
 def test_sampled_margins_end_where_the_radius_is_one():
     values = _sampled(4)
     found = jax.jit(lambda loop: sampled_margins(loop, max_delay_steps=STEPS))(

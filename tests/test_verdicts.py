@@ -98,6 +98,7 @@ def test_amplitude_and_frequency_are_those_of_a_plain_rollout(setpoint, velocity
     assert found["limit_cycle_frequency"] == pytest.approx(frequency, rel=0.03)
 
 
+@pytest.mark.exhaustive
 def test_ripples_within_a_cycle_are_not_counted_in_its_frequency():
     """A light joint whose differences are not filtered: its velocity turns three times a cycle."""
     period, count, mass, wn, zeta, kp, kd = 1e-3, 1e-3, 2.0, 970.0, 0.23, 28500.0, 210.0

@@ -89,7 +89,10 @@ def test_without_delay_it_is_an_explicit_pd(path):
     assert largest > 0.3
 
 
-@pytest.mark.parametrize("late", ({}, {"measurement_delay": 0.0031}))
+@pytest.mark.parametrize(
+    "late",
+    (pytest.param({}, marks=pytest.mark.exhaustive), {"measurement_delay": 0.0031}),
+)
 def test_torques_are_those_of_the_drive_stepped_by_hand(path, late):
     """Of a drive that ticks at every third physics step, around MJX."""
     values = {"delay": 0.0093, "wn": 120.0, "zeta": 0.7, "control_rate": 1 / (3 * STEP), **late}

@@ -170,6 +170,7 @@ def drawn(env, state, member):
     return {name: float(values[name]) for name in ("wn", "zeta", "delay")}
 
 
+@pytest.mark.exhaustive
 def test_torques_are_those_of_the_drive_stepped_by_hand(four):
     env, states, controls = four
     delays = []
@@ -184,6 +185,7 @@ def test_torques_are_those_of_the_drive_stepped_by_hand(four):
     assert len({round(one, 6) for one in delays}) == 4 and all(0 <= one <= 0.02 for one in delays)
 
 
+@pytest.mark.exhaustive
 def test_what_an_environment_draws_stays_until_it_is_reset(four):
     env, states, _ = four
     shares = [np.asarray(state.data.userdata[:, 1 : 1 + env.drive.draws]) for state in states]

@@ -257,6 +257,7 @@ def test_a_name_that_is_part_of_another_does_not_take_its_gains(model, tmp_path)
     assert gains_of(model, tmp_path / "c.py")["left_hip_roll_joint"][0] == 3.0
 
 
+@pytest.mark.exhaustive
 def test_a_result_that_was_tuned_is_exported(model, tmp_path):
     best = jx.tune(jx.robot(model, keyframe="home", delay=1e-3), max_peak=1.6, steps=20, starts=1)
     found = jx.export(best, "toml", tmp_path / "gains.toml").joints

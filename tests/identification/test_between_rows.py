@@ -61,7 +61,7 @@ def _climbed(log, rung, control_rate=None, **changes):
     return between_rows.doubted(ladder, "mass", control_rate)
 
 
-@pytest.mark.parametrize("control_rate", [None, 1000.0])
+@pytest.mark.parametrize("control_rate", [pytest.param(None, marks=pytest.mark.exhaustive), 1000.0])
 def test_what_a_log_of_every_twentieth_row_says_is_not_taken_for_known(log, control_rate):
     ladder = _climbed(_thinned(log, 20), "delay, viscous", control_rate)
     known = ladder.chosen.knowledge
@@ -81,6 +81,7 @@ def test_rows_that_show_all_of_the_loop_are_believed(log):
     assert between_rows.widest((_thinned(log, 20),), None) == pytest.approx(0.02)
 
 
+@pytest.mark.exhaustive
 def test_unknown_gains_allow_for_viscous_friction_that_the_drive_does_not_delay(log):
     unknown = replace(log, gains=(None, None))
     known = _climbed(unknown, "delay, no friction").chosen.knowledge

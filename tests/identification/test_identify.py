@@ -275,6 +275,7 @@ def test_a_first_order_method_over_a_few_of_many_logs_ends_near_the_least_square
     assert both[1].values["delay"] == pytest.approx(both[0].values["delay"], abs=3e-4)
 
 
+@pytest.mark.exhaustive
 def test_of_gains_that_are_not_known_all_is_per_unit_of_the_inertia():
     """With neither gains nor force in the log, friction is an acceleration, not a force."""
     time = np.arange(1500) * 2e-3

@@ -131,6 +131,7 @@ def test_the_gain_of_a_drive_is_found_from_recorded_commands(folder):
     assert numbers["coulomb"] == pytest.approx(TRUTH["friction"], rel=0.1)
 
 
+@pytest.mark.exhaustive
 def test_a_robot_takes_what_its_model_has_not_yet(found, folder):
     loop = jx.robot(folder / "arm.xml", drive=found, joint_damping=0.0)
     numbers = found.parts[0].found.chosen.numbers

@@ -41,6 +41,7 @@ def creased():
         return of_rung(family, rung, [log])
 
 
+@pytest.mark.exhaustive
 def test_a_search_that_ended_at_a_crease_is_settled_to_where_no_slope_leads_down(creased):
     # What the noise leaves at the truth is an upper bound of the least sum of squares.
     fit = solve(creased)
@@ -58,6 +59,7 @@ def test_a_search_that_arrived_is_left_as_it_is(creased):
     assert settled(better) is better
 
 
+@pytest.mark.exhaustive
 def test_a_search_crosses_all_the_ticks_between_a_mere_delay_and_a_loop_with_less():
     """Lines between setpoints 20 ms apart: a mere delay of 10 ms, lag and all, is begun from."""
     rows = np.arange(4000)

@@ -20,7 +20,7 @@ def _with(whole, **changes):
     return replace(whole, signals={n: rows for n, rows in signals.items() if rows is not None})
 
 
-@pytest.mark.parametrize("recorded", (True, False))
+@pytest.mark.parametrize("recorded", (True, pytest.param(False, marks=pytest.mark.exhaustive)))
 def test_a_command_at_its_limit_for_most_of_the_rows(recorded):
     logs = [_joint(1, 40, limit=0.5), _joint(2, 70, limit=0.5)]
     held = np.abs(logs[0]["command"]) > 0.499
@@ -69,6 +69,7 @@ def test_what_no_model_explains_is_not_identified(wrong, said):
     assert re.search(said, found.verdict.sentence)
 
 
+@pytest.mark.exhaustive
 def test_a_command_of_the_wrong_sign_is_said():
     right = _joint(7, 40)
     turned = _with(right, command=-right["command"])

@@ -96,6 +96,7 @@ def test_boundary_in_gain_is_near_the_exact_one(slide, name, delay):
     assert crossing(simulated) == pytest.approx(crossing(exact), rel=0.02)
 
 
+@pytest.mark.exhaustive
 def test_positions_approach_the_exact_mass_with_the_step():
     drive = Drive(Controller(400.0, 20.0), Actuator(110.0, 0.9, 1.3e-3))
     errors = []

@@ -138,6 +138,7 @@ def test_a_bare_mass_computes_nothing_of_it():
 OPTIONS = drives.options(DRIVE)
 
 
+@pytest.mark.exhaustive
 def test_a_saturated_force_moves_the_joint_as_what_is_left_of_it():
     """Of first order in the step only where the limit is reached or left within one."""
     limited = replace(DRIVE, actuator=replace(DRIVE.actuator, force_limit=8.0))
@@ -156,6 +157,7 @@ def test_a_saturated_force_moves_the_joint_as_what_is_left_of_it():
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_coefficients_have_derivatives_by_damping_and_stiffness():
     def end(c, k):
         path = rollout.trajectory(Loop(Mass(0.7, c, k), DRIVE), OPTIONS, 40, Setpoint(0.1))

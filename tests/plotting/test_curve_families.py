@@ -113,6 +113,7 @@ def test_captions_name_filter_differencing_actuator_and_delay(drawn):
     assert np.ptp([_hue(curve.get_color()) for curve in curves]) < 0.02
 
 
+@pytest.mark.exhaustive
 def test_a_filter_in_continuous_time_is_named(drawn):
     _, _, footer = drawn(*"nyquist --velocity differenced --velocity-filter 300".split())
     assert "filtered at 300 rad/s" in footer

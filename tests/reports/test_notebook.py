@@ -162,6 +162,7 @@ def _results(loop):
     yield "sweep", maps
 
 
+@pytest.mark.exhaustive
 @in_browser
 def test_results_are_a_table_and_a_picture(page, loop, tmp_path):
     cells = []
@@ -177,6 +178,11 @@ def test_results_are_a_table_and_a_picture(page, loop, tmp_path):
         sizes = other.run("[...document.images].map((one) => [one.naturalWidth, one.alt])")
     assert len(sizes) == len(cells)
     assert all(width > 400 and words for width, words in sizes)
+
+
+def test_margins_are_a_table_and_a_picture(loop):
+    shown = jx.margins(loop[0])._repr_html_()
+    assert shown.startswith("<pre ") and shown.count("<img") == 1
 
 
 def test_many_loops_are_a_table_alone():

@@ -126,6 +126,7 @@ def test_a_robots_gains_are_refused_with_what_to_report_instead(tmp_path):
     assert not (tmp_path / "robot.html").exists()
 
 
+@pytest.mark.exhaustive
 @in_browser
 def test_gains_without_others_before_stand_alone(page, tmp_path):
     loop = jx.joint(actuator="starleth", delay=1e-3, control_rate=500)

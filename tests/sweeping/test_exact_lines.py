@@ -86,6 +86,7 @@ def test_a_traced_line_in_the_plane_of_the_gains_is_the_d_partition_curve():
             assert min(distances) < 0.02 or not inside
 
 
+@pytest.mark.exhaustive
 def test_the_filter_and_the_differences_of_the_velocity_are_in_both():
     part, given = slice_of("differenced", velocity_filter=400.0)
     x, y = Window("gain_scale", 0.1, 30.0, True), Window("mass", 0.05, 5.0, True)

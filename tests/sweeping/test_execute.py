@@ -91,6 +91,7 @@ def test_other_tiles_give_the_same_figures(noisy):
         np.testing.assert_allclose(other[name][calm], noisy[name][calm], rtol=1e-2)
 
 
+@pytest.mark.exhaustive
 def test_progress_counts_every_sample_once():
     asked = reading.parse(NOISY)
     calls = []
@@ -155,6 +156,7 @@ def test_too_many_devices_and_odd_periods_are_refused():
         _run(NOISY, "physics_step=0.0003")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("compiled_fully")
 def test_double_precision_changes_little(noisy):
     double = _run(NOISY, "precision=float64", "position_noise=0", "position_resolution=0")

@@ -83,6 +83,7 @@ def test_any_chunks_any_order_any_devices_give_the_same_bits(loops, devices, who
     assert (again.loops, again.wrong) == (20, 0) and again.words == "bit for bit the same"
 
 
+@pytest.mark.exhaustive
 def test_results_that_no_computation_gives_are_found(whole, tmp_path):
     shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
     target = opening.find(tmp_path)

@@ -51,7 +51,13 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(name, marks=pytest.mark.exhaustive) if name == "hopper" else name
+        for name in CASES
+    ],
+)
 def test_both_engines_simulate_the_same_loop(case, folder):
     plant, parameters = CASES[case]
     found = {}
@@ -297,6 +303,7 @@ def test_auto_is_the_engine_that_was_faster_on_this_machine(folder, monkeypatch,
     assert throughput.fastest(fixed, samples, say=None) == "mujoco", "the specification says it"
 
 
+@pytest.mark.exhaustive
 def test_a_sweep_that_goes_on_keeps_its_engine(folder, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     asked = _parsed(folder, HOME, DRIVE, engine="auto", duration=0.1)

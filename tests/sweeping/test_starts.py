@@ -91,6 +91,7 @@ def test_a_hinge_with_friction_that_decays_when_it_moves_is_stable(folder):
     assert (found["growth_rate"] < 0.0).all() and (found["verdict"] == Verdict.STABLE).all()
 
 
+@pytest.mark.exhaustive
 def test_a_robot_that_nothing_disturbs_is_kicked(folder):
     asked = _asked(folder, "smooth", kd=2.0)
     assert plans.groups(asked, expand(asked))[0].case.starts == ("kick",)

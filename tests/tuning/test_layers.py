@@ -132,6 +132,7 @@ def test_noise_gain_is_the_h2_norm():
     assert found == pytest.approx(np.sqrt(covariance[2, 2]), rel=5e-3)
 
 
+@pytest.mark.exhaustive
 def test_bandwidth_is_where_the_response_has_fallen_to_half_power(members):
     log_kp, log_kd = _gains(members)
     found = metrics.evaluate(log_kp, log_kd, members, Sampling(), EXTRA)

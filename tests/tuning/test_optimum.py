@@ -86,6 +86,7 @@ def test_it_takes_a_hundredth_of_the_evaluations_of_brute_force(oracle):
     assert max(t.evaluations for t in oracle) < whole / 100
 
 
+@pytest.mark.exhaustive
 def test_random_plants_are_within_half_a_percent_of_brute_force(plants):
     best = np.array([kp for kp, _ in STORED["plants"]])
     ratio = np.array([tuned.kp for tuned in plants]) / best
@@ -111,6 +112,7 @@ def test_ensembles_are_within_a_percent_of_brute_force(ensembles):
     assert np.all(_largest_peaks(ensembles) <= _bounds(ensembles) * (1.0 + 1e-9))
 
 
+@pytest.mark.exhaustive
 def test_no_gains_near_an_ensembles_optimum_are_stiffer(ensembles):
     tuned = ensembles[4]
     rows = np.stack([getattr(tuned.members, name) for name in PLANT], axis=1)

@@ -142,6 +142,7 @@ def test_under_gravity_a_member_is_linearised_where_it_rests(folder):
         np.testing.assert_allclose(B[number], basis.T @ expected_B, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_gains_hold_for_every_payload_of_the_box(folder, laden):
     one, tuned = laden
     assert tuned.certified and tuned.certificate.corners == 4

@@ -56,6 +56,7 @@ def test_the_front_rises_and_passes_through_optima_of_their_own(arm, tuned):
     assert tuned.value == pytest.approx(np.exp(np.interp(1.8, peaks, np.log(values))), rel=0.2)
 
 
+@pytest.mark.exhaustive
 def test_points_that_cannot_be_met_say_so(arm, tuned):
     goal = Goal(max_peak=1.8, min_kp=150.0)
     stiff = robot.tune([arm], goal, tuned.robot.case.groups, **QUICK)

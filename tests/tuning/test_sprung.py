@@ -42,6 +42,7 @@ def test_gains_are_the_stiffest_there_are(stiffness):
     assert max(found.sensitivity_peak, found.complementary_peak) <= PEAK * (1 + 1e-6)
 
 
+@pytest.mark.exhaustive
 def test_uncertain_stiffness_is_certified_at_its_worst():
     loop = jx.joint(**JOINT, joint_stiffness=-200.0)
     box = {"joint_stiffness": (-300, -100), "joint_damping": (0, 4)}
@@ -74,6 +75,7 @@ def test_metrics_have_derivatives_by_damping_and_stiffness():
     assert not still.slope["gain_margin"][0, 6:].any()
 
 
+@pytest.mark.exhaustive
 def test_step_responses_sag_by_the_stiffness():
     loop = jx.joint(**JOINT, joint_stiffness=200.0)
     members = jx.tune(loop, max_peak=PEAK, sampled=False).members

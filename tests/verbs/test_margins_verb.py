@@ -146,6 +146,7 @@ def standing():
     return loop, jx.margins(loop)
 
 
+@pytest.mark.exhaustive
 def test_a_robots_delay_margin_is_where_it_begins_to_grow(standing):
     loop, found = standing
     margin = float(found.delay_margin[0])

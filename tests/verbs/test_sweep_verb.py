@@ -42,6 +42,7 @@ def test_it_gives_what_the_command_line_gives(maps, tmp_path):
         assert np.array_equal(maps[name], theirs[name], equal_nan=True), name
 
 
+@pytest.mark.exhaustive
 def test_growth_rates_are_those_of_the_sampled_margins(loop, maps):
     gains = np.meshgrid(maps.kp.values, maps.kd.values, indexing="ij")
     exact = jx.margins(loop[1].replace(kp=gains[0], kd=gains[1]), sampled=True).growth_rate
