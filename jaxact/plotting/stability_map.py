@@ -92,9 +92,9 @@ def stability_map(
             zero_line(arrangement, panel, rate) if linearised else ()
             for panel in arrangement.panels
         ]
-        handles = legend_handles(arrangement, boundaries, nominal, variable)
-        if any(zero):
-            handles.append(Line2D([], [], color="black", linewidth=1.5, label=LINEARISED[rate]))
+        handles = legend_handles(
+            arrangement, boundaries, nominal, variable, linearised=rate if any(zero) else None
+        )
         drawn = frame(arrangement, title, footer=footer, entries=len(handles))
         for number, panel in enumerate(arrangement.panels):
             exact = None if boundaries is None else boundaries[number]
@@ -319,14 +319,15 @@ def boundary_handles(boundaries: Sequence[ExactLines | None] | None) -> list[Art
     drawn = [b for b in boundaries or () if b is not None]
     handles: list[Artist] = []
     if any(b.sampled for b in drawn):
-        handles.append(
-            Line2D([], [], color="black", linewidth=1.5, label="exact boundary, sampled")
-        )
+        handles.append(boundary_handle("exact boundary, sampled"))
     if any(b.continuous for b in drawn):
-        handles.append(
-            Line2D([], [], color="black", linewidth=1.1, ls="--", label="exact, continuous time")
-        )
+        handles.append(boundary_handle("exact, continuous time", linewidth=1.1, linestyle="--"))
     return handles
+
+
+def boundary_handle(label: str, *, linewidth: float = 1.5, linestyle: str = "-") -> Artist:
+    """Legend entry of a black line."""
+    return Line2D([], [], color="black", linewidth=linewidth, linestyle=linestyle, label=label)
 
 
 def nominal_handle(arrangement: Arrangement, nominal: tuple[float, float]) -> Artist:
@@ -347,8 +348,10 @@ def legend_handles(
     boundaries: Sequence[ExactLines | None] | None,
     nominal: tuple[float, float] | None,
     variable: str,
+    *,
+    linearised: str | None,
 ) -> list[Artist]:
-    """Entries of the legend of a map; arguments as for `stability_map`."""
+    """Entries of the legend of a map; `linearised` is the rate whose zero line is drawn, if any."""
     growth = variable in RATES
     present = {int(v) for panel in arrangement.panels for v in np.unique(panel.data["verdict"])}
     handles: list[Artist] = []
@@ -363,6 +366,8 @@ def legend_handles(
     handles += boundary_handles(boundaries)
     if nominal is not None:
         handles.append(nominal_handle(arrangement, nominal))
+    if linearised is not None:
+        handles.append(boundary_handle(LINEARISED[linearised]))
     return handles
 
 

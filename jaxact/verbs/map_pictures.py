@@ -70,11 +70,10 @@ def stability_map(
     shown = _field.field(maps, variable)
     own = ax is None and axes is None
     given = _axes(arrangement, ax, axes)
-    _draw_maps(given, maps, arrangement, shown, exact=exact, marked=nominal)
+    handles = _draw_maps(given, maps, arrangement, shown, exact=exact, marked=nominal)
     if colorbar:
         _colorbar(given, shown)
-    handles = _map.verdict_handles({int(v) for v in np.unique(maps["verdict"])}) if legend else []
-    return _finished(given, handles, outer=own)
+    return _finished(given, handles if legend else [], outer=own)
 
 
 def scatter(
@@ -281,12 +280,19 @@ def _finished(given: Sequence[Axes], handles: list[Artist], *, outer: bool) -> A
 def _draw_maps(
     axes: Sequence[Axes], maps: xr.Dataset, arrangement: Arrangement,
     shown: _field.Field, *, exact: bool, marked: bool,
-) -> None:  # fmt: skip
+) -> list[Artist]:  # fmt: skip
+    """Draw all panels; what a legend of them says is returned."""
     plain = agreement.is_plain_mass(maps)
     known = map_lines.boundaries(arrangement) if exact and plain else [None] * len(axes)
     rate = shown.variable if shown.variable in _field.RATES else _field.usual(maps)
     point = map_lines.nominal(maps, arrangement) if marked else None
-    for one, panel, boundary_of_it in zip(axes, arrangement.panels, known, strict=True):
+    zeros = [
+        zero_line(arrangement, panel, rate) if exact and not plain else ()
+        for panel in arrangement.panels
+    ]
+    for one, panel, its, zero in zip(axes, arrangement.panels, known, zeros, strict=True):
         _dress(one, arrangement, panel)
-        zero = zero_line(arrangement, panel, rate) if exact and not plain else ()
-        _map.draw(one, arrangement, panel, shown, exact=boundary_of_it, zero=zero, nominal=point)
+        _map.draw(one, arrangement, panel, shown, exact=its, zero=zero, nominal=point)
+    return _map.legend_handles(
+        arrangement, known, point, shown.variable, linearised=rate if any(zeros) else None
+    )

@@ -56,6 +56,8 @@ def test_a_map_on_given_axes(maps):
     figure, ax = pyplot.subplots()
     drawn = jx.plot.stability_map(maps, select={"delay": 0.005}, ax=ax)
     assert drawn is ax and ax.get_xscale() == "log"
+    words = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert {"exact boundary, sampled", "exact, continuous time"} < set(words)
     mesh = ax.collections[0]
     expected = maps.growth_rate.sel(delay=0.005).transpose("kd", "kp").values
     assert np.asarray(mesh.get_array()).reshape(expected.shape) == pytest.approx(expected)
