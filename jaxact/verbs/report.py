@@ -130,7 +130,11 @@ def _whole(path: Path) -> Iterator[None]:
         yield
     except UserError:
         raise
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except KeyError as error:
+        raise UserError(
+            f"{path}: lacks {error}: it is damaged, or of another version; make it anew"
+        ) from None
+    except (AttributeError, TypeError, ValueError) as error:
         kind = type(error).__name__
         raise UserError(f"{path}: is damaged ({kind}: {error}); make it anew") from None
 

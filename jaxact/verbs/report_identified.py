@@ -16,6 +16,7 @@ from jaxact.identification.log import Log
 from jaxact.identification.model import predicted
 from jaxact.identification.result import Identified
 from jaxact.identification.robot import IdentifiedRobot
+from jaxact.identification.verdict import Level
 from jaxact.loops import toml
 from jaxact.loops.building import joint
 from jaxact.loops.drives import ROBOT, IdentifiedDrive, load_drive
@@ -38,6 +39,8 @@ _NO_LOOP = (
     "There is no map of the gains, as {why}: jaxact report --drive FILE with --kp, --kd and"
     " --mass or --inertia has one."
 )
+# What the page has of every model that was compared.
+_IN_LADDER = ("name", "unknowns", "error", "score", "identified", "chosen")
 
 
 def content(found: Identified | IdentifiedRobot) -> Content:
@@ -80,6 +83,8 @@ def _content(
         why = "no joint moved"
     elif drive.plant == ROBOT:
         why = "the drives are those of a robot's joints"
+    elif verdict["level"] == Level.NOT_ENOUGH.value:
+        why = "the model does not explain the logs well enough"
     elif not (values.get(KP, 0.0) > 0.0 and values.get(KD, 0.0) > 0.0):
         why = "the gains behind the logs are not known"
     else:
@@ -116,7 +121,7 @@ def _read(name: str, document: Mapping[str, Any]) -> dict[str, Any]:
         "sentence": document["verdict"]["sentence"],
         "estimates": [_estimate(own, one) for own, one in estimates.items()],
         "correlation": {"names": names, "rows": correlation.tolist()},
-        "ladder": document.get("ladder", []),
+        "ladder": [{key: one[key] for key in _IN_LADDER} for one in document.get("ladder", [])],
         "signal": document.get("signal", ""),
         "error_unit": document.get("signal_unit", ""),
         "logs": [],

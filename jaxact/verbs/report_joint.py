@@ -19,7 +19,7 @@ from jaxact.loops.specification import Specification
 from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, LINEAR, SETPOINT_DELAY
 from jaxact.reports.page import Content
 from jaxact.status import Verdict
-from jaxact.verbs import naming
+from jaxact.verbs import naming, report_specification
 from jaxact.verbs.margins import BothMargins, LoopMargins
 
 if TYPE_CHECKING:
@@ -106,7 +106,8 @@ def of_subject(found: Subject) -> Content:
         "cells": found.cells,
     }
     return Content(
-        title=found.title or f"Joint: {named.labels[0]}",
+        title=found.title
+        or f"Joint: {named.labels[0] if len(rows) == 1 else f'{len(rows)} loops'}",
         description=naming.in_common(found.loop),
         parts={"joint": data},
         made={"Specification": found.specification} if found.specification else {},
@@ -136,7 +137,7 @@ def _subject(subject: Any) -> Subject:
             return _of_sweep(_opened(subject))
         if listed.rows(path) is not None:
             return Subject(loop_of(path), specification=path.read_text(encoding="utf-8"))
-        return _of_specification(reading.load(path))
+        return _of_specification(*report_specification.load(path))
     raise UserError(f"a report cannot be of a {type(subject).__name__}; give a loop or a result")
 
 
@@ -159,7 +160,8 @@ def _of_sweep(results: xr.Dataset) -> Subject:
     text = results.attrs.get("specification_toml")
     if text is None:
         raise UserError("these results are not of a sweep: they do not say how they were made")
-    found = _of_specification(reading.parse(text))
+    specification = reading.parse(text)
+    found = _of_specification(specification, specification.text)
     there = found.window and "verdict" in results
     return dataclasses.replace(found, cells=_cells(results) if there else None)
 
@@ -192,8 +194,12 @@ def _cells(results: xr.Dataset) -> dict[str, Any]:
     return {**ends, "verdicts": verdicts, **{str(name): own for name, own in numbers.items()}}
 
 
-def _of_specification(specification: Specification) -> Subject:
-    """The loops beside the gains that are swept, whose ranges are the map's."""
+def _of_specification(specification: Specification, text: str) -> Subject:
+    """The loops beside the gains that are swept, whose ranges are the map's.
+
+    Args:
+        text: of the specification, as it is shown.
+    """
     window = {axis.name: axis.ends for axis in specification.axes if axis.name in (KP, KD)}
     if any(low <= 0.0 or low >= high for low, high in window.values()) or len(window) < 2:
         window = {}
@@ -203,5 +209,5 @@ def _of_specification(specification: Specification) -> Subject:
     loop = loop_of(alone)
     nominal = specification.nominal
     points = {"nominal": (float(nominal[KP]), float(nominal[KD]))}
-    text = specification.text
-    return Subject(loop, specification.description, text, window, points, simulated=True)
+    sweep = specification.axes != (NO_AXIS,)
+    return Subject(loop, specification.description, text, window, points, simulated=sweep)

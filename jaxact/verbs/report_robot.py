@@ -24,7 +24,13 @@ from jaxact.reports.page import Content
 from jaxact.robot_margins.open_loop import OpenPlant, open_loops
 from jaxact.tuning import report as tuning_report
 from jaxact.tuning.result import Tuned
-from jaxact.verbs import naming, report_run, report_tuned_robot, robot_tables
+from jaxact.verbs import (
+    naming,
+    report_run,
+    report_specification,
+    report_tuned_robot,
+    robot_tables,
+)
 from jaxact.verbs.margins_of_robot import RobotLoopMargins
 
 RATES = (50.0, 100.0, 200.0, 250.0, 500.0, 1000.0, 2000.0)
@@ -71,15 +77,18 @@ def robot_of(subject: Any) -> tuple[ControlLoop, str, Tuned | None]:
     if isinstance(subject, ControlLoop | RobotLoopMargins):
         return (subject if isinstance(subject, ControlLoop) else subject.loop), "", None
     if isinstance(subject, xr.Dataset):
-        return _specified(reading.parse(subject.attrs["specification_toml"]))
+        specification = reading.parse(subject.attrs["specification_toml"])
+        return _specified(specification, specification.text)
     path = Path(subject)
-    return _specified(reading.load(path)) if path.suffix == ".toml" else (robot(path), "", None)
+    if path.suffix != ".toml":
+        return robot(path), "", None
+    return _specified(*report_specification.load(path))
 
 
-def _specified(specification: Specification) -> tuple[ControlLoop, str, Tuned | None]:
-    """The nominal loop of a specification with a robot."""
+def _specified(specification: Specification, text: str) -> tuple[ControlLoop, str, Tuned | None]:
+    """The nominal loop of a specification with a robot, and its text as it is shown."""
     alone = dataclasses.replace(specification, axes=(NO_AXIS,), sampling=None)
-    return loop_of(alone), specification.text, None
+    return loop_of(alone), text, None
 
 
 def content(loop: ControlLoop, specified: str = "", tuned: Tuned | None = None) -> Content:

@@ -81,7 +81,7 @@ def _content(document: Mapping[str, Any], front: Sequence[Mapping[str, Any]]) ->
         "sentence": verdict,
         "certified": bool(guaranteed.get("certified", False)),
         "objective": document.get("objective", {}),
-        "checks": document.get("checks", []),
+        "checks": report_tuned_robot.checks(document),
         "members": document["assumed"].get("members", 1),
         "sides": [{"name": name, KP: kp, KD: kd} for name, (kp, kd) in points.items()],
         "front": [dict(one) for one in front],

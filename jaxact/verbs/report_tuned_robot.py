@@ -47,11 +47,27 @@ def part(document: Mapping[str, Any], front: str = "", note: str = "") -> dict[s
         "sentence": guaranteed.get("verdict", ""),
         "certified": bool(guaranteed.get("certified", False)),
         "members": document.get("assumed", {}).get("loops", 1),
-        "checks": document.get("checks", []),
+        "checks": checks(document),
         "gains": rows,
+        "units": _units(document),
         "front": {"head": [name.replace("_", " ") for name in head], "points": points},
         "note": note,
     }
+
+
+# Units of kp and kd, where the document says what the joints do.
+_UNITS = {"N m/rad": ["N m/rad", "N m s/rad"], "N/m": ["N/m", "N s/m"]}
+
+
+def _units(document: Mapping[str, Any]) -> list[str]:
+    stiffness = {"rad": "N m/rad", "m": "N/m"}.get(document.get("motion", {}).get("unit", ""))
+    return _UNITS.get(stiffness or document.get("objective", {}).get("unit", ""), [])
+
+
+def checks(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The constraints of a tuning, each whole: a KeyError names what one lacks."""
+    names = ("metric", "bound", "value", "member", "met")
+    return [{name: one[name] for name in names} for one in document.get("checks", [])]
 
 
 def _common(gains: Mapping[str, float], joints: Sequence[str]) -> float | None:

@@ -83,6 +83,18 @@ def test_a_drives_file_has_all_but_the_logs(found, tmp_path):
     assert data_of(report)["points"][0]["kp"] == KP
 
 
+def test_a_drive_that_is_not_good_enough_has_no_map_that_looks_certain(found, tmp_path):
+    document = found.document()
+    document["verdict"] = document["verdict"] | {"level": "not good enough"}
+    path = tmp_path / "drive.toml"
+    path.write_text(toml.dumps(document), encoding="utf-8")
+    report = jx.report(path, tmp_path / "drive.html")
+    (drive,) = data_of(report, "identified")["drives"]
+    assert "does not explain the logs" in drive["notes"][-1]
+    with pytest.raises(KeyError):
+        data_of(report)
+
+
 def test_a_long_log_keeps_its_extremes_within_the_budget():
     generator = np.random.default_rng(0)
     first, second = generator.normal(size=(2, 300_000))

@@ -11,6 +11,7 @@ import xarray as xr
 from command_line import jaxact
 
 import jaxact as jx
+from jaxact.loops import toml
 
 SWEEP = """
 description = "<script>alert(1)</script> & \\"quotes\\""
@@ -120,6 +121,32 @@ def test_a_damaged_result_is_one_line(text, tmp_path):
     with pytest.raises(jx.UserError, match=r"^[^\n]*$"):
         jx.report(tmp_path / "result.toml", tmp_path / "result.html")
     assert not (tmp_path / "result.html").exists()
+
+
+@pytest.mark.parametrize("key", ["metric", "bound", "value", "member", "met"])
+def test_of_a_result_of_another_version_the_key_that_is_missing_is_named(key, tmp_path):
+    check = {"metric": "sensitivity_peak", "bound": 2, "value": 1, "member": "a", "met": True}
+    del check[key]
+    text = toml.dumps({"gains": {"kp": 80, "kd": 11}, "assumed": {"mass": 1}, "checks": [check]})
+    (tmp_path / "gains.toml").write_text(text)
+    with pytest.raises(jx.UserError, match=rf"^[^\n]*lacks '{key}'[^\n]*$"):
+        jx.report(tmp_path, tmp_path / "tuned.html")
+
+
+def test_a_specification_that_varies_nothing_is_its_loop(tmp_path):
+    text = 'description = "the knee"\n[parameters]\nkp = 300\nkd = 9\ndelay = 0.002\n'
+    (tmp_path / "knee.toml").write_text(text)
+    report = jx.report(tmp_path / "knee.toml", tmp_path / "knee.html")
+    data = data_of(report)
+    (own,) = data["loops"]
+    assert (own["parameters"]["kp"], own["parameters"]["delay"]) == (300, 0.002)
+    low, high = data["window"]["kp"]
+    assert low < 300 < high and not data["sampled"]
+    page = report.path.read_text()
+    assert "<h1>the knee</h1>" in page and "feedforward" not in page.split("<footer>")[1]
+    (tmp_path / "empty.toml").write_text("")
+    with pytest.raises(jx.UserError, match="axes: none given"):
+        jx.report(tmp_path / "empty.toml", tmp_path / "empty.html")
 
 
 @pytest.mark.parametrize(

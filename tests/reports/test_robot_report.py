@@ -206,6 +206,22 @@ def test_what_is_copied_computes_the_same(page, report, tmp_path):
         assert ran.returncode == 0, ran.stderr
         theirs = json.loads(ran.stdout)["growth_rate"]
         assert float(own["growth_rate"]) == pytest.approx(theirs, rel=EXACT)
+    again = jx.report(tmp_path / "robot.toml", tmp_path / "again.html")
+    page.open(again.path)
+    assert float(settled(page)["growth_rate"]) == pytest.approx(
+        float(own["growth_rate"]), rel=EXACT
+    )
+
+
+@in_browser
+def test_a_robot_without_gains_moves_as_it_would_alone(page, tmp_path):
+    loop = jx.robot(QUADRUPED, kp=0, kd=0, control_rate=500)
+    page.open(jx.report(loop, tmp_path / "limp.html").path)
+    own = settled(page, "joints")
+    (detail,) = jx.margins(loop.replace(kp=1e-9, kd=1e-9)).details  # which asks for some
+    assert float(own["growth_rate"]) == pytest.approx(detail.margins.growth_rate, rel=EXACT)
+    assert page.run("document.getElementById('robot-groups-head').hidden")
+    assert page.said == []
 
 
 @in_browser

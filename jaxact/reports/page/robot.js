@@ -300,9 +300,11 @@ export function start(data, host) {
     const rows = words.controlRows(state, window, data.loops[loop].drives);
     by("robot-controls").replaceChildren();
     by("robot-groups").replaceChildren();
+    const grouped = words.groupRows(groups, data.loops[loop].drives);
+    by("robot-groups-head").hidden = grouped.length === 0;
     const shows = [
       sliders(by("robot-controls"), rows, changed),
-      sliders(by("robot-groups"), words.groupRows(groups, data.loops[loop].drives), changed),
+      sliders(by("robot-groups"), grouped, changed),
     ];
     show = (values) => shows.forEach((one) => one(values));
     show(state);

@@ -202,18 +202,24 @@ function newton(loop, start, value) {
 /** The frequency of a root [rad/s]: 0 of a real one, which Newton's method leaves at rounding. */
 const turning = ({ re, im }) => (im > REAL * Math.abs(re) ? im : 0);
 
+/** A root of the loop over a period as {re, im} [1/s]. */
+const rateOf = ({ re, im }, period) => ({
+  re: Math.log(Math.hypot(re, im)) / period,
+  im: Math.abs(Math.atan2(im, re)) / period,
+});
+
 /**
  * The growth rate {rate [1/s], frequency [rad/s]}, and whether the robot shakes or topples; the
  * rate is null where counting does not confirm that no root is further right. In steps.
  */
 export function* growth(loop) {
   const { period, hidden } = loop.open;
-  const own = hidden
-    .filter(({ re, im }) => Math.hypot(re - 1, im) > robot.OUTSIDE)
-    .map(({ re, im }) => ({
-      re: Math.log(Math.hypot(re, im)) / period,
-      im: Math.abs(Math.atan2(im, re)) / period,
-    }));
+  const moving = ({ re, im }) => Math.hypot(re - 1, im) > robot.OUTSIDE && Math.hypot(re, im) > 0;
+  const own = hidden.filter(moving).map((root) => rateOf(root, period));
+  // Without any gains the roots of the open loop are all.
+  if ([...loop.kp, ...loop.kd].every((gain) => gain === 0)) {
+    own.push(...loop.open.poles.filter(moving).map((root) => rateOf(root, period)));
+  }
   const unstable = loop.count(1);
   let [found, sure, from] = [own, false, loop];
   const beyond = (rate) => robot.rootsBeyond(loop, rate * period);

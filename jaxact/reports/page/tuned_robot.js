@@ -9,20 +9,20 @@ export function start(data, host) {
   const { checks, gains, front } = data;
   showSentence(by("sentence"), data);
   if (checks.length) by("checks").append(checkTable(data));
-  by("gains").append(gainsTable(gains));
+  by("gains").append(gainsTable(gains, data.units));
   if (front.points.length) by("front").append(frontTable(front));
   by("note").textContent = data.note;
   const empty = { checks: !checks.length, front: !front.points.length, note: !data.note };
   for (const [id, hidden] of Object.entries(empty)) by(id).hidden = hidden;
 }
 
-function gainsTable(gains) {
+function gainsTable(gains, [ofKp, ofKd]) {
   const column = (head, value) => ({ head, values: gains.map(value) });
   const known = (value) => (value === null ? "several" : value);
   const before = gains.some((one) => one.before.length)
     ? ["kp", "kd"].map((name, i) => column(`${name} before`, (one) => known(one.before[i])))
     : [];
-  return table("Gains", [
+  return table(ofKp ? `Gains: kp in ${ofKp}, kd in ${ofKd}` : "Gains", [
     column("joints", ({ name }) => name),
     ...before,
     column("kp tuned", ({ kp }) => kp),
