@@ -21,8 +21,8 @@ import jax
 import numpy as np
 
 import jaxact as jx
+from jaxact.identification.choice import Candidate
 from jaxact.identification.identify import identify
-from jaxact.identification.ladder import Candidate
 from jaxact.identification.model import predicted
 from jaxact.identification.problem import effective_lag
 from jaxact.identification.result import Identified

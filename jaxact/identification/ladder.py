@@ -2,71 +2,37 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jaxact.identification import knowledge as _knowledge
+from jaxact.identification.choice import (
+    AS_GOOD,
+    Candidate,
+    Scale,
+    choose,
+    encoder_error,
+    error_by_chance,
+)
 from jaxact.identification.fitting import LEAST_SQUARES, Fit, solve
-from jaxact.identification.inspection import quantum
 from jaxact.identification.knowledge import Knowledge
 from jaxact.identification.log import Log
-from jaxact.identification.model import DYNAMICS, Family, Rung, of_rung, predicted
+from jaxact.identification.model import Family, Rung, of_rung, predicted
 from jaxact.identification.settling import settled
 from jaxact.parameters import DELAY, WN, ZETA
 
-# A simpler model is preferred where its error is within this share of the best one's.
-_AS_GOOD = 0.01
-# The same for frictions before the drive's dynamics are known.
+# Share by which a simpler friction may be worse before the dynamics of the drive are known.
 _NEARLY_AS_GOOD = 0.05
-# A model that is not wholly identified is taken where those that are have so many times its error.
-_FAR_WORSE = 1.5
 # Of a log that is followed so well [%], no limit was reached that matters.
 _FOLLOWED = 97.0
-# Share of the encoder's own error that is left out when errors are compared.
-_OF_THE_FLOOR = 0.95
 # Of a log that is alone, the last part is kept for validation.
 _HELD_OUT = 0.3
 
 FAR_FROM_A_DELAY = 0.9
 """Dynamics with so small a share of a mere delay's error may have been taken for friction."""
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A rung, fitted and tried.
-
-    Attributes:
-        rung: the model.
-        fit: its least squares.
-        knowledge: intervals and combinations.
-        errors: root of the mean square error on each validation log, in the signal's unit.
-        scores: 100 (1 - error / spread) of each validation log [%].
-        numbers: all numbers of the model by name.
-    """
-
-    rung: Rung
-    fit: Fit
-    knowledge: Knowledge
-    errors: tuple[float, ...]
-    scores: tuple[float, ...]
-    numbers: dict[str, float]
-
-    @property
-    def error(self) -> float:
-        """Root of the mean square error over all validation logs."""
-        return float(np.sqrt(np.mean(np.square(self.errors))))
-
-    @property
-    def joint(self) -> set[str]:
-        """Names of the unknowns that are not the drive's dynamics."""
-        return set(self.rung.free) - set(DYNAMICS[self.rung.dynamics][0])
-
-    @property
-    def size(self) -> int:
-        """Number of unknowns, those of single logs apart."""
-        return len(self.rung.free)
 
 
 @dataclass(frozen=True)
@@ -127,7 +93,7 @@ def climb(
         The ladder.
     """
     fitted, held, apart = split(logs, validation)
-    floor = encoder_error(family, held)
+    scale = Scale(encoder_error(family, held), functools.partial(error_by_chance, family, held))
     found: list[Candidate] = []
 
     def fit(rung: Rung, before: Sequence[Candidate]) -> Candidate:
@@ -137,14 +103,14 @@ def climb(
 
     def mend() -> None:
         if method == LEAST_SQUARES:
-            found[:] = leaner(family, found, floor, fitted, held, loss)
+            found[:] = leaner(family, found, scale, fitted, held, loss)
 
-    for rung in stages(family, found, floor, mend):
+    for rung in stages(family, found, scale, mend):
         found.append(fit(rung, found))
-    found += limited(family, found, floor, fit)
+    found += limited(family, found, scale, fit)
     mend()
     found = [without_delay(one, found) for one in found]
-    chosen = choose(found, floor)
+    chosen = choose(found, scale)
     rung, best = chosen.rung, chosen.fit
     if family.beside:
         rung = replace(rung, free=(*rung.free, *family.beside))
@@ -164,7 +130,7 @@ def climb(
 
 
 def stages(
-    family: Family, found: list[Candidate], floor: float, mend: Callable[[], None]
+    family: Family, found: list[Candidate], scale: Scale, mend: Callable[[], None]
 ) -> Iterator[Rung]:
     """The rungs one after another: frictions with a delay first, then dynamics with the best one.
 
@@ -174,7 +140,7 @@ def stages(
     Args:
         family: of the rungs.
         found: candidates so far, which grows while this is iterated over.
-        floor: see `choose`.
+        scale: see `choose`.
         mend: looks for better fits of those that were found.
     """
     if len({rung.friction for rung in family.rungs}) == 1:
@@ -182,7 +148,7 @@ def stages(
         return
     yield from (rung for rung in family.rungs if rung.dynamics == DELAY)
     mend()
-    first = choose(found, floor, _NEARLY_AS_GOOD)
+    first = choose(found, scale, _NEARLY_AS_GOOD)
     best = first
     while True:
         left = [rung for rung in family.rungs if all(rung is not one.rung for one in found)]
@@ -193,7 +159,7 @@ def stages(
             return
         yield from beside
         mend()
-        best = choose(found, floor)
+        best = choose(found, scale)
         if best.rung.dynamics == DELAY:
             return
 
@@ -201,7 +167,7 @@ def stages(
 def limited(
     family: Family,
     found: Sequence[Candidate],
-    floor: float,
+    scale: Scale,
     fit: Callable[[Rung, Sequence[Candidate]], Candidate],
 ) -> list[Candidate]:
     """Every model with what logs may hide, where the chosen one predicts better with it.
@@ -212,10 +178,10 @@ def limited(
     Args:
         family: of the models.
         found: candidates without it.
-        floor: see `choose`.
+        scale: see `choose`.
         fit: (model, candidates to begin from) -> candidate.
     """
-    chosen = choose(found, floor)
+    chosen = choose(found, scale)
     if not family.perhaps or min(chosen.scores) > _FOLLOWED:
         return []
 
@@ -225,7 +191,7 @@ def limited(
         return replace(rung, name=name, friction=friction, free=(*family.perhaps, *rung.free))
 
     first = fit(richer(chosen.rung), found)
-    if choose([*found, first], floor) is not first:
+    if choose([*found, first], scale) is not first:
         return []
     more = [first]
     for one in found:
@@ -237,7 +203,7 @@ def limited(
 def leaner(
     family: Family,
     found: Sequence[Candidate],
-    floor: float,
+    scale: Scale,
     fitted: Sequence[Log],
     held: Sequence[Log],
     loss: str,
@@ -250,11 +216,11 @@ def leaner(
     Args:
         family: of the models.
         found: candidates.
-        floor: see `choose`.
+        scale: see `choose`.
         fitted, held: logs.
         loss: of the least squares.
     """
-    chosen = choose(found, floor)
+    chosen = choose(found, scale)
     spare = {e.name for e in chosen.knowledge.estimates if not e.identified}
 
     def again(one: Candidate) -> Candidate:
@@ -268,12 +234,6 @@ def leaner(
         return _tried(family, one.rung, fit, _knowledge.of_fit(fit, profile=False), held)
 
     return [again(one) for one in found]
-
-
-def encoder_error(family: Family, logs: Sequence[Log]) -> float:
-    """Mean square of what rounding to the encoder's counts does to the measured signal."""
-    steps = [quantum(family.measured(log)) or 0.0 for log in logs]
-    return float(np.mean(np.square(steps))) / 12.0
 
 
 def without_delay(one: Candidate, every: Sequence[Candidate]) -> Candidate:
@@ -293,7 +253,7 @@ def without_delay(one: Candidate, every: Sequence[Candidate]) -> Candidate:
     )
     if beside is None or not any(DELAY in names for names in beside.knowledge.combinations):
         return one
-    if beside.fit.square_sum > (1.0 + _AS_GOOD) * one.fit.square_sum:
+    if beside.fit.square_sum > (1.0 + AS_GOOD) * one.fit.square_sum:
         return one
     estimates = tuple(
         replace(e, identified=False, reason=e.reason or "cannot be told from a delay")
@@ -343,31 +303,3 @@ def _tried(
         spread = float(np.std(measured))
         scores.append(100.0 * (1.0 - errors[-1] / max(spread, 1e-300)))
     return Candidate(rung, fit, known, tuple(errors), tuple(scores), numbers)
-
-
-def choose(
-    candidates: Sequence[Candidate], floor: float = 0.0, share: float = _AS_GOOD
-) -> Candidate:
-    """The simplest that is as good as the best and all of whose numbers are identified.
-
-    Where none of those is, the simplest that is as good as the best whose numbers are; but where
-    that is far worse than the best, or there is none, the simplest as good as the best.
-
-    Args:
-        candidates: fitted and tried.
-        floor: mean square error that the encoder alone makes, most of which is left out of the
-            comparison, as no model can mend it.
-        share: by which a simpler model's error may be larger.
-    """
-
-    def error(one: Candidate) -> float:
-        own = one.error**2
-        return float(np.sqrt(own - min(_OF_THE_FLOOR * floor, 0.999 * own)))
-
-    usable = [one for one in candidates if np.isfinite(one.error)] or list(candidates)
-    best = min(error(one) for one in usable)
-    identified = [one for one in usable if one.knowledge.identified]
-    least = min((error(one) for one in identified), default=np.inf)
-    chosen, bound = (identified, least) if least <= _FAR_WORSE * best else (usable, best)
-    as_good = [one for one in chosen if error(one) <= (1.0 + share) * bound]
-    return min(as_good, key=lambda one: (one.size, one.error))

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxact.identification.choice import Candidate
 from jaxact.identification.inspection import Inspection
 from jaxact.identification.knowledge import Estimate
-from jaxact.identification.ladder import FAR_FROM_A_DELAY, Candidate
+from jaxact.identification.ladder import FAR_FROM_A_DELAY
 from jaxact.identification.log import Log
 from jaxact.identification.problem import effective_lag
 from jaxact.parameters import DELAY, WN, ZETA

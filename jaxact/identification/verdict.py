@@ -11,8 +11,9 @@ import numpy as np
 from scipy import signal as _signal
 
 from jaxact.identification import signs, skew
+from jaxact.identification.choice import Candidate
 from jaxact.identification.inspection import excited_band
-from jaxact.identification.ladder import Candidate, Ladder
+from jaxact.identification.ladder import Ladder
 from jaxact.identification.log import Log
 from jaxact.identification.model import Family, predicted
 from jaxact.loops import drives

@@ -61,3 +61,44 @@ def test_a_pendulum_is_found_from_the_torques_it_was_told(logs):
     assert found.loop.joint_stiffness == pytest.approx(GRAVITY, rel=0.02)
     again = jx.replay(found, logs[1])
     assert again.driven_by == "command" and again.nrmse < 0.05
+
+
+def _delayed(seed, hold, fine):
+    """A pendulum behind a mere delay of 2 ms, by explicit steps that stop where it turns."""
+    rows, delay, inertia, gravity, viscous, coulomb = 6000, 2e-3, 0.02, 0.5, 0.01, 0.05
+    rng = np.random.default_rng(seed)
+    time = np.arange(rows) * PERIOD
+    command = np.repeat(rng.choice([-0.35, 0.35], rows // hold + 1), hold)[:rows]
+    command += 0.3 * np.sin(2.0 * np.pi * 0.4 * time + seed)
+    command[:5] = 0.0
+    step = PERIOD / fine
+    late = np.concatenate([np.zeros(round(delay / step)), np.repeat(command, fine)])
+    angle, speed, angles = 0.0, 0.0, np.empty(rows)
+    for at in range(rows * fine):
+        if at % fine == 0:
+            angles[at // fine] = angle
+        push = late[at] - gravity * np.sin(angle) - viscous * speed
+        if speed == 0.0:
+            push = np.sign(push) * max(abs(push) - coulomb, 0.0)
+        else:
+            push -= coulomb * np.sign(speed)
+        after = speed + step * push / inertia
+        after = 0.0 if speed * after < 0.0 else after
+        angle += step * 0.5 * (speed + after)
+        speed = after
+    counts = np.round(angles / (2.0 * np.pi / 4096))
+    signals = {"command": command, "position": counts * 2.0 * np.pi / 4096}
+    return Log(f"seed {seed}", time, signals, gains=(None, None))
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("fine", [40, 160])
+def test_richer_models_that_are_ahead_by_chance_are_not_chosen(fine):
+    """In coarse steps friction is not quite dry, which what has more unknowns may follow."""
+    found = jx.identify(_delayed(1, 30, fine), "pendulum", validate=_delayed(2, 17, fine))
+    assert found.chosen.rung.name == "delay, viscous and dry"
+    assert found.verdict.level.value == "good"
+    for name, value, rel in (("inertia", 0.02, 1e-3), ("gravity", 0.5, 1e-3),
+                             ("viscous", 0.01, 0.01), ("coulomb", 0.05, 0.01)):  # fmt: skip
+        assert found.chosen.numbers[name] == pytest.approx(value, rel=rel)
+    assert found.chosen.numbers["delay"] == pytest.approx(2e-3, abs=5e-5)
