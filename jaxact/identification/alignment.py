@@ -32,11 +32,12 @@ UNSEEN = (
 """What is so of every log whose gains are not stated: a late position is a little less damping."""
 
 
-def aligned(log: Log) -> Log:
+def aligned(log: Log, *, moves: bool = True) -> Log:
     """A log whose columns are of one instant, that of the setpoint, where its command shows it.
 
     Args:
         log: any.
+        moves: its position is looked at, not its force alone.
 
     Returns:
         The log with what was moved, or cannot be seen, in its notes; the same log where its columns
@@ -44,7 +45,7 @@ def aligned(log: Log) -> Log:
     """
     if "position" not in log or "command" not in log or set(LINKS) & set(log.signals):
         return log
-    unseen = (UNSEEN,) if log.gains[0] is None else ()
+    unseen = (UNSEEN,) if moves and log.gains[0] is None else ()
     if SETPOINT not in log:
         return replace(log, notes=(*log.notes, *unseen))
     moved, certain = _apart(log.part(0, _LOOKED_AT))

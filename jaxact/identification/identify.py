@@ -78,7 +78,9 @@ def identify(
         )
     if isinstance(columns, str | os.PathLike):
         columns = read_columns(Path(columns))
-    fitted, held = (usable(logs_of(each, columns, joint)) for each in (logs, validate))
+    fitted, held = (
+        usable(logs_of(each, columns, joint), moves=plant != "none") for each in (logs, validate)
+    )
     if not fitted:
         raise UserError("`logs` is empty; give at least one log")
     check_gains((*fitted, *held))
@@ -98,15 +100,19 @@ def identify(
         return Identified(plant, ladder, inspected(ladder), verdict, control_rate)
 
 
-def usable(logs: Sequence[Log]) -> list[Log]:
+def usable(logs: Sequence[Log], *, moves: bool = True) -> list[Log]:
     """Logs cut where time is missing, with what was measured less often interpolated.
 
     Columns that their controller shows to be some rows apart are brought together.
 
+    Args:
+        logs: as they are read.
+        moves: their position is looked at, not their force alone.
+
     Raises:
         UserError: of a log nothing is left.
     """
-    return [aligned(renewed(part)) for log in logs for part in stretches(log)]
+    return [aligned(renewed(part), moves=moves) for log in logs for part in stretches(log)]
 
 
 def with_gains(log: Log) -> Log:

@@ -100,7 +100,9 @@ def test_columns_that_agree_stay_as_they_are(signals):
 
 
 def test_commands_alone_do_not_show_what_is_late(signals):
-    assert UNSEEN in aligned(_log(signals, "position", "command", gains=(None, None))).notes
+    log = _log(signals, "position", "command", gains=(None, None))
+    assert UNSEEN in aligned(log).notes
+    assert UNSEEN not in aligned(log, moves=False).notes  # of a force alone it says nothing
 
 
 def _ladder(log):
