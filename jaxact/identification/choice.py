@@ -17,6 +17,7 @@ AS_GOOD = 0.01
 """A simpler model is preferred where its error is within this share of the best one's."""
 # A model that is not wholly identified is taken where those that are have so many times its error.
 _FAR_WORSE = 1.5
+_FITS_FAR_WORSE = 1.2  # in its sum of squares
 # An error of so many times what the intervals of a model's numbers stand for may be one by chance.
 _BY_CHANCE = 2.0
 # A model predicts almost all where it has this score on logs that it has not seen [%].
@@ -76,10 +77,18 @@ class Scale:
     by_chance: Callable[[Candidate], float]
 
 
-def encoder_error(family: Family, logs: Sequence[Log]) -> float:
-    """Mean square of what rounding to the encoder's counts does to the measured signal."""
-    steps = [quantum(family.measured(log)) or 0.0 for log in logs]
-    return float(np.mean(np.square(steps))) / 12.0
+def encoder_error(family: Family, logs: Sequence[Log], others: Sequence[Log]) -> float:
+    """Mean square of what rounding to the encoder's counts does to the measured signal.
+
+    Args:
+        family: says which signal it is.
+        logs: whose error is asked for.
+        others: of the same encoder, whose counts show where those of a faster motion do not.
+    """
+    own = [quantum(family.measured(log)) for log in logs]
+    shown = [step for step in (quantum(family.measured(log)) for log in others) if step]
+    instead = min(shown, default=0.0)
+    return float(np.mean([(step or instead) ** 2 for step in own])) / 12.0
 
 
 def error_by_chance(family: Family, logs: Sequence[Log], one: Candidate) -> float:
@@ -114,7 +123,10 @@ def choose(candidates: Sequence[Candidate], scale: Scale, share: float = AS_GOOD
     """The simplest that is as good as the best and all of whose numbers are identified.
 
     As good is what has as small an error where it was not fitted, and also what fits as well and
-    has an error there that its intervals stand for: which of two such models is ahead is chance.
+    predicts almost all there, not far worse, or has an error there that its intervals stand for:
+    which of two such models is ahead is chance.
+    It is chance, too, that what fits worse is ahead of such a model, or what fits far worse of one
+    that predicts almost all: motion that hardly passes the top, or sticks, enlarges anything.
 
     Where none of those is, the simplest that is as good as the best whose numbers are; but where
     that is far worse than the best, or there is none, the simplest as good as the best. What fits
@@ -147,6 +159,23 @@ def choose(candidates: Sequence[Candidate], scale: Scale, share: float = AS_GOOD
     )
     chosen, bound = (identified, least) if near else (usable, best)
     ordered = sorted(chosen, key=lambda one: (one.size, one.error))
-    return next(
-        one for one in ordered if error(one) <= (1.0 + share) * bound or by_chance(one, chosen)
-    )
+
+    def as_good(one: Candidate) -> bool:
+        almost = min(one.scores) > _ALMOST_ALL and error(one) <= _FAR_WORSE * bound
+        return (
+            error(one) <= (1.0 + share) * bound
+            or (almost and near and fits(one, chosen))
+            or by_chance(one, chosen)
+        )
+
+    found = next(one for one in ordered if as_good(one))
+    if not near or fits(found, chosen):
+        return found
+
+    def ahead(one: Candidate) -> bool:
+        far = found.fit.square_sum > _FITS_FAR_WORSE * one.fit.square_sum
+        return by_chance(one, chosen) or (
+            far and fits(one, chosen) and min(one.scores) > _ALMOST_ALL
+        )
+
+    return next((one for one in ordered if ahead(one)), found)

@@ -44,6 +44,8 @@ _HOPELESS_AFTER = 12
 _CREEPING = 1e-3
 # Of another model's lag, a delay may be these shares, and the loop behind it damped so.
 _SHARES_OF_THE_LAG, _DAMPINGS = (0.15, 0.5, 0.85), (0.45, 0.9)
+# A model that leaves a larger share of the motion's square has not followed it.
+_FOLLOWED = 0.01
 # At most so many starts are looked at before the best ones are solved.
 _MOST_STARTS = 256
 
@@ -309,18 +311,21 @@ def _begin(
 ) -> list[_Begun]:
     """The best start of each of the most promising pieces, the best first."""
     chosen = {**start, **held}
-    each = {
+    own = {
         u.name: (min(max(chosen[u.name], u.low), u.high),) if u.name in chosen else u.starts
         for u in sought.unknowns
     }
+    each = own
     if near is not None:
-        each = {u.name: _nearby(u, each[u.name], near, chosen) for u in sought.unknowns}
-    rows = itertools.islice(itertools.product(*each.values()), _MOST_STARTS)
-    points = [_inner(sought, row) for row in rows]
+        each = {u.name: _nearby(u, own[u.name], near, chosen) for u in sought.unknowns}
+    points = _products(sought, each)
     if near is not None and DELAY in each and DELAY not in chosen and {WN, "lag"} & set(each):
         matched = [_matched(sought, point, near) for point in points]
         matched += _shared(sought, points[0], near) if WN in each else []
         points = list({point.tobytes(): point for point in matched}.values())
+    if near is not None and near.square_sum > _FOLLOWED * len(near.residuals):
+        # What lacks friction may have ended at a joint too heavy to move, far from any motion.
+        points += _products(sought, own)
     if len(points) == 1:
         return [_Begun(_piece(sought, points[0], held), points[0])]
     best: dict[int | None, _Begun] = {}
@@ -335,6 +340,11 @@ def _begin(
             promising = sorted(best.values(), key=lambda begun: begun.cost)[:_MOST_PIECES]
             best = {begun.piece: begun for begun in promising}
     return list(best.values()) or [_Begun(_piece(sought, points[0], held), points[0])]
+
+
+def _products(sought: Problem, each: Mapping[str, Iterable[float]]) -> list[np.ndarray]:
+    rows = itertools.islice(itertools.product(*each.values()), _MOST_STARTS)
+    return [_inner(sought, row) for row in rows]
 
 
 def _inner(sought: Problem, values: Iterable[float]) -> np.ndarray:

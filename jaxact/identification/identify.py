@@ -15,7 +15,7 @@ from jaxact.identification import between_rows, forces, inspection, motion
 from jaxact.identification.alignment import aligned
 from jaxact.identification.fitting import ADAM, LEAST_SQUARES, METHODS
 from jaxact.identification.ladder import climb
-from jaxact.identification.log import Log, renewed, stretches
+from jaxact.identification.log import Log, check, renewed, stretches
 from jaxact.identification.reading import ColumnMap, Columns, read, read_columns
 from jaxact.identification.result import Identified, check_gains, inspected
 from jaxact.identification.verdict import judge, withdrawn
@@ -90,6 +90,7 @@ def identify(
         else:
             fitted, held = ([with_gains(log) for log in each] for each in (fitted, held))
             family = motion.family(fitted, plant, control_rate)
+            _demand_motion(fitted)
         ladder = climb(
             family, fitted, held, loss=loss, method=method, bootstrap=bootstrap, report=progress
         )
@@ -113,6 +114,15 @@ def usable(logs: Sequence[Log], *, moves: bool = True) -> list[Log]:
         UserError: of a log nothing is left.
     """
     return [aligned(renewed(part), moves=moves) for log in logs for part in stretches(log)]
+
+
+def _demand_motion(logs: Sequence[Log]) -> None:
+    for log in logs:
+        if np.ptp(log["position"]) == 0.0:
+            raise UserError(
+                f"{log.title}: the joint does not move; give a log in which it does, or plant = "
+                '"none" for its force alone'
+            )
 
 
 def with_gains(log: Log) -> Log:
@@ -153,6 +163,7 @@ def logs_of(
     found: list[Log] = []
     for one in each:
         if isinstance(one, Log):
+            check(one)
             found.append(one)
             continue
         own = read(Path(one), columns, (joint,) if joint else ())

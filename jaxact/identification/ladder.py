@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -93,7 +92,14 @@ def climb(
         The ladder.
     """
     fitted, held, apart = split(logs, validation)
-    scale = Scale(encoder_error(family, held), functools.partial(error_by_chance, family, held))
+    chances: dict[int, float] = {}
+
+    def by_chance(one: Candidate) -> float:
+        if id(one.fit) not in chances:
+            chances[id(one.fit)] = error_by_chance(family, held, one)
+        return chances[id(one.fit)]
+
+    scale = Scale(encoder_error(family, held, fitted), by_chance)
     found: list[Candidate] = []
 
     def fit(rung: Rung, before: Sequence[Candidate]) -> Candidate:

@@ -102,3 +102,27 @@ def test_richer_models_that_are_ahead_by_chance_are_not_chosen(fine):
                              ("viscous", 0.01, 0.01), ("coulomb", 0.05, 0.01)):  # fmt: skip
         assert found.chosen.numbers[name] == pytest.approx(value, rel=rel)
     assert found.chosen.numbers["delay"] == pytest.approx(2e-3, abs=5e-5)
+
+
+@pytest.mark.exhaustive
+def test_what_lacks_friction_does_not_mislead_what_has_it():
+    """Without friction the search ends at a pendulum too heavy to move; what follows does not."""
+    rng = np.random.default_rng(1)
+    logs = [
+        _log(str(hold), 0.6 * np.repeat(rng.choice([-1.0, 1.0], ROWS // hold + 1), hold)[:ROWS])
+        for hold in (35, 25)
+    ]
+    found = jx.identify(logs[0], "pendulum", validate=logs[1])
+    assert found.verdict.level.value == "good"
+    assert found.chosen.numbers["inertia"] == pytest.approx(INERTIA, rel=0.01)
+    assert found.chosen.numbers["gravity"] == pytest.approx(GRAVITY, rel=0.01)
+    assert found.chosen.knowledge.lag[0] == pytest.approx(DELAY + 2.0 * ZETA / WN, abs=1e-3)
+
+
+def test_a_joint_that_does_not_move_is_said():
+    time = np.arange(ROWS) * PERIOD
+    signals = {"command": np.sin(time), "position": np.zeros(ROWS)}
+    with pytest.raises(jx.UserError, match="position is 0 throughout"):
+        jx.identify(Log("stuck", time, signals), "pendulum")
+    with pytest.raises(jx.UserError, match="the joint does not move"):
+        jx.identify(Log("stuck", time, {**signals, "force": np.cos(time)}), "pendulum")
