@@ -124,9 +124,8 @@ def choose(candidates: Sequence[Candidate], scale: Scale, share: float = AS_GOOD
 
     As good is what has as small an error where it was not fitted, and also what fits as well and
     predicts almost all there, not far worse, or has an error there that its intervals stand for:
-    which of two such models is ahead is chance.
-    It is chance, too, that what fits worse is ahead of such a model, or what fits far worse of one
-    that predicts almost all: motion that hardly passes the top, or sticks, enlarges anything.
+    which of two such models is ahead is chance. It is chance, too, that what fits far worse is
+    ahead of such a model: motion that hardly passes the top, or sticks, enlarges anything.
 
     Where none of those is, the simplest that is as good as the best whose numbers are; but where
     that is far worse than the best, or there is none, the simplest as good as the best. What fits
@@ -174,8 +173,7 @@ def choose(candidates: Sequence[Candidate], scale: Scale, share: float = AS_GOOD
 
     def ahead(one: Candidate) -> bool:
         far = found.fit.square_sum > _FITS_FAR_WORSE * one.fit.square_sum
-        return by_chance(one, chosen) or (
-            far and fits(one, chosen) and min(one.scores) > _ALMOST_ALL
-        )
+        almost = min(one.scores) > _ALMOST_ALL
+        return far and fits(one, chosen) and (almost or by_chance(one, chosen))
 
     return next((one for one in ordered if ahead(one)), found)
