@@ -94,8 +94,9 @@ def _frequency_axis(upper: Axes, lower: Axes, curves: Curves) -> None:
     """From where anything happens to the Nyquist frequency."""
     high = float(curves.frequency[-1])
     low = max(float(curves.frequency[0]), high / _DECADES)
-    lower.set_xscale("log")
-    lower.set_xlim(low, high)
+    for axes in (upper, lower):  # which a caller need not have made to share theirs
+        axes.set_xscale("log")
+        axes.set_xlim(low, high)
     ticks.label(lower.xaxis)
     lower.set_xlabel("frequency [rad/s]")
     upper.tick_params(labelbottom=False)

@@ -92,8 +92,11 @@ def robot_margins(found: Any) -> str:
     from jaxact.verbs import plot
 
     def picture() -> Figure:
-        figure = _figure(9.0, 4.5)
-        plot.robot_margins(found, axes=figure.subplots(3, 1))
+        # Every joint has a row of its own beside the two curves.
+        figure = _figure(9.0, max(4.5, 1.0 + 0.2 * len(found.joints)))
+        places = [["S", "shares"], ["T", "shares"]]
+        axes = figure.subplot_mosaic(places, width_ratios=(2.0, 1.0))
+        plot.robot_margins(found, axes=[axes[name] for name in ("S", "T", "shares")])
         return figure
 
     return shown(repr(found), picture, words="Largest singular values of S and T, and shares")
