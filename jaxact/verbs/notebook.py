@@ -154,7 +154,7 @@ def simulated(run: xr.Dataset) -> Figure:
     joint = None
     if "joint" in run.dims:
         off = abs(run.position - run.setpoint).max([d for d in run.position.dims if d != "joint"])
-        joint = str(run.joint.values[int(off.fillna(0.0).argmax())])
+        joint = str(run.joint.values[int(off.fillna(0.0).values.argmax())])
     figure = _figure(9.0, 5.0)
     if run.verdict.ndim:
         axes = figure.subplots(2, 1, sharex=True)

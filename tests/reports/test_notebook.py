@@ -3,9 +3,11 @@
 import importlib.util
 import json
 import time
+from pathlib import Path
 
 import pytest
 from browser import browser, in_browser
+from matplotlib.figure import Figure
 from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
@@ -188,3 +190,12 @@ def test_margins_are_a_table_and_a_picture(loop):
 def test_many_loops_are_a_table_alone():
     many = jx.margins(jx.joint(kp=[100.0 + k for k in range(12)]))
     assert "<img" not in many._repr_html_()
+
+
+def test_a_robots_curves_are_over_one_frequency_axis(tmp_path):
+    path = tmp_path / "chain.xml"
+    path.write_text((Path(__file__).parents[1] / "data" / "chain.xml").read_text())
+    found = jx.margins(jx.robot(path, kp=30, kd=1, control_rate=500))
+    upper, lower, _ = jx.plot.robot_margins(found, axes=Figure().subplots(3, 1))
+    assert upper.get_xscale() == lower.get_xscale() == "log"
+    assert upper.get_xlim() == lower.get_xlim()
