@@ -36,7 +36,7 @@ def send():
     for number in range(times):
         time.sleep(later if number == 0 else 0.0)
         os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.5)  # until it has arrived, on a busy machine, too: what comes later may lose it
+        time.sleep(0.5)  # until it has arrived, on a busy machine, too
 
 def interrupted(*given, **named):
     calls.append(1)
