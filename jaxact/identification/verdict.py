@@ -136,14 +136,16 @@ def withdrawn(ladder: Ladder, verdict: Verdict) -> Ladder:
     """A ladder of which nothing is identified where its best model does not explain the logs.
 
     Intervals are those of a model that is right: of one that is not they say nothing, however
-    narrow they are. What noise alone leaves unexplained does no harm.
+    narrow they are. What noise alone leaves unexplained does no harm. A delay as long as any that
+    was tried stands for something else, such as a command that is not followed.
 
     Args:
         ladder: any.
         verdict: on it.
     """
     unexplained = verdict.score < _GOOD_SCORE and verdict.whiteness > _NOT_NOISE
-    if verdict.level is not Level.NOT_ENOUGH and not unexplained:
+    endless = any(e.name == DELAY and e.at_bound for e in ladder.chosen.knowledge.estimates)
+    if verdict.level is not Level.NOT_ENOUGH and not unexplained and not endless:
         return ladder
 
     def doubted(one: Candidate) -> Candidate:

@@ -63,7 +63,7 @@ def test_a_pendulum_is_found_from_the_torques_it_was_told(logs):
     assert again.driven_by == "command" and again.nrmse < 0.05
 
 
-def _delayed(seed, hold, fine):
+def _delayed(seed, hold, fine, limit=np.inf):
     """A pendulum behind a mere delay of 2 ms, by explicit steps that stop where it turns."""
     rows, delay, inertia, gravity, viscous, coulomb = 6000, 2e-3, 0.02, 0.5, 0.01, 0.05
     rng = np.random.default_rng(seed)
@@ -72,7 +72,8 @@ def _delayed(seed, hold, fine):
     command += 0.3 * np.sin(2.0 * np.pi * 0.4 * time + seed)
     command[:5] = 0.0
     step = PERIOD / fine
-    late = np.concatenate([np.zeros(round(delay / step)), np.repeat(command, fine)])
+    followed = np.clip(command, -limit, limit)
+    late = np.concatenate([np.zeros(round(delay / step)), np.repeat(followed, fine)])
     angle, speed, angles = 0.0, 0.0, np.empty(rows)
     for at in range(rows * fine):
         if at % fine == 0:
@@ -126,3 +127,14 @@ def test_a_joint_that_does_not_move_is_said():
         jx.identify(Log("stuck", time, signals), "pendulum")
     with pytest.raises(jx.UserError, match="the joint does not move"):
         jx.identify(Log("stuck", time, {**signals, "force": np.cos(time)}), "pendulum")
+
+
+@pytest.mark.exhaustive
+def test_nothing_is_known_of_a_joint_whose_drive_follows_a_part_of_its_command():
+    """The map says nothing of the clipping, and the model makes a long delay of it."""
+    logs = [_delayed(seed, hold, 40, limit=0.4) for seed, hold in ((1, 30), (2, 17))]
+    found = jx.identify(logs[0], "pendulum", validate=logs[1])
+    assert found.verdict.level.value != "good"
+    for name, value in (("inertia", 0.02), ("gravity", 0.5)):
+        known = found.chosen.knowledge[name]
+        assert not known.identified or known.low < value < known.high
