@@ -262,32 +262,33 @@ def _number(loop: ControlLoop | Drive) -> int | None:
 
 
 def _demand_loop(name: str, loop: Any) -> None:
-    """Raise UserError for what is no loop, and for robots whose batch would pass for joints."""
+    """Raise UserError for what is not a loop, and for robots whose batch would pass for joints."""
     if isinstance(loop, Drive):
         return
     if not isinstance(loop, ControlLoop):
         raise UserError(
-            f"{name}: a {type(loop).__name__} is no loop; needed is what jaxact.joint(...), "
-            "jaxact.robot(...) or an identification's .loop gives"
+            f"{name}: a {type(loop).__name__} is not a loop; give one from jaxact.joint(...), "
+            "jaxact.robot(...) or an identification's .loop"
         )
     if loop.kind.plant is not None and loop.shape:
         raise UserError(
-            f"{name}: a batch of robots of shape {loop.shape}; one is needed (several: jax.vmap; "
+            f"{name}: a batch of robots of shape {loop.shape}; give one (several: jax.vmap; "
             'gains per joint: kp={"knee": 80.0})'
         )
 
 
 def _demand_numbers(physics_step: Any, joints: Any) -> None:
-    """Raise UserError for a step that no simulator has, and for a number of joints that is none."""
+    """Raise UserError for a step that no simulator has, and for what is not a number of joints."""
     number = isinstance(physics_step, float | int | np.number | np.ndarray | jax.Array)
     if not number or np.ndim(physics_step) or not 0.0 < float(physics_step) < math.inf:
         raise UserError(
-            f"physics_step: {physics_step!r} is no step; needed are seconds above 0, e.g. 0.002"
+            f"physics_step: {physics_step!r} is not a physics step; give seconds above 0, "
+            "e.g. 0.002"
         )
     whole = isinstance(joints, int | np.integer) and not isinstance(joints, bool)
     if joints is not None and not (whole and joints > 0):
         raise UserError(
-            f"joints: {joints!r} is no number of joints; needed is 1 or more, or None for one "
+            f"joints: {joints!r} is not a number of joints; give 1 or more, or None for one "
             "joint without an axis"
         )
 
@@ -298,6 +299,6 @@ def _demand_shapes(drive: Drive, shape: tuple[int, ...]) -> None:
         if jnp.shape(value) not in ((), shape):
             name = jax.tree_util.keystr(path, simple=True, separator=".")
             raise UserError(
-                f"loop: its {name} has shape {jnp.shape(value)}; a number or one of shape {shape} "
-                "is needed, as of the simulator's joints (several loops: jax.vmap)"
+                f"loop: its {name} has shape {jnp.shape(value)}; give a number, or an array of "
+                f"shape {shape}, one for each of the simulator's joints (several loops: jax.vmap)"
             )

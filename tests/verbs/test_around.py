@@ -135,14 +135,14 @@ def test_shapes_that_do_not_fit_are_said_in_one_line(loop, joints, setpoint, mea
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"physics_step": 0.0}, "physics_step: 0.0 is no step; needed are seconds above 0"),
-        ({"physics_step": -1e-3}, "physics_step: -0.001 is no step"),
-        ({"physics_step": float("nan")}, "physics_step: nan is no step"),
-        ({"physics_step": "1ms"}, "physics_step: '1ms' is no step"),
-        ({"joints": 0}, "joints: 0 is no number of joints; needed is 1 or more"),
-        ({"joints": 2.0}, "joints: 2.0 is no number of joints"),
-        ({"loop": {"kp": 8.0}}, "loop: a dict is no loop; needed is what jaxact.joint"),
-        ({"longest": {"kp": 8.0}}, "longest: a dict is no loop"),
+        ({"physics_step": 0.0}, "physics_step: 0.0 is not a physics step; give seconds above 0"),
+        ({"physics_step": -1e-3}, "physics_step: -0.001 is not a physics step"),
+        ({"physics_step": float("nan")}, "physics_step: nan is not a physics step"),
+        ({"physics_step": "1ms"}, "physics_step: '1ms' is not a physics step"),
+        ({"joints": 0}, "joints: 0 is not a number of joints; give 1 or more"),
+        ({"joints": 2.0}, "joints: 2.0 is not a number of joints"),
+        ({"loop": {"kp": 8.0}}, "loop: a dict is not a loop; give one from jaxact.joint"),
+        ({"longest": {"kp": 8.0}}, "longest: a dict is not a loop"),
     ],
 )
 def test_what_is_no_loop_or_no_number_is_said_in_one_line(given, said):
@@ -162,7 +162,7 @@ def test_a_batch_of_robots_does_not_pass_for_joints(tmp_path):
         f"<mujoco><worldbody>{rows}</worldbody><actuator>{drives}</actuator></mujoco>"
     )
     robots = jx.robot(tmp_path / "robot.xml", kp=[10.0, 20.0])
-    with pytest.raises(UserError, match=r"loop: a batch of robots of shape \(2,\); one is needed"):
+    with pytest.raises(UserError, match=r"loop: a batch of robots of shape \(2,\); give one"):
         jx.drive_around(step, robots, measure=measure, physics_step=H)
 
 
