@@ -240,23 +240,19 @@ def linear_part(case: Case, setting: Setting) -> tuple[Case, Setting]:
     )
 
 
-def growth_rate(
-    case: Case, template: Template, values: Values, moved: tuple[jax.Array, jax.Array] | None = None
-) -> jax.Array:
-    """Growth rate of one sample [1/s], shape (); `case` from `linear_part`.
-
-    `moved` is A and B of a robot's linear plant where its model differs from sample to sample.
-    """
-    if template.linear is None:
-        prepared, state, setpoint = start(case, template, values)
-        return _growth.growth_rate(prepared, case.drive, state, setpoint, case.growth)
-    return _growth.growth_rate(*_at_rest(case, template, values, moved), case.growth)
+def growth_rate(case: Case, template: Template, values: Values) -> jax.Array:
+    """Growth rate of one sample [1/s], shape (); `case` from `linear_part`, of no robot."""
+    prepared, state, setpoint = start(case, template, values)
+    return _growth.growth_rate(prepared, case.drive, state, setpoint, case.growth)
 
 
 def slow_modes(
     case: Case, template: Template, values: Values, moved: tuple[jax.Array, jax.Array] | None = None
 ) -> SlowModes:
-    """The slow modes of a robot's loop, the growth rate among them; as `growth_rate`."""
+    """The slow modes of a robot's loop, the growth rate among them; `case` from `linear_part`.
+
+    `moved` is A and B of the robot's linear plant where its model differs from sample to sample.
+    """
     return _growth.slow_modes(*_at_rest(case, template, values, moved), case.growth)
 
 
@@ -297,7 +293,7 @@ def linear_loop(
 ) -> Loop:
     """The loop of a robot's linearised plant with the parameters of one sample.
 
-    `moved` as for `growth_rate`.
+    `moved` as for `slow_modes`.
     """
     linear = template.linear
     assert linear is not None

@@ -42,7 +42,7 @@ _UNROLL = 4
 
 # A robot has many slow modes (contacts that creep), which only blocks of many periods tell apart; a
 # start that has settled for long holds too few of them.
-_ROBOT_GROWTH = GrowthOptions(block=64, settle=4, dimension=32, squarings=18, stacked=True)
+_ROBOT_GROWTH = GrowthOptions(block=64, settle=4, dimension=32, squarings=18)
 # The control rate that the blocks of `GrowthOptions` are meant for [Hz].
 _USUAL_RATE = 1000.0
 

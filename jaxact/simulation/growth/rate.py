@@ -39,7 +39,7 @@ from jaxact.simulation.growth import delayed_roots as _delayed_roots
 from jaxact.simulation.growth import joint_polynomials as _joint
 from jaxact.simulation.growth import krylov as _krylov
 
-# Dimensions of a stacked Krylov space beyond those of the plant's states.
+# Dimensions of a robot's Krylov space beyond those of the plant's states.
 _SPARE = 8
 
 TOLERANCE = 0.005
@@ -61,10 +61,6 @@ class GrowthOptions:
         squarings: of the small matrix; the last one looks 2^squarings blocks ahead.
         dense: write the propagation of one period out as a matrix first. Cheaper where one period
             of the plant costs more than the product of a matrix and a vector.
-        stacked: keep the Krylov space in one array, and give it at least as many dimensions as the
-            plant has states: for robots, whose many slow modes a smaller space cannot tell apart.
-            Otherwise each number of the small matrix is a variable of its own, which vector units
-            like better.
     """
 
     block: int = 4
@@ -73,7 +69,6 @@ class GrowthOptions:
     whole: int = 10
     squarings: int = 20
     dense: bool = False
-    stacked: bool = False
 
 
 class TooManyStatesError(ValueError):
@@ -304,8 +299,6 @@ def growth_rate(
         delayed = _joint.delayed_loop(prepared, options)
         enough = TOLERANCE * control_period
         return _delayed_roots.log_radius(delayed, longest, enough) / control_period
-    if measure.stacked:
-        return slow_modes(prepared, options, state, setpoint, measure).growth / control_period
     space = _space(prepared, options, state, setpoint, measure)
     kept = functools.partial(_loop.stage, options)
     small = _krylov.hessenberg(space.apply, space.start, space.dimension, space.whole, kept)
