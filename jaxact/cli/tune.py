@@ -254,12 +254,13 @@ def main(
         drive = load_drive(given[DRIVE])
     unsure = _unsure.uncertainty(search, drive, loops[0], given)
 
-    from jaxact.tuning.course import NOTHING
+    from jaxact.tuning.course import NOTHING, ahead
     from jaxact.verbs import tuning_tables
 
     _signals.keep(NOTHING)
     with _progress.phases(quiet=json) as phase:
-        best = _tuned(loops, goal, search, robot, unsure, phase)
+        rolled = ["", "simulating"] if whole and robot.validate else [""]
+        best = _tuned(loops, goal, search, robot, unsure, ahead(phase, rolled))
         best, rollouts = _held_against(best, robot.validate if whole else 0.0, phase)
 
         def reported() -> tuple[Any, dict[str, Any]]:

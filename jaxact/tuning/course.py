@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -18,6 +19,30 @@ class Told(Protocol):
 
 def silent(text: str, done: int = 0, total: int = 0) -> None:
     """Tell nobody."""
+
+
+INTERRUPTED = "interrupted"
+"""How a text begins that tells of the end of an interrupted search; nothing comes after it."""
+
+
+def ahead(told: Told, phases: Sequence[str]) -> Told:
+    """Tells also what is to come, as nobody knows beforehand how long a search will take.
+
+    Args:
+        told: told "descending, then polishing, certifying".
+        phases: how the texts of the whole begin, in order; one that begins otherwise belongs to
+            the phase before it.
+    """
+    place = -1
+
+    def tell(text: str, done: int = 0, total: int = 0) -> None:
+        nonlocal place
+        here = [at for at, phase in enumerate(phases) if text.startswith(phase)]
+        place = max(here, key=lambda at: len(phases[at]), default=place)
+        coming = () if text.startswith(INTERRUPTED) else phases[place + 1 :]
+        told(f"{text}, then {', '.join(coming)}" if coming else text, done, total)
+
+    return tell
 
 
 @dataclass

@@ -54,7 +54,8 @@ def steps(progress: bool | Told = True) -> Iterator[Told]:
         def say(text: str, done: int = 0, total: int = 0) -> None:
             left = rate.left(text, done, total)
             fields: dict[str, Any] = {"completed": done, "total": total or None, "left": left}
-            shown.update(task, description=text, **fields)
+            # What is to come stands below, where it takes no room from bar and time.
+            shown.update(task, description=text.replace(", then ", "\nthen ", 1), **fields)
 
         yield say
 

@@ -29,7 +29,7 @@ from jaxact.parameters import (
     canonical,
 )
 from jaxact.tuning.box import KNOWN, read_box
-from jaxact.tuning.course import Told
+from jaxact.tuning.course import Told, ahead
 from jaxact.tuning.goal import MOST_PEAKS, Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.joint import search as _joint_search
@@ -98,8 +98,9 @@ def tune(
         tracking_weight: of a robot, weight of simulated tracking in the objective.
         derivative: of simulated tracking, "auto", "forward" or "reverse".
         progress: show what is being done, and how much of it is left, on a terminal and in a
-            notebook; or a function that is called with what is being done, how much of it is done,
-            and how much there is at most (0 and 0 where that is not known).
+            notebook; or a function that is called with what is being done and what is to come, how
+            much of the former is done, and how much there is at most (0 and 0 where that is not
+            known).
         bounds: of the goal: max_peak (1.6 where nothing is given; of "disk-margin" none), min_kp,
             max_kp, min_disk_margin, of a joint also min_gain_margin, min_delay_margin,
             max_noise_gain, risk.
@@ -134,12 +135,32 @@ def tune(
     for name, value in (("groups", groups), ("tracking_weight", tracking_weight)):
         if value and not whole:
             raise UserError(f"`{name}`: is for a robot; make one with jaxact.robot(model, ...)")
-    with showing.steps(progress) as told:
+    boxed = isinstance(unsure, str) and bool(unsure)
+    with showing.steps(progress) as shown_to:
+        told = ahead(shown_to, _phases(whole, boxed, verify, bool(tracking_weight), bool(front)))
         if not whole:
             return _of_joint(loops[0], asked, sampled, told=told, **common)
         tuned = _of_robot(_named(loops), asked, groups=groups, tracking_weight=tracking_weight,
                          derivative=derivative, told=told, **common)  # fmt: skip
         return dataclasses.replace(tuned, loop=_with_gains(loops[0], tuned))
+
+
+def _phases(whole: bool, boxed: bool, verify: bool, weighed: bool, front: bool) -> list[str]:
+    """What a tuning does, in order, as `jaxact.tuning.course.ahead` takes it."""
+    every = [
+        (whole, "settling and linearising"),
+        (whole, "tabulating"),
+        (whole, "screening"),
+        (True, "descending"),
+        (True, "polishing"),
+        (boxed and not whole, "looking for the worst point of the box"),
+        (True, "certifying"),
+        (weighed, "weighing simulated tracking"),
+        (whole and verify, "comparing with brute force"),
+        (front, "walking along the front"),
+        (whole and front, "certifying the front"),
+    ]
+    return [phase for done, phase in every if done]
 
 
 def intervals(drive: IdentifiedDrive, loop: ControlLoop, ranges: str = "") -> str:

@@ -19,7 +19,7 @@ import numpy as np
 from jaxact.errors import UserError
 from jaxact.tuning.box import KNOWN, Box, Points, ascend, spread
 from jaxact.tuning.certificate import Effort, Metrics, beyond, certify
-from jaxact.tuning.course import NOTHING, Course, Told, silent
+from jaxact.tuning.course import INTERRUPTED, NOTHING, Course, Told, silent
 from jaxact.tuning.goal import Goal, check, peaks
 from jaxact.tuning.joint import brute, descent
 from jaxact.tuning.joint import problem as joint
@@ -98,7 +98,7 @@ def _until_then(
 ) -> Tuned:
     """The best certified gains of an interrupted search; KeyboardInterrupt where there are none."""
     doing, case = course.doing, course.case
-    course.phase("interrupted, certifying the best gains so far")
+    course.phase(f"{INTERRUPTED}, certifying the best gains so far")
     found = course.best or _so_far(case, course.points, begun)
     if found is not None:
         unsure = plants is not None and not case.goal.tail

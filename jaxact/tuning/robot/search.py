@@ -19,7 +19,7 @@ import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.tuning.certificate import Effort
-from jaxact.tuning.course import NOTHING, Course, Told, silent
+from jaxact.tuning.course import INTERRUPTED, NOTHING, Course, Told, silent
 from jaxact.tuning.goal import Goal, check
 from jaxact.tuning.groups import Groups
 from jaxact.tuning.optimise import Descended, Descent, no_path
@@ -120,7 +120,7 @@ def _until_then(
 ) -> Tuned:
     """The best certified gains of an interrupted search; KeyboardInterrupt where there are none."""
     doing = course.doing
-    course.phase("interrupted, certifying the best gains so far")
+    course.phase(f"{INTERRUPTED}, certifying the best gains so far")
     best = course.best
     if best is None and course.case is not None:
         best = so_far(course.case, course.points)
