@@ -30,8 +30,8 @@ def resolved(specification: Specification) -> Specification:
     """The specification with an engine in place of "auto": the one expected to be faster here.
 
     On a GPU that is MJX where MJX can simulate the robot, on a CPU C MuJoCo: it needs no
-    compilation, and for robots with contacts it is the faster one. A long sweep from the command
-    line measures instead, see `jaxact.sweeping.throughput.fastest`.
+    compilation, and for robots with contacts it is the faster one. For a sweep see
+    `jaxact.sweeping.throughput.fastest`.
 
     Raises:
         UserError: the engine cannot simulate the robot.
