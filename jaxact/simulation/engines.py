@@ -24,6 +24,9 @@ from jaxact.simulation.kernel import Case
 # Most degrees of freedom of a robot without constraints that MJX on a CPU simulates faster than C
 # MuJoCo: as many as `jaxact.plants.mjx.step` writes out.
 _LIGHT = 7
+# Loops of them in a tile on a CPU: little enough for the first-level cache, and vector units like
+# it better than the usual one, by a third (six hinges) to two thirds (two).
+_TILE_OF_LIGHT = 128
 
 
 def resolved(specification: Specification) -> Specification:
@@ -132,7 +135,12 @@ def fewest(engine: Engine) -> int:
 
 def tile_size(specification: Specification) -> int:
     """Loops in a tile: the specification's own, else the engine's usual."""
-    return specification.tile or of(resolved(specification)).tiles[_place()]
+    if specification.tile:
+        return specification.tile
+    engine = of(resolved(specification))
+    if engine is ROBOT_IN_MJX and _place() == 0 and not old_jax() and light(specification.setting):
+        return _TILE_OF_LIGHT
+    return engine.tiles[_place()]
 
 
 def usual_rate(case: Case) -> float:
