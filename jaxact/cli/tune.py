@@ -259,8 +259,7 @@ def main(
 
     _signals.keep(NOTHING)
     with _progress.phases(quiet=json) as phase:
-        rolled = ["", "simulating"] if whole and robot.validate else [""]
-        best = _tuned(loops, goal, search, robot, unsure, ahead(phase, rolled))
+        best = _tuned(loops, goal, search, robot, unsure, ahead(phase, _phases(robot, whole)))
         best, rollouts = _held_against(best, robot.validate if whole else 0.0, phase)
 
         def reported() -> tuple[Any, dict[str, Any]]:
@@ -294,6 +293,11 @@ def _leave(best: Tuned) -> None:
         raise KeyboardInterrupt(best.interrupted or "interrupted; everything is there")
     if not best.certified:
         raise SystemExit(NOT_MET)
+
+
+def _phases(robot: Robot, whole: bool) -> list[str]:
+    """Beginnings of what is said of each phase of tuning, see `jaxact.tuning.course.ahead`."""
+    return ["", "simulating"] if whole and robot.validate else [""]
 
 
 def _held_against(best: Tuned, seconds: float, phase: Told) -> tuple[Tuned, Rollouts | None]:
