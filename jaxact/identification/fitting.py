@@ -9,23 +9,20 @@ start is best are solved: a little first, and the best one to the end.
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from jaxact.identification.problem import Problem, Unknown, effective_lag
-from jaxact.parameters import DELAY, WN, ZETA
+from jaxact.identification.first_points import Evaluated, begin
+from jaxact.identification.problem import Problem
+from jaxact.parameters import DELAY, WN
 
 LEAST_SQUARES, ADAM = "trf", "adam"
 METHODS = (LEAST_SQUARES, ADAM)
 
-# The most promising pieces are solved; from a solution at a tick the search goes on beyond it, as
-# often as that gains anything: a slow loop begins as a delay of many ticks.
-_MOST_PIECES = 2
 # A step that changes the sum by less than this share of one residual's ends the search: what is
 # left is some hundredths of a standard deviation.
 _TOLERANCE = 1e-3
@@ -42,15 +39,6 @@ _WORTH, _ON_ITS_WAY = 5e-3, 0.2
 _HOPELESS_AFTER = 12
 # A search that gains less than this share in so many evaluations creeps along a flat valley.
 _CREEPING = 1e-3
-# Of another model's lag, a delay may be these shares, and the loop behind it damped so.
-_SHARES_OF_THE_LAG, _DAMPINGS = (0.15, 0.5, 0.85), (0.45, 0.9)
-# A model that leaves a larger share of the motion's square has not followed it.
-_FOLLOWED = 0.01
-# At most so many starts are looked at before the best ones are solved.
-_MOST_STARTS = 256
-
-Evaluated = tuple[np.ndarray, np.ndarray]
-"""Residuals and their slopes, shapes (rows,) and (rows, unknowns)."""
 
 
 @dataclass(frozen=True)
@@ -86,23 +74,6 @@ class Fit:
         return float(self.residuals @ self.residuals)
 
 
-@dataclass(frozen=True)
-class _Begun:
-    """A start of the search.
-
-    Attributes:
-        piece: number of the tick before its delay; None where nothing has kinks.
-        point: in the coordinates of the search, shape (unknowns,).
-        evaluated: residuals and slopes there, where they were looked at.
-        cost: sum of the squared residuals.
-    """
-
-    piece: int | None
-    point: np.ndarray
-    evaluated: Evaluated | None = None
-    cost: float = math.nan
-
-
 def solve(
     sought: Problem,
     *,
@@ -129,7 +100,7 @@ def solve(
         The best solution found.
     """
     held = {} if fixed is None else dict(fixed)
-    begun = _begin(sought, held, {} if start is None else start, near)
+    begun = begin(sought, held, {} if start is None else start, near)
     if method == ADAM:
         free = [index for index, u in enumerate(sought.unknowns) if u.name not in held]
         from jaxact.identification.minibatches import descend  # imports optax
@@ -142,7 +113,29 @@ def solve(
         )
         for one in begun
     }
-    piece = min(tried, key=lambda one: tried[one].square_sum)
+    # A slow loop begun at a wrong delay is far from its end after a few steps.
+    to_end = (
+        tried
+        if near is not None and WN in sought.names
+        else [min(tried, key=lambda one: tried[one].square_sum)]
+    )
+    ended = [_ended(sought, held, tried, piece, loss, enough) for piece in to_end]
+    return min(ended, key=lambda one: one.square_sum)
+
+
+def _ended(
+    sought: Problem, held: Mapping[str, float], tried: Mapping[int | None, Fit],
+    piece: int | None, loss: str, enough: float,
+) -> Fit:  # fmt: skip
+    """A solution searched to its end, over one control tick after another.
+
+    Args:
+        sought: the problem.
+        held: unknowns that are held at a value.
+        tried: what is known of each piece.
+        piece: of them, in which the search begins.
+        loss, enough: as in `solve`.
+    """
     best = _finished(sought, held, tried[piece], piece, loss, enough)
     ended = {piece}
     while True:
@@ -304,95 +297,3 @@ def _bounds(sought: Problem, piece: int | None = None) -> tuple[np.ndarray, np.n
         low[index] = piece * sought.period
         high[index] = min(high[index], (piece + 1) * sought.period)
     return low, high
-
-
-def _begin(
-    sought: Problem, held: Mapping[str, float], start: Mapping[str, float], near: Fit | None
-) -> list[_Begun]:
-    """The best start of each of the most promising pieces, the best first."""
-    chosen = {**start, **held}
-    own = {
-        u.name: (min(max(chosen[u.name], u.low), u.high),) if u.name in chosen else u.starts
-        for u in sought.unknowns
-    }
-    each = own
-    if near is not None:
-        each = {u.name: _nearby(u, own[u.name], near, chosen) for u in sought.unknowns}
-    points = _products(sought, each)
-    if near is not None and DELAY in each and DELAY not in chosen and {WN, "lag"} & set(each):
-        matched = [_matched(sought, point, near) for point in points]
-        matched += _shared(sought, points[0], near) if WN in each else []
-        points = list({point.tobytes(): point for point in matched}.values())
-    if near is not None and near.square_sum > _FOLLOWED * len(near.residuals):
-        # What lacks friction may have ended at a joint too heavy to move, far from any motion.
-        points += _products(sought, own)
-    if len(points) == 1:
-        return [_Begun(_piece(sought, points[0], held), points[0])]
-    best: dict[int | None, _Begun] = {}
-    for point in points:
-        evaluated = sought.evaluate(point)
-        one = _Begun(
-            _piece(sought, point, held), point, evaluated, float(np.sum(evaluated[0] ** 2))
-        )
-        if math.isfinite(one.cost) and (one.piece not in best or one.cost < best[one.piece].cost):
-            best[one.piece] = one
-            # Slopes of many logs take memory: no more are kept than are solved.
-            promising = sorted(best.values(), key=lambda begun: begun.cost)[:_MOST_PIECES]
-            best = {begun.piece: begun for begun in promising}
-    return list(best.values()) or [_Begun(_piece(sought, points[0], held), points[0])]
-
-
-def _products(sought: Problem, each: Mapping[str, Iterable[float]]) -> list[np.ndarray]:
-    rows = itertools.islice(itertools.product(*each.values()), _MOST_STARTS)
-    return [_inner(sought, row) for row in rows]
-
-
-def _inner(sought: Problem, values: Iterable[float]) -> np.ndarray:
-    return np.array([u.inner(x) for u, x in zip(sought.unknowns, values, strict=True)], float)
-
-
-def _nearby(
-    unknown: Unknown, starts: tuple[float, ...], near: Fit, chosen: Mapping[str, float]
-) -> tuple[float, ...]:
-    """Starts of one unknown: where another model ended; of the drive's also its own."""
-    if unknown.name in chosen or unknown.name not in near.values:
-        return starts
-    ended = near.values[unknown.name]
-    if unknown.name == DELAY:
-        # The search crosses ticks by itself: every other one is near enough.
-        return (ended, *starts[::2])
-    return (ended, *starts) if unknown.name in (WN, ZETA, "lag") else (ended,)
-
-
-def _matched(sought: Problem, point: np.ndarray, near: Fit) -> np.ndarray:
-    """A start whose ``delay + 2 zeta / wn`` is that of another model, which slow excitation saw."""
-    lag = effective_lag(near.problem.model_values(near.point))
-    values = sought.model_values(point)
-    index = sought.names.index(DELAY)
-    unknown, matched = sought.unknowns[index], point.copy()
-    matched[index] = np.clip(lag - 2.0 * values[ZETA] / values[WN], unknown.low, unknown.high)
-    return matched
-
-
-def _shared(sought: Problem, point: np.ndarray, near: Fit) -> list[np.ndarray]:
-    """Starts whose delay is a share of another model's lag, the loop's ``2 zeta / wn`` the rest."""
-    lag = max(effective_lag(near.problem.model_values(near.point)), 0.1 * (sought.period or 1.0))
-    found = []
-    for share, zeta in itertools.product(_SHARES_OF_THE_LAG, _DAMPINGS):
-        start = point.copy()
-        values = {DELAY: share * lag, ZETA: zeta, WN: 2.0 * zeta / ((1.0 - share) * lag)}
-        for name, value in values.items():
-            index = sought.names.index(name)
-            unknown = sought.unknowns[index]
-            start[index] = unknown.inner(float(np.clip(value, unknown.low, unknown.high)))
-        found.append(start)
-    return found
-
-
-def _piece(sought: Problem, point: np.ndarray, held: Mapping[str, float]) -> int | None:
-    """Number of the tick before the point's delay; None where nothing has kinks."""
-    if sought.period is None or DELAY not in sought.names or DELAY in held:
-        return None
-    index = sought.names.index(DELAY)
-    last = round(sought.unknowns[index].high / sought.period) - 1
-    return min(math.floor(point[index] / sought.period + 1e-9), max(last, 0))

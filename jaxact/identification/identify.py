@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.identification import between_rows, forces, inspection, motion
+from jaxact.identification import between_rows, forces, inspection, motion, rivals
 from jaxact.identification.alignment import aligned
 from jaxact.identification.fitting import ADAM, LEAST_SQUARES, METHODS
 from jaxact.identification.ladder import climb
@@ -97,7 +97,7 @@ def identify(
         if plant != "none":
             ladder = between_rows.doubted(ladder, plant, control_rate)
         verdict = judge(ladder)
-        ladder = withdrawn(ladder, verdict)
+        ladder = withdrawn(rivals.heard(ladder), verdict)
         return Identified(plant, ladder, inspected(ladder), verdict, control_rate)
 
 

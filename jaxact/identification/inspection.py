@@ -18,6 +18,7 @@ _AT_THE_LIMIT, _SWITCHING = 0.005, 0.5
 # A controller's command does not switch: it may be at its limit nearly all the time.
 _NEARLY_ALWAYS = 0.98
 _FEWEST_LEVELS = 20
+_FLAT = 1.5
 _COHERENT = 0.5
 _MOST_DIFFERENCES = 200_000
 
@@ -150,9 +151,12 @@ def saturation(values: np.ndarray, *, most: float = _SWITCHING) -> float | None:
     if top == 0.0 or len(np.unique(values)) < _FEWEST_LEVELS:
         return None
     there = np.abs(values) > top * (1.0 - 1e-3)
+    # Below the top of a smooth curve four times the height holds twice the rows.
+    around = np.abs(values) > top * (1.0 - 4e-3)
+    flat = around.sum() < _FLAT * there.sum()
     runs = np.flatnonzero(there[1:] & there[:-1]).size
     share = float(np.mean(there))
-    return top if _AT_THE_LIMIT < share < most and runs > 0.5 * there.sum() else None
+    return top if flat and _AT_THE_LIMIT < share < most and runs > 0.5 * there.sum() else None
 
 
 def usable_band(stimulus: np.ndarray, answer: np.ndarray, rate: float) -> float | None:

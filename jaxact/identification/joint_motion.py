@@ -222,18 +222,11 @@ def _move(
     links = now["links"]
     inertia = values["inertia"] if links is None else values["armature"] + links.inertia
     position, velocity = carry.position, carry.velocity
-    load = values["offset"]
-    pull = jnp.zeros_like(load)
-    middle = position + 0.5 * length * velocity
-    if structure.gravity:
-        pull = values["gravity"] * jnp.sin(middle - values["zero"])
-        load = load - pull
-    if links is not None:
-        pull = links.force + links.stiffness * (middle - links.position)
-        load = load - pull
+    pull, slope, bend = _pull(values, structure, links, position + 0.5 * length * velocity)
+    load = values["offset"] - pull
     asked = impulse / length
     forwards = jnp.where(velocity == 0.0, asked + load >= 0.0, velocity > 0.0)
-    viscous, dry = _friction(values, forwards, velocity, asked, pull)
+    viscous, dry = _braking(values, forwards, velocity, (asked, load, pull), length / inertia)
     decay = viscous * length / inertia
     one, two = _phi(decay)
     most = jnp.where(forwards, one, -one) * length * dry / inertia
@@ -244,6 +237,17 @@ def _move(
         + 2.0 * two * (moment + 0.5 * length * length * load) / inertia
         - length * two / one * most
     )
+    excess = [jnp.where(forwards, f + load, -f - load) - dry for f in (carry.force, asked, force)]
+    late, gained, gone = _broken_loose(*excess)
+    late = late & (velocity == 0.0) & jnp.isfinite(values[WN])
+    sign = jnp.where(forwards, length, -length) / inertia
+    sliding = jnp.where(late, sign * gained, sliding)
+    moved = jnp.where(late, position + sign * length * gone, moved)
+    if structure.gravity or links is not None:
+        # What the pull along the way is beyond the one halfway, of third order in the interval.
+        more = length**2 * (slope * (sliding - velocity) / 6.0 + bend * length * velocity**2 / 24.0)
+        sliding = sliding - more / inertia
+        moved = moved + slope * velocity * length**3 / (12.0 * inertia)
     # Once it has come to rest friction points the other way: the joint sticks there or turns back.
     stops = jnp.where(forwards, sliding < 0.0, sliding > 0.0)
     change = jnp.where(stops, sliding - velocity, 1.0)
@@ -253,6 +257,68 @@ def _move(
     after = jnp.where(stops, jnp.where(forwards, turned, -turned), sliding)
     moved = moved + 0.5 * rest * (after - sliding)
     return _Carry(moved, after, force, rate, carry.commands, carry.ticks, carry.seen)
+
+
+def _braking(
+    values: Mapping[str, Any],
+    forwards: jax.Array,
+    velocity: jax.Array,
+    forces: tuple[jax.Array, jax.Array, jax.Array],
+    over: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Viscous coefficient and dry friction over an interval, see `_friction`.
+
+    Near rest dry friction changes with the speed: that halfway makes it of second order.
+
+    Args:
+        values: of the joint.
+        forwards: the direction it moves in, or would.
+        velocity: as the interval begins.
+        forces: what the drive gives, what load adds to it, and what of it pulls at a gear.
+        over: length of the interval over the inertia.
+    """
+    asked, load, pull = forces
+    viscous, dry = _friction(values, forwards, velocity, asked, pull)
+    if "stribeck" in values:
+        driven = asked + load - viscous * velocity
+        driven = jnp.where(forwards, driven, -driven) - dry
+        faster = jnp.where(velocity == 0.0, jnp.maximum(driven, 0.0), driven)
+        halfway = jnp.maximum(jnp.abs(velocity) + 0.5 * over * faster, 0.0)
+        _, dry = _friction(values, forwards, halfway, asked, pull)
+    return viscous, dry
+
+
+def _pull(
+    values: Mapping[str, Any], structure: Structure, links: Any, position: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """What weight and links pull back with at a position [N or N m], and its two derivatives."""
+    pull = slope = bend = jnp.zeros_like(position)
+    if structure.gravity:
+        angle = position - values["zero"]
+        pull = values["gravity"] * jnp.sin(angle)
+        slope, bend = values["gravity"] * jnp.cos(angle), -pull
+    if links is not None:
+        pull = pull + links.force + links.stiffness * (position - links.position)
+        slope = slope + links.stiffness
+    return pull, slope, bend
+
+
+def _broken_loose(
+    begin: jax.Array, mean: jax.Array, end: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """A joint at rest that a growing force moves from within an interval on.
+
+    The force beyond friction is below zero as the interval begins, and a line of this mean and end.
+
+    Returns:
+        Whether it is so, and the integrals of the force from there on, once and twice, over an
+        interval of length 1.
+    """
+    late = (begin < 0.0) & (end > 0.0)
+    steep = jnp.where(late, jnp.maximum(end - mean, 0.5 * end), 1.0)
+    share = 0.5 * end / steep  # of the interval, above zero
+    gained = 0.5 * end * share
+    return late, gained, gained * share / 3.0
 
 
 def _within(value: jax.Array, limit: jax.Array) -> jax.Array:

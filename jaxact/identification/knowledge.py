@@ -22,6 +22,8 @@ _IN_A_COMBINATION = 0.2
 # Of a model that leaves so much of the signal's square nothing is known.
 _LOST = 0.5
 _STEPS_OF_PROFILE = 14
+# Terms of friction that a joint may not have.
+_MAY_BE_NONE = ("loaded", "stribeck")
 # A drawn profile goes beyond the interval by this factor.
 _BEYOND_THE_INTERVAL = 1.6
 
@@ -108,10 +110,15 @@ def of_fit(fit: Fit, *, bootstrap: bool = False, profile: bool = True) -> Knowle
             ratio = float(wider[index]) if wider[index] > 0.0 else float(np.median(wider))
             low, high = _profile(fit, index, ratio)
         ends[index] = low, high
-    wide = {fit.problem.names[index] for index, both in ends.items() if _wide(fit, index, *both)}
+    wide = {fit.problem.names[index] for index, both in ends.items() if is_wide(fit, index, *both)}
     sets, condition = combinations(fit, wide)
+    none = {
+        fit.problem.names[index]
+        for index, (low, _) in ends.items()
+        if fit.problem.names[index] in _MAY_BE_NONE and low <= 0.0
+    }
     estimates = [
-        _estimate(fit, index, *both, float(wider[index]), sets, wide)
+        _estimate(fit, index, *both, float(wider[index]), sets, wide, none)
         for index, both in ends.items()
     ]
     size = np.where(deviation > 0.0, deviation, 1.0)
@@ -126,8 +133,14 @@ def of_fit(fit: Fit, *, bootstrap: bool = False, profile: bool = True) -> Knowle
     )
 
 
-def _wide(fit: Fit, index: int, low: float, high: float) -> bool:
-    """Whether an interval is too wide for its unknown to be identified."""
+def is_wide(fit: Fit, index: int, low: float, high: float) -> bool:
+    """Whether an interval is too wide for its unknown to be identified.
+
+    Args:
+        fit: solved.
+        index: of the unknown.
+        low, high: the interval's ends, in the unknown's unit.
+    """
     unknown = fit.problem.unknowns[index]
     value = unknown.value(float(fit.point[index]))
     width = high - low
@@ -143,13 +156,13 @@ def _wide(fit: Fit, index: int, low: float, high: float) -> bool:
 
 def _estimate(
     fit: Fit, index: int, low: float, high: float, wider: float,
-    sets: tuple[tuple[str, ...], ...], wide: Set[str],
+    sets: tuple[tuple[str, ...], ...], wide: Set[str], none: Set[str],
 ) -> Estimate:  # fmt: skip
     unknown = fit.problem.unknowns[index]
     value = unknown.value(float(fit.point[index]))
     together = [names for names in sets if unknown.name in names]
     at_bound = unknown.name in fit.at_bounds and (
-        unknown.name != DELAY or value > 0.5 * unknown.high
+        unknown.name not in (DELAY, *_MAY_BE_NONE) or value > 0.5 * unknown.high
     )
     reason = ""
     if fit.square_sum > _LOST * len(fit.residuals):
@@ -164,6 +177,10 @@ def _estimate(
         reason = "is faster than the rows of the log can show"
     elif unknown.name in wide:
         reason = "its interval is wide"
+    elif unknown.name in none:
+        reason = "may be zero"
+    elif unknown.name == "stribeck_speed" and "stribeck" in none:
+        reason = "says nothing where stribeck may be zero"
     return Estimate(
         unknown.name, unknown.unit, value, low, high, wider, reason == "", reason, at_bound
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,7 +17,9 @@ from jaxact.identification.choice import (
     encoder_error,
     error_by_chance,
 )
+from jaxact.identification.first_points import FOLLOWED
 from jaxact.identification.fitting import LEAST_SQUARES, Fit, solve
+from jaxact.identification.growing import grown
 from jaxact.identification.knowledge import Knowledge
 from jaxact.identification.log import Log
 from jaxact.identification.model import Family, Rung, of_rung, predicted
@@ -27,6 +30,11 @@ from jaxact.parameters import DELAY, WN, ZETA
 _NEARLY_AS_GOOD = 0.05
 # Of a log that is followed so well [%], no limit was reached that matters.
 _FOLLOWED = 97.0
+# A joint that turns over goes another way after a small error [rad].
+_A_TURN = 2.0 * math.pi
+# A model has gone astray that fits so much worse than one it contains; friction that is as faint as
+# this share of what it usually begins with leaves the other's motion almost as it is.
+_ASTRAY, _FAINT, _FRICTION = 1.2, 0.03, ("viscous", "coulomb")
 # Of a log that is alone, the last part is kept for validation.
 _HELD_OUT = 0.3
 
@@ -109,6 +117,7 @@ def climb(
 
     def mend() -> None:
         if method == LEAST_SQUARES:
+            found[:] = followed(family, found, fitted, held, loss)
             found[:] = leaner(family, found, scale, fitted, held, loss)
 
     for rung in stages(family, found, scale, mend):
@@ -206,6 +215,35 @@ def limited(
     return more
 
 
+def followed(
+    family: Family,
+    found: Sequence[Candidate],
+    fitted: Sequence[Log],
+    held: Sequence[Log],
+    loss: str,
+) -> list[Candidate]:
+    """Every model, where none follows the logs fitted anew along growing parts of them.
+
+    Args:
+        family: of the models.
+        found: candidates.
+        fitted, held: logs.
+        loss: of the least squares.
+    """
+    if family.signal != "position" or any(
+        one.fit.square_sum <= FOLLOWED * len(one.fit.residuals) for one in found
+    ):
+        return list(found)
+
+    def again(one: Candidate) -> Candidate:
+        fit = grown(family, one.rung, fitted, loss)
+        if fit.square_sum >= one.fit.square_sum:
+            return one
+        return _tried(family, one.rung, fit, _knowledge.of_fit(fit, profile=False), held)
+
+    return [again(one) for one in found]
+
+
 def leaner(
     family: Family,
     found: Sequence[Candidate],
@@ -231,15 +269,26 @@ def leaner(
 
     def again(one: Candidate) -> Candidate:
         less, whole = set(one.rung.free), set(chosen.rung.free)
+        values = chosen.fit.values
+        if "lag" in less and {WN, ZETA} <= whole:
+            less, values = less - {"lag"}, _first_order(values)
         if not less < whole or not whole - less <= spare:
             return one
         sought = of_rung(family, one.rung, fitted)
-        fit = solve(sought, loss=loss, start=chosen.fit.values)
+        fit = solve(sought, loss=loss, start=values)
         if fit.square_sum >= one.fit.square_sum:
             return one
         return _tried(family, one.rung, fit, _knowledge.of_fit(fit, profile=False), held)
 
     return [again(one) for one in found]
+
+
+def _first_order(values: dict[str, float]) -> dict[str, float]:
+    """Numbers of a second-order drive as those of a first-order one, the faster pole a delay."""
+    wn, zeta = values[WN], values[ZETA]
+    apart = math.sqrt(max(zeta**2 - 1.0, 0.0))
+    slow = (zeta + apart) / wn
+    return {**values, "lag": slow, DELAY: values.get(DELAY, 0.0) + 2.0 * zeta / wn - slow}
 
 
 def without_delay(one: Candidate, every: Sequence[Candidate]) -> Candidate:
@@ -285,14 +334,26 @@ def _candidate(
 ) -> Candidate:
     sought = of_rung(family, rung, fitted)
     contained = [one.fit for one in before if set(one.rung.free) <= set(rung.free)]
-    others = [one.fit for one in before if one.joint <= set(rung.free)]
+    simpler = min(contained, key=lambda one: one.square_sum, default=None)
+    others = [one for one in before if one.joint <= set(rung.free)]
+    least = min((one.fit.square_sum for one in others), default=0.0)
+    # Of those that fit as well the one that leaves the fewest unknowns to begin anywhere.
+    alike = [one for one in others if one.fit.square_sum <= _ASTRAY * least]
+    near = min(alike, key=lambda one: (-len(one.joint), one.fit.square_sum), default=None)
     fit = solve(
         sought,
         loss=way[0],
         method=way[1],
-        near=min(others, key=lambda one: one.square_sum, default=None),
-        enough=min((one.square_sum for one in contained), default=0.0),
+        near=None if near is None else near.fit,
+        enough=0.0 if simpler is None else simpler.square_sum,
     )
+    if simpler is not None and fit.square_sum > _ASTRAY * simpler.square_sum:
+        faint = {u.name: _FAINT * u.starts[0] for u in sought.unknowns if u.name in _FRICTION}
+        begun = solve(sought, loss=way[0], method=way[1], start={**faint, **simpler.values})
+        fit = min(fit, begun, key=lambda one: one.square_sum)
+    if way[1] == LEAST_SQUARES and family.signal == "position" and family.unit == "rad":
+        if any(np.ptp(log["position"]) > _A_TURN for log in fitted):
+            fit = min(fit, grown(family, rung, fitted, way[0]), key=lambda one: one.square_sum)
     return _tried(family, rung, fit, _knowledge.of_fit(fit, profile=False), held)
 
 

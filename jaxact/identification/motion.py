@@ -79,6 +79,7 @@ _NEUTRAL: dict[str, float] = {
     # Not known: where the log begins.
     INITIAL_POSITION: math.nan, INITIAL_VELOCITY: math.nan, INITIAL_FORCE: math.nan,
 }  # fmt: skip
+_OF_THE_LOAD = ("loaded", "stribeck", "stribeck_speed")
 _POSITIVE = frozenset(
     ("inertia", "armature", "viscous", "coulomb", "stribeck_speed", COMMAND_LIMIT, KP, WN, ZETA)
 )
@@ -104,6 +105,8 @@ class Simulate:
             "coulomb_back": values["coulomb"] * (1.0 - values["coulomb_asymmetry"]),
         }
         whole = {**values, **turned}
+        if not self.structure.gravity:  # nothing of the friction is the load's
+            whole = {name: value for name, value in whole.items() if name not in _OF_THE_LOAD}
         if not self.sought_gains:
             whole = {name: value for name, value in whole.items() if name not in (KP, KD)}
         return joint_motion.simulate(whole, recording, self.structure)
@@ -275,7 +278,7 @@ class Context:
         viscous = max(guess["viscous"], 1e-3 * guess["inertia"])
         low, high = 1e-4, 1e4
         # A pendulum may swing under its own weight, far above what the drive gives.
-        heavy = 10.0 * max(size, abs(guess["gravity"]))
+        heavy = 100.0 * max(size, abs(guess["gravity"]))
         sought = (
             *(Unknown(name, mass, low * guess["inertia"], high * guess["inertia"],
                       (guess["inertia"],), positive=True) for name in ("inertia", "armature")),

@@ -11,10 +11,9 @@ import numpy as np
 from jaxact.errors import UserError
 from jaxact.identification import inspection, motion
 from jaxact.identification.choice import Candidate
-from jaxact.identification.fitting import Unknown
 from jaxact.identification.inspection import Inspection
 from jaxact.identification.ladder import Ladder
-from jaxact.identification.problem import effective_lag
+from jaxact.identification.problem import Unknown, effective_lag
 from jaxact.identification.verdict import Verdict
 from jaxact.loops import drives
 from jaxact.loops.building import joint

@@ -13,6 +13,7 @@ from scipy import signal as _signal
 from jaxact.identification import signs, skew
 from jaxact.identification.choice import Candidate
 from jaxact.identification.inspection import excited_band
+from jaxact.identification.joint_motion import COMMAND_LIMIT
 from jaxact.identification.ladder import Ladder
 from jaxact.identification.log import Log
 from jaxact.identification.model import Family, predicted
@@ -29,6 +30,7 @@ _NOT_NOISE = 0.5
 _MOST_LOST = 10.0
 MOST_CORRELATED = 0.35
 """Correlation of error and stimulus from which on the error follows the stimulus."""
+_NO_COMMAND = 1e-3
 NOT_EXPLAINED = "its interval does not hold, as the model does not explain the logs"
 
 
@@ -122,7 +124,8 @@ def judge(ladder: Ladder) -> Verdict:
     else:
         level = Level.NOT_ENOUGH
         reasons = reasons or ["its error is as large as the signal at all frequencies"]
-    provided = "" if level is Level.NOT_ENOUGH else skew.taken_for(ladder)
+    rests_on = () if level is Level.NOT_ENOUGH else (skew.taken_for(ladder), _of_one_size(ladder))
+    provided = "; ".join(each for each in rests_on if each)
     return Verdict(level, below, score, _whiteness(rests), correlated, tuple(reasons), provided)
 
 
@@ -130,6 +133,30 @@ def _opposed(ladder: Ladder) -> list[str]:
     """Which signals of the logs go against each other."""
     said = (signs.opposed(log) for log in (*ladder.fitted, *ladder.validation))
     return list(dict.fromkeys(reason for reason in said if reason))
+
+
+def _of_one_size(ladder: Ladder) -> str:
+    """What the numbers rest on where commands are of one size, as a PRBS' are; "" otherwise.
+
+    A drive that gives less than that, always as much, is that of a heavier joint.
+    """
+    family, logs = ladder.family, (*ladder.fitted, *ladder.validation)
+    if family.signal != "position" or COMMAND_LIMIT in ladder.chosen.rung.free:
+        return ""
+    sizes = set()
+    for log in logs:
+        if "command" not in log or family.stimulus(log) is not log["command"]:
+            return ""
+        size = np.abs(log["command"])
+        largest = float(np.max(size))
+        sizes |= {float(f"{each:.3g}") for each in np.unique(size[size > _NO_COMMAND * largest])}
+    if len(sizes) != 1:
+        return ""
+    unit = "N m" if ladder.family.unit == "rad" else "N"
+    return (
+        f"if the drive gives the {sizes.pop():.3g} {unit} that was always asked for: with a lower"
+        " limit inertia, gravity and friction are smaller in proportion"
+    )
 
 
 def withdrawn(ladder: Ladder, verdict: Verdict) -> Ladder:

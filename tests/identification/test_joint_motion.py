@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from jaxact.drive import step as drive_step
 from jaxact.drive.actuator import Actuator
@@ -136,6 +137,62 @@ def test_a_pendulum_keeps_its_energy_and_period():
     position = np.asarray(joint_motion.simulate(values, recording, structure)[0])
     natural = np.sqrt(6.9 / 0.7)
     np.testing.assert_allclose(position, 0.01 / natural * np.sin(natural * time), atol=2e-6)
+
+
+def _exact(time, command, values):
+    """Angles at each row by SciPy: it slides until it rests, and sticks until it is pushed off.
+
+    The drive's command changes at known instants, between which everything is smooth.
+    """
+    wn, zeta, weight, inertia = (values[name] for name in ("wn", "zeta", "gravity", "inertia"))
+
+    def dry(speed):
+        slow = np.exp(-((speed / values["stribeck_speed"]) ** 2))
+        return values["coulomb"] * (1.0 + values["stribeck"] * slow)
+
+    def flow(_, state, told, way):
+        angle, speed, force, rate = state
+        pushed = force - weight * np.sin(angle) - values["viscous"] * speed - way * dry(speed)
+        fall = wn**2 * (told - force) - 2.0 * zeta * wn * rate
+        return [speed, pushed / inertia if way else 0.0, rate, fall]
+
+    def rests(_, state, told, way):
+        return way * state[1] if way else dry(0.0) - abs(state[2] - weight * np.sin(state[0]))
+
+    rests.terminal, rests.direction = True, -1
+    changes = np.union1d(time + values["delay"], time)
+    state, way, now, found = np.zeros(4), 0, 0.0, {0.0: 0.0}
+    for until in changes[changes > 0.0]:
+        at = np.searchsorted(time + values["delay"], now + 1e-9) - 1
+        told = command[max(at, 0)]
+        while until - now > 1e-12:
+            if way == 0 and rests(0.0, state, told, 0) <= 0.0:
+                way = int(np.sign(state[2] - weight * np.sin(state[0])))
+            span, given = (now, until), {"args": (told, way), "rtol": 1e-10, "atol": 1e-13}
+            if way and state[1] == 0.0:  # it moves off before it can come to rest
+                span = (now, min(now + 1e-7, until))
+            solved = solve_ivp(flow, span, state, events=rests, **given)
+            now, state = solved.t[-1], solved.y[:, -1]
+            if solved.t_events[0].size and way:
+                state[1], way = 0.0, 0
+        found[until] = state[0]
+    return np.array([found[at] for at in time])
+
+
+def test_a_joint_that_sticks_and_slips_on_a_pendulum_is_followed_in_long_steps():
+    time = 2e-3 * np.arange(300)
+    command = np.repeat(np.random.default_rng(0).choice([-0.35, 0.0, 0.35], 10), 30)
+    command[:3] = 0.0
+    values = _values(
+        inertia=0.02, wn=150.0, zeta=0.6, delay=2.7e-3, viscous=0.01, coulomb=0.12,
+        gravity=0.5, stribeck=0.4, stribeck_speed=0.3,
+    )  # fmt: skip
+    structure = Structure(closed=False, history=8, difference_ticks=0, gravity=True)
+    exact = _exact(time, command, values)
+    found = joint_motion.simulate(values, _recording(time, command=command), structure)[0]
+    sticks = np.abs(np.diff(exact[10:])) < 1e-12
+    assert np.ptp(exact) > 0.5 and 10 < sticks.sum() < 100
+    np.testing.assert_allclose(found, exact, atol=1e-5)
 
 
 LOADED = {"loaded": 0.2, "stribeck": 0.4, "stribeck_speed": 0.5}

@@ -1,10 +1,14 @@
 """A pendulum in torque mode: commands and positions recorded, no controller."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import jaxact as jx
+from jaxact.identification import rivals
 from jaxact.identification.log import Log
+from jaxact.identification.verdict import judge
 
 ROWS, PERIOD, FINE = 2000, 2e-3, 40
 INERTIA, GRAVITY, VISCOUS, COULOMB = 0.06, 1.6, 0.03, 0.15
@@ -42,8 +46,12 @@ def logs():
     return _log("sines", sines), _log("steps", steps)
 
 
-def test_a_pendulum_is_found_from_the_torques_it_was_told(logs):
-    found = jx.identify(logs[0], "pendulum", validate=logs[1])
+@pytest.fixture(scope="module")
+def found(logs):
+    return jx.identify(logs[0], "pendulum", validate=logs[1])
+
+
+def test_a_pendulum_is_found_from_the_torques_it_was_told(logs, found):
     numbers = found.chosen.numbers
     assert numbers["inertia"] == pytest.approx(INERTIA, rel=0.02)
     assert numbers["gravity"] == pytest.approx(GRAVITY, rel=0.02)
@@ -63,12 +71,41 @@ def test_a_pendulum_is_found_from_the_torques_it_was_told(logs):
     assert again.driven_by == "command" and again.nrmse < 0.05
 
 
-def _delayed(seed, hold, fine, limit=np.inf):
-    """A pendulum behind a mere delay of 2 ms, by explicit steps that stop where it turns."""
-    rows, delay, inertia, gravity, viscous, coulomb = 6000, 2e-3, 0.02, 0.5, 0.01, 0.05
+def test_a_delay_that_a_better_model_places_elsewhere_is_not_known(found):
+    """Behind a second-order drive a mere delay fits with narrow intervals, which do not hold."""
+    delays = [one for one in found.ladder.candidates if one.rung.dynamics == "delay"]
+    simple = min(delays, key=lambda one: one.fit.square_sum)
+    assert simple.knowledge["delay"].low > 1.5 * DELAY
+    doubted = rivals.heard(replace(found.ladder, chosen=simple)).chosen.knowledge["delay"]
+    assert not doubted.identified and "fits better" in doubted.reason
+    assert doubted.low < 1.1 * DELAY < simple.knowledge["delay"].value <= doubted.high
+    assert rivals.heard(found.ladder) is found.ladder
+
+
+def test_friction_that_may_be_zero_is_not_identified(found):
+    of_the_load = [
+        known[name]
+        for known in (one.knowledge for one in found.ladder.candidates)
+        for name in ("loaded", "stribeck")
+        if name in known.names
+    ]
+    assert any(e.low <= 0.0 for e in of_the_load)
+    assert not any(e.identified for e in of_the_load if e.low <= 0.0)
+
+
+def test_commands_of_one_size_leave_a_limit_open(logs, found):
+    assert "always asked for" not in found.verdict.sentence
+    # The sines are of many sizes: what they show of a limit the steps need not.
+    alone = replace(found.ladder, fitted=(logs[1],), validation=(logs[1],))
+    assert "if the drive gives the 0.6 N m that was always asked for" in judge(alone).sentence
+
+
+def _delayed(seed, hold, fine, limit=np.inf, delay=2e-3, size=0.35):
+    """A pendulum behind a mere delay, by explicit steps that stop where it turns."""
+    rows, inertia, gravity, viscous, coulomb = 6000, 0.02, 0.5, 0.01, 0.05
     rng = np.random.default_rng(seed)
     time = np.arange(rows) * PERIOD
-    command = np.repeat(rng.choice([-0.35, 0.35], rows // hold + 1), hold)[:rows]
+    command = np.repeat(rng.choice([-size, size], rows // hold + 1), hold)[:rows]
     command += 0.3 * np.sin(2.0 * np.pi * 0.4 * time + seed)
     command[:5] = 0.0
     step = PERIOD / fine
@@ -130,11 +167,31 @@ def test_a_joint_that_does_not_move_is_said():
 
 
 @pytest.mark.exhaustive
-def test_nothing_is_known_of_a_joint_whose_drive_follows_a_part_of_its_command():
-    """The map says nothing of the clipping, and the model makes a long delay of it."""
+def test_a_limit_that_no_log_says_is_found_behind_commands_that_end_in_a_crest():
+    """The crest of a sine stays near its top, as a command at its limit would."""
     logs = [_delayed(seed, hold, 40, limit=0.4) for seed, hold in ((1, 30), (2, 17))]
     found = jx.identify(logs[0], "pendulum", validate=logs[1])
+    assert found.verdict.level.value == "good"
+    for name, value in (("command_limit", 0.4), ("inertia", 0.02), ("gravity", 0.5)):
+        assert found.chosen.numbers[name] == pytest.approx(value, rel=2e-3)
+    assert found.chosen.numbers["delay"] == pytest.approx(2e-3, abs=1e-4)
+
+
+@pytest.mark.exhaustive
+def test_nothing_is_known_of_a_joint_whose_delay_is_longer_than_any_that_is_tried():
+    logs = [_delayed(seed, hold, 40, delay=40e-3) for seed, hold in ((1, 30), (2, 17))]
+    found = jx.identify(logs[0], "pendulum", validate=logs[1])
     assert found.verdict.level.value != "good"
-    for name, value in (("inertia", 0.02), ("gravity", 0.5)):
-        known = found.chosen.knowledge[name]
-        assert not known.identified or known.low < value < known.high
+    assert not any(e.identified for e in found.chosen.knowledge.estimates)
+
+
+@pytest.mark.exhaustive
+def test_a_pendulum_that_turns_over_is_followed():
+    """Each time it passes the top a small error in any number sends the simulation another way."""
+    logs = [_delayed(seed, hold, 160, size=0.9) for seed, hold in ((1, 30), (2, 17))]
+    assert np.ptp(logs[0]["position"]) > 6.0 * np.pi
+    found = jx.identify(logs[0], "pendulum", validate=logs[1])
+    assert found.verdict.level.value == "good"
+    for name, value in (("inertia", 0.02), ("gravity", 0.5), ("viscous", 0.01)):
+        assert found.chosen.numbers[name] == pytest.approx(value, rel=5e-3)
+    assert found.chosen.numbers["delay"] == pytest.approx(2e-3, abs=5e-5)

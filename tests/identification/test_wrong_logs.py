@@ -8,6 +8,7 @@ import pytest
 from driven_joint import DELAY, INERTIA, WN, ZETA, log, prbs
 
 from jaxact.errors import UserError
+from jaxact.identification import inspection
 from jaxact.identification.identify import identify
 
 
@@ -86,3 +87,11 @@ def test_positions_in_degrees_contradict_the_command():
     degrees = {name: np.degrees(right[name]) for name in ("setpoint", "position")}
     with pytest.raises(UserError, match="kp 57[0-9.]* times smaller .* positions are in degrees"):
         identify(_with(right, **degrees), "mass")
+
+
+def test_the_crest_of_a_sine_is_no_limit_at_which_a_command_stays():
+    time = 2e-3 * np.arange(4000)
+    steps = np.repeat(np.random.default_rng(5).choice([-0.35, 0.35], 134), 30)[:4000]
+    command = steps + 0.3 * np.sin(2.0 * np.pi * 0.4 * time)
+    assert inspection.saturation(command) is None
+    assert inspection.saturation(np.clip(command, -0.5, 0.5)) == 0.5
