@@ -7,6 +7,8 @@ import jax
 import pytest
 from jax._src import compiler
 
+from jaxact.compilation import programs
+
 # JAX 0.10 can still write kernels as it once did, which takes half the time.
 _OLD_KERNELS = {"xla_cpu_use_fusion_emitters": False} if version("jax").startswith("0.10.") else {}
 
@@ -29,6 +31,9 @@ def optimised_little():
 @contextmanager
 def optimised_fully():
     """What is compiled meanwhile is compiled as users have it, in a module that does not else."""
+    # What tests before compiled quickly is not what users have.
+    programs.let_go()
+    jax.clear_caches()
     with _optimisations(disabled=False):
         yield
 

@@ -28,6 +28,8 @@ JOINT = ("--mass", "0.7", "--actuator", "starleth", "--delay", "1e-3", "--max-pe
 # thread, some time after it has begun.
 SENDS = """
 import importlib, os, signal, sys, threading, time
+# A job in the background of a shell is started with this signal ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 module, name, turn, times, later = {at!r}
 found = importlib.import_module(module)
 work, calls = getattr(found, name), []
