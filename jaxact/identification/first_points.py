@@ -29,8 +29,8 @@ _AS_PROMISING = 3.0
 _LARGEST_SLOPE = 1e100
 # Of another model's lag, a delay may be these shares, and the loop behind it damped so.
 _SHARES_OF_THE_LAG, _DAMPINGS = (0.15, 0.5, 0.85), (0.45, 0.9)
-FOLLOWED = 0.01
-"""A model that leaves a larger share of the motion's square has not followed it."""
+# A model that leaves a larger share of the motion's square has not followed it.
+_FOLLOWED = 0.01
 # At most so many starts are looked at before the best ones are solved.
 _MOST_STARTS = 256
 
@@ -72,7 +72,7 @@ def begin(
         matched = [_matched(sought, point, near) for point in points]
         matched += _shared(sought, points[0], near) if WN in each else []
         points = list({point.tobytes(): point for point in matched}.values())
-    if near is not None and near.square_sum > FOLLOWED * len(near.residuals):
+    if near is not None and near.square_sum > _FOLLOWED * len(near.residuals):
         # What lacks friction may have ended at a joint too heavy to move, far from any motion.
         points += _products(sought, own)
     if len(points) == 1:

@@ -1,4 +1,4 @@
-"""The least squares along growing parts of the logs, where whole ones are not followed.
+"""The least squares along growing parts of the logs of a joint that turns over.
 
 A pendulum that turns over goes another way after a small error in any number: of a long log the sum
 of squares has many minima, of a short one few. What fits a part begins the search along the next.

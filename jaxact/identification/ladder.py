@@ -17,7 +17,6 @@ from jaxact.identification.choice import (
     encoder_error,
     error_by_chance,
 )
-from jaxact.identification.first_points import FOLLOWED
 from jaxact.identification.fitting import LEAST_SQUARES, Fit, solve
 from jaxact.identification.growing import grown
 from jaxact.identification.knowledge import Knowledge
@@ -117,7 +116,6 @@ def climb(
 
     def mend() -> None:
         if method == LEAST_SQUARES:
-            found[:] = followed(family, found, fitted, held, loss)
             found[:] = leaner(family, found, scale, fitted, held, loss)
 
     for rung in stages(family, found, scale, mend):
@@ -213,35 +211,6 @@ def limited(
         if one is not chosen:
             more.append(fit(richer(one.rung), [*found, *more]))
     return more
-
-
-def followed(
-    family: Family,
-    found: Sequence[Candidate],
-    fitted: Sequence[Log],
-    held: Sequence[Log],
-    loss: str,
-) -> list[Candidate]:
-    """Every model, where none follows the logs fitted anew along growing parts of them.
-
-    Args:
-        family: of the models.
-        found: candidates.
-        fitted, held: logs.
-        loss: of the least squares.
-    """
-    if family.signal != "position" or any(
-        one.fit.square_sum <= FOLLOWED * len(one.fit.residuals) for one in found
-    ):
-        return list(found)
-
-    def again(one: Candidate) -> Candidate:
-        fit = grown(family, one.rung, fitted, loss)
-        if fit.square_sum >= one.fit.square_sum:
-            return one
-        return _tried(family, one.rung, fit, _knowledge.of_fit(fit, profile=False), held)
-
-    return [again(one) for one in found]
 
 
 def leaner(
