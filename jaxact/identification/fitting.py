@@ -114,11 +114,8 @@ def solve(
         for one in begun
     }
     # A slow loop begun at a wrong delay is far from its end after a few steps.
-    to_end = (
-        tried
-        if near is not None and WN in sought.names
-        else [min(tried, key=lambda one: tried[one].square_sum)]
-    )
+    slow = near is not None and WN in sought.names
+    to_end = list(tried) if slow else [min(tried, key=lambda one: tried[one].square_sum)]
     ended = [_ended(sought, held, tried, piece, loss, enough) for piece in to_end]
     return min(ended, key=lambda one: one.square_sum)
 

@@ -18,6 +18,7 @@ _AT_THE_LIMIT, _SWITCHING = 0.005, 0.5
 # A controller's command does not switch: it may be at its limit nearly all the time.
 _NEARLY_ALWAYS = 0.98
 _FEWEST_LEVELS = 20
+# At a limit a signal is flat: rows within four times the distance of it are hardly more.
 _FLAT = 1.5
 _COHERENT = 0.5
 _MOST_DIFFERENCES = 200_000

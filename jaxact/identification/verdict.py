@@ -30,6 +30,7 @@ _NOT_NOISE = 0.5
 _MOST_LOST = 10.0
 MOST_CORRELATED = 0.35
 """Correlation of error and stimulus from which on the error follows the stimulus."""
+# Share of the largest command up to which nothing is asked for.
 _NO_COMMAND = 1e-3
 NOT_EXPLAINED = "its interval does not hold, as the model does not explain the logs"
 
