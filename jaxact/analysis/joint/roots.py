@@ -19,14 +19,16 @@ _NEWTON_STEPS = 24
 
 
 def encirclements(phases: jax.Array, present: jax.Array, loop: JointLoop) -> jax.Array:
-    """Number of closed-loop roots with positive real part, from the phase at gain crossovers.
+    """Number of closed-loop roots not in the open left half plane, from the phase at gain
+    crossovers.
 
     Between crossovers with |L| > 1 the curve passes the critical ray once for every multiple of
     2 pi that the phase passes, and each passage downwards moves a pair of roots to the right:
 
-        2 sum over those stretches [a, b] of (floor(phase_a / 2 pi) - floor(phase_b / 2 pi)).
+        2 sum over those stretches [a, b] of (floor(phase_a / 2 pi) - ceil(phase_b / 2 pi) + 1).
 
-    Where |L| < 1 it cannot encircle the point. The double pole at the origin starts the curve at
+    A curve that ends on the critical point has a pair of roots on the axis, which is counted. Where
+    |L| < 1 it cannot encircle the point. The double pole at the origin starts the curve at
     phase 0+ for kp > 0; for kp <= 0 one root is never on the left. A sprung joint may start at
     |L| = |kp/k| < 1: then none of that counts, and one root is not on the left if kp + k <= 0.
 
@@ -36,17 +38,38 @@ def encirclements(phases: jax.Array, present: jax.Array, loop: JointLoop) -> jax
         loop: fields of shape (1, ...).
     """
     start = jnp.where(loop.kp > 0, 0.0, jnp.where(loop.kd < 0, -1.0, 0.0))
-    passed = jnp.floor(phases / TURN)
     # |L| < 1 after the last crossover, so present ones alternate towards it: down, up, down.
     number = present.astype(phases.dtype)
     rank = jnp.cumsum(number[::-1], axis=0)[::-1]
-    sign = jnp.where(present, jnp.where(rank % 2 == 1, -1.0, 1.0), 0.0)
-    pairs = jnp.sum(sign * passed, axis=0, keepdims=True)
+    turns = phases / TURN
+    signed = jnp.where(rank % 2 == 1, 1.0 - jnp.ceil(turns), jnp.floor(turns))
+    pairs = jnp.sum(jnp.where(present, signed, 0.0), axis=0, keepdims=True)
     if not loop.sprung:
-        return 2.0 * (pairs + start) + jnp.where(loop.kp > 0, 0.0, 1.0)
+        return 2.0 * (pairs + start) + jnp.where(loop.kp > 0, 0.0, 1.0) + _more_at_rest(loop)
     loud = rank[:1] % 2 == 1
     held = jnp.where(loud, loop.kp, loop.kp + loop.joint_stiffness) > 0
-    return 2.0 * (pairs + jnp.where(loud, start, 0.0)) + jnp.where(held, 0.0, 1.0)
+    turned = 2.0 * (pairs + jnp.where(loud, start, 0.0)) + jnp.where(held, 0.0, 1.0)
+    return turned + _more_at_rest(loop) + _undamped(loop)
+
+
+def _more_at_rest(loop: JointLoop) -> jax.Array:
+    """1 where kp + k = 0 and the root at the origin is not the one that is never on the left.
+
+    Delta'(0) = c + 2 zeta/wn k + kd - kp td. Where it is 0, two roots are at the origin; where it
+    is negative, another one is to the right.
+    """
+    stiffness = loop.joint_stiffness if loop.sprung else 0.0
+    lag = 2.0 * loop.damping_ratio / loop.natural_frequency
+    slope = loop.kd - loop.kp * loop.delay
+    if loop.sprung:
+        slope = slope + loop.joint_damping + stiffness * lag
+    return jnp.where((loop.kp + stiffness == 0.0) & (slope <= 0.0), 1.0, 0.0)
+
+
+def _undamped(loop: JointLoop) -> jax.Array:
+    """2 where the gains are 0 and a spring without damping swings on by itself."""
+    free = (loop.kp == 0.0) & (loop.kd == 0.0) & (loop.joint_damping == 0.0)
+    return jnp.where(free & (loop.joint_stiffness > 0.0), 2.0, 0.0)
 
 
 def count_unstable_roots(loop: JointLoop) -> jax.Array:
@@ -72,7 +95,7 @@ def rightmost_root(loop: JointLoop, approximate: jax.Array | None = None) -> jax
     is that of the implicit function. NaN where no start converges.
 
     Args:
-        loop: fields of any broadcastable shape, kp or kd not zero.
+        loop: fields of any broadcastable shape.
         approximate: eigenvalues of `collocation_matrices`, shape (n, k); None to compute them here,
             by JAX's LAPACK, which imports all of SciPy's.
     """
@@ -85,7 +108,10 @@ def rightmost_root(loop: JointLoop, approximate: jax.Array | None = None) -> jax
     root = _rightmost(constant, approximate)
     value, slope = characteristic(rows, root)
     # One more step of Newton's; its derivative is -(d Delta / d parameter) / Delta'(s).
-    refined = (root - value / jax.lax.stop_gradient(slope)).reshape(shape)
+    slope = jax.lax.stop_gradient(slope)
+    # Two roots at the origin have no slope, and are exact.
+    step = jnp.where(slope == 0.0, 0.0, value / jnp.where(slope == 0.0, 1.0, slope))
+    refined = (root - step).reshape(shape)
     return jax.lax.complex(refined.real, jnp.abs(refined.imag))
 
 
@@ -139,6 +165,10 @@ def _rightmost(loop: JointLoop, approximate: jax.Array) -> jax.Array:
     scale = jnp.abs(s) + 1e-3 * jnp.sqrt(jnp.abs(loop.kp) / loop.mass)
     tolerance = jnp.sqrt(jnp.finfo(scale.dtype).eps)
     converged = jnp.isfinite(jnp.abs(s)) & (jnp.abs(value / slope) <= tolerance * scale)
+    # At rest kp + k = 0, which Newton finds slowly where two roots are there.
+    still = loop.kp + loop.joint_stiffness if loop.sprung else loop.kp
+    s = jnp.concatenate([s, jnp.zeros_like(s[:1])])
+    converged = jnp.concatenate([converged, still == 0.0])
     real = jnp.where(converged, s.real, -jnp.inf)
     best = real == jnp.max(real, axis=0, keepdims=True)
     chosen = best & converged
