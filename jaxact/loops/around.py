@@ -30,6 +30,7 @@ from jaxact.errors import UserError
 from jaxact.loops import loop as _loop
 from jaxact.loops.control_loop import ControlLoop, is_traced
 from jaxact.loops.conversion import drive_of
+from jaxact.loops.longest import fitting
 from jaxact.loops.loop import Loop, LoopState, Output, Prepared
 from jaxact.parameters import GAIN_SCALE, KD, KP
 from jaxact.plants.linear import hermite
@@ -154,6 +155,10 @@ class Driven:
         shape, own = jnp.shape(setpoint.position), self.prepared.plant.shape
         if shape not in ((), own):
             raise UserError(f"setpoint: has shape {shape}; the joints' is {own}")
+        if key is None and self.options.random:
+            raise UserError(
+                "key: a drive with noise needs one at every step, e.g. jax.random.key(0)"
+            )
         like = self.prepared.drive.drive.controller.kp
         draws = _sensor.draw(self.options.sensor, key, state.tick, like)
         loop, (output, _) = _loop.step(self.prepared, self.options, state.loop, setpoint, draws)
@@ -200,7 +205,8 @@ def drive_around(
         joints: number of driven joints, None for a robot's own, and otherwise for a single one
             whose quantities have no axis.
         longest: where values of `loop` are traced or change later: a loop with the longest delays
-            and with every part (noise, resolution, limits) that may occur.
+            and with every part (noise, resolution, limits) that may occur. Where a traced delay is
+            longer all the same, the forces are not a number.
 
     Returns:
         `init(data)` begins and `step(state, setpoint, key)` takes a control period; it returns the
@@ -210,7 +216,8 @@ def drive_around(
 
     Raises:
         UserError: the control period is not a multiple of the physics step, shapes do not fit, the
-            loop is neither a loop nor a drive, or a robot's that is a batch.
+            loop is neither a loop nor a drive, or a robot's that is a batch, or `longest` has not
+            all that the loop has.
         TypeError: the loop is traced, and `longest` is not given.
     """
     if isinstance(loop, ControlLoop) and is_traced(loop) and longest is None:
@@ -235,9 +242,17 @@ def drive_around(
             f"{physics_step:g} s; allowed e.g. control_rate = "
             f"{1 / (max(substeps, 1) * physics_step):.9g}"
         )
-    differenced = isinstance(static, ControlLoop) and static.kind.velocity == "differenced"
+    differenced = _differenced(static)
+    if longest is not None and _differenced(loop) != differenced:
+        raise UserError("longest: has another velocity than the loop; give both the same")
     options = _options.options(known, substeps=substeps, differenced=differenced)
+    if longest is not None:
+        drive = fitting(drive, known, options)
     return Driven(_loop.prepare(Loop(plant, drive), options), options)
+
+
+def _differenced(loop: ControlLoop | Drive) -> bool:
+    return isinstance(loop, ControlLoop) and loop.kind.velocity == "differenced"
 
 
 def _drive_in(loop: ControlLoop | Drive) -> Drive:

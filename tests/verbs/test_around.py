@@ -97,7 +97,7 @@ def test_joints_may_have_drives_of_their_own_and_noise_of_their_own():
     start = jnp.zeros(2), jnp.zeros(2)
     one, other = (rolled(drive, start, 50, jax.random.key(k)) for k in (0, 1))
     assert not np.allclose(one, other) and not np.allclose(one[:, 0], one[:, 1])
-    with pytest.raises(ValueError, match="random key"):
+    with pytest.raises(UserError, match="key: a drive with noise needs one"):
         rolled(drive, start, 2)
 
 
@@ -194,3 +194,48 @@ def test_a_traced_loop_needs_its_longest():
 
     with pytest.raises(TypeError, match="longest"):
         jax.jit(build)(1e-3)
+
+
+@pytest.mark.parametrize("late", ["delay", "output_delay", "measurement_delay", "setpoint_delay"])
+@pytest.mark.parametrize("room", [0.0, 0.002, 0.05])
+def test_a_traced_delay_without_room_gives_no_number_and_never_a_wrong_one(late, room):
+    loop = jx.joint(kp=8.0, kd=0.4)
+
+    def last(delay):
+        drive = jx.drive_around(step, loop.replace(**{late: delay}), measure=measure,
+                                physics_step=H, joints=2,
+                                longest=loop.replace(**{late: room}))  # fmt: skip
+        return rolled(drive, (jnp.array([0.01, -0.02]), jnp.zeros(2)), 120)[-1]
+
+    def known(delay):
+        drive = jx.drive_around(step, loop.replace(**{late: delay}), measure=measure,
+                                physics_step=H, joints=2)  # fmt: skip
+        return rolled(drive, (jnp.array([0.01, -0.02]), jnp.zeros(2)), 120)[-1]
+
+    traced = jax.jit(last)
+    if room:
+        np.testing.assert_allclose(traced(0.5 * room), known(0.5 * room), atol=1e-6)
+    assert np.isnan(traced(room + 0.004)).all()
+    with pytest.raises(UserError, match="longest: lacks what the loop has: .*delay"):
+        last(room + 0.004)
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        {"force_limit": 2.0},
+        {"force_rate_limit": 20.0},
+        {"position_noise": 1e-3},
+        {"position_bias_walk": 1e-3},
+        {"position_resolution": 1e-3},
+        {"command_resolution": 1e-3},
+        {"policy_rate": 50.0},
+        {"velocity": "differenced"},
+    ],
+    ids=str,
+)
+def test_a_longest_without_a_part_of_the_loop_is_refused(part):
+    plain = jx.joint(kp=8.0, kd=0.4)
+    with pytest.raises(UserError, match="longest: "):
+        jx.drive_around(step, plain.replace(**part), measure=measure, physics_step=H, joints=2,
+                        longest=plain)  # fmt: skip
