@@ -141,6 +141,7 @@ def test_responses_and_phase_are_those_of_the_definition():
         np.testing.assert_allclose(direction, expected / np.abs(expected), atol=1e-7)
 
 
+@pytest.mark.exhaustive
 def test_no_cutoff_is_no_filter_to_rounding():
     values, _ = filtered_loops(7)
     without = jax.tree.map(np.asarray, jax.jit(margins)(JointLoop(*map(jnp.asarray, values))))

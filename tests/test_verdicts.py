@@ -75,6 +75,7 @@ def _oscillation(positions):
     return 0.5 * np.ptp(last), frequency
 
 
+@pytest.mark.exhaustive
 def test_a_quantised_loop_has_one_verdict_whatever_its_setpoint_and_start():
     speeds = [0.0, 0.001, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, -0.02, -0.5, 0.0123]
     found = _run(MOTOR + f"[axes]\nsetpoint = [0.0, 0.01, 0.1, 1.0]\ninitial_velocity = {speeds}\n")

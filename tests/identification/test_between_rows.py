@@ -61,7 +61,8 @@ def _climbed(log, rung, control_rate=None, **changes):
     return between_rows.doubted(ladder, "mass", control_rate)
 
 
-@pytest.mark.parametrize("control_rate", [pytest.param(None, marks=pytest.mark.exhaustive), 1000.0])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("control_rate", [None, 1000.0])
 def test_what_a_log_of_every_twentieth_row_says_is_not_taken_for_known(log, control_rate):
     ladder = _climbed(_thinned(log, 20), "delay, viscous", control_rate)
     known = ladder.chosen.knowledge

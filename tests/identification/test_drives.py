@@ -173,6 +173,7 @@ def test_a_box_of_too_many_numbers_is_refused(folder):
         jx.tune(loop, uncertainty=jx.load_drive("robot.toml"))
 
 
+@pytest.mark.exhaustive
 def test_gains_are_robust_over_the_drawn_drives(folder, capsys):
     (folder / "still.toml").write_text(BENCH.replace("control_rate = 500.0\n", ""))
     given = ["--drive", "still.toml", "--inertia", "0.05", "--max-peak", "2"]

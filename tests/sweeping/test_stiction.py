@@ -87,7 +87,8 @@ def test_growth_is_that_of_the_sampled_loop_without_friction(tmp_path):
     assert found.left_out == 0.3
 
 
-@pytest.mark.parametrize("limit", [20.0, pytest.param(60.0, marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("limit", [20.0, 60.0])
 def test_push_amplitude_and_frequency_are_those_of_plain_mujoco(tmp_path, limit):
     text = HINGE.format(loss=0.3, limit=f'forcerange="-{limit} {limit}"')
     held = held_of(specification(tmp_path / "hinge.xml", text))

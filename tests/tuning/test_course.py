@@ -15,7 +15,8 @@ def _loop(tmp_path, whole):
     return jx.robot(tmp_path / "arm.xml", keyframe="home", actuator="hyq", delay=2e-3)
 
 
-@pytest.mark.parametrize("whole", [True, pytest.param(False, marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("whole", [True, False])
 def test_what_is_to_come_comes(tmp_path, whole):
     told = []
     own = {"samples": 2} if whole else {}

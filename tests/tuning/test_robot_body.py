@@ -175,6 +175,7 @@ def test_rollouts_carry_the_same_payloads(laden):
     np.testing.assert_allclose(found.growth_rate[0], rate, rtol=1e-3)
 
 
+@pytest.mark.exhaustive
 def test_what_was_assumed_is_said(laden):
     _, tuned = laden
     said = report.document(tuned)["assumed"]

@@ -102,6 +102,7 @@ def test_what_is_printed_names_the_loops():
         assert words in text
 
 
+@pytest.mark.exhaustive
 def test_of_thousands_of_loops_both_ends_are_printed():
     text = repr(jx.margins(jx.joint(kp=np.arange(1.0, 3001.0), kd=5.0)))
     assert "delay margin [ms]" in text and "phase margin [°]" in text

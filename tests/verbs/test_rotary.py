@@ -92,6 +92,7 @@ def _run(capsys, *arguments):
     return out
 
 
+@pytest.mark.exhaustive
 def test_the_command_line_says_its_units(capsys, tmp_path):
     motor = ("--inertia", "0.02", "--kp", "80", "--kd", "1", "--actuator", "hyq")
     table = _run(capsys, "simulate", *motor, "--duration", "0.05", "--csv", f"{tmp_path}/run.csv",

@@ -27,6 +27,7 @@ def test_growth_rates_over_stiffness_are_those_of_exact_theory_at_long_delays_to
     assert not exact.stable[0].any() and exact.stable[1, 0]
 
 
+@pytest.mark.exhaustive
 def test_verdicts_of_a_map_are_those_of_exact_theory():
     maps = jx.sweep(
         jx.joint(**UPRIGHT, delay=1e-3), kp=jx.log(30, 3e4, 12), kd=jx.log(0.3, 300, 12),
