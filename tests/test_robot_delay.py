@@ -87,6 +87,18 @@ def test_joints_that_cross_alike_bear_what_one_of_them_does(tmp_path):
     assert once and np.isfinite(limits[0]).all() and limits[0] == limits[1]
 
 
+@pytest.mark.parametrize("delay", [0.3, 2.6])
+def test_what_comes_back_changes_with_frequency_as_differences_say(tmp_path, delay):
+    robot = _found(tmp_path).robot
+
+    def back(angle):
+        return multiloop_limits.feedback(robot.later_by, robot.period, angle, delay)
+
+    vector = np.array([0.6 - 0.2j, 0.1 + 0.7j])
+    differences = (back(0.2 + 1e-6).commands - back(0.2 - 1e-6).commands) @ vector / 2e-6
+    np.testing.assert_allclose(back(0.2).slope(vector), differences, rtol=1e-7)
+
+
 def test_a_loop_that_shakes_as_it_is_bears_none(tmp_path):
     delay = _found(tmp_path).delay_borne.delay
     borne = _found(tmp_path, f"delay={1.05 * delay}").delay_borne

@@ -25,7 +25,29 @@ def test_only_what_decays_is_said_to(size):
         assert not stability.decays(outside)
         assert not stability.decays(_of_radius(rng, size, 1.0))
         assert stability.excess(inside) < 0.0 < stability.excess(outside)
-    assert shown > (0 if size == 30 else 25)
+    assert shown == 50
+
+
+def _delayed_oscillator(ahead, gain):
+    """A motion whose velocity is in units a million times too small, fed back after a delay."""
+    M = np.diag(np.ones(ahead + 1), 1)
+    turn = np.array([[1.0, 1e-3], [-40.0, 0.8]])
+    M[:2, :2], M[1, 2] = turn, 1e3
+    M[-1] = 0.0
+    M[-1, :2] = -gain * np.array([1e-2, 1e-6])
+    return M
+
+
+@pytest.mark.parametrize("gain", [0.1, 1.0, 3.0, 4.0, 8.0])
+def test_powers_that_grow_at_first_and_motions_that_are_slow_are_still_shown_to_decay(gain):
+    M = _delayed_oscillator(6, gain)
+    inside = np.abs(np.linalg.eigvals(M)).max() < 1.0
+    assert stability.decays(M) == inside
+    slow = np.zeros((len(M) + 1,) * 2)
+    slow[:-1, :-1], slow[-1, -1] = M, 1.0 - 1e-6
+    assert stability.decays(slow) == inside
+    slow[-1, -1] = 1.0 + 1e-8
+    assert not stability.decays(slow)
 
 
 def test_only_roots_that_count_grow():

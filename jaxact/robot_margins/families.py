@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,6 +18,7 @@ from jaxact.loops.template import Template
 from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, base
 from jaxact.robot_margins import whole_robot
 from jaxact.robot_margins.whole_robot import Moved, WholeRobot
+from jaxact.simulation import plans
 from jaxact.simulation.kernel import Case
 
 Found = tuple[Motion, WholeMargins | None] | None
@@ -46,38 +46,54 @@ class _Row:
         return self.case, own, *((key, repr(value)) for key, value in others)
 
 
-def evaluate(
-    specification: Specification,
-    samples: Samples,
-    numbers: np.ndarray,
-    reference: Mapping[str, float],
-) -> list[Found]:
-    """What some samples do, and the margins of all joints at once of those that are stable.
-
-    Args:
-        specification: of the robot.
-        samples: of it.
-        numbers: of those that are wanted, rising, shape (n,).
-        reference: gains by key that frequency responses are computed with, from `reference`.
-
-    Returns:
-        For each sample, in order; None of one without any gains, of which there is nothing to say.
-
-    Raises:
-        UserError: commands of joints with gains do not move them at all; and as
-            `jaxact.robot_margins.whole_robot.evaluate`.
+class Families:
+    """Computes what samples of a robot do, and the margins of all joints at once of those that are
+    stable. What the loops of a family share is kept until the next family.
     """
-    families: dict[tuple[object, ...], list[_Row]] = {}
-    for row in whole_robot.linearised(specification, samples, numbers):
-        own = _Row(*row)
-        families.setdefault(own.family, []).append(own)
-    found: dict[int, Found] = {}
-    for rows in families.values():
-        shared = _shared(specification, rows[0], reference)
-        for first in range(0, len(rows), _TOGETHER):
-            part = rows[first : first + _TOGETHER]
-            found |= _of_part(shared, {row.number: _whole(specification, row) for row in part})
-    return [found[int(number)] for number in numbers]
+
+    def __init__(
+        self, specification: Specification, samples: Samples, reference: Mapping[str, float]
+    ) -> None:
+        """Read the robot.
+
+        Args:
+            specification: of the robot.
+            samples: all of them.
+            reference: gains by key that frequency responses are computed with, from `reference`.
+
+        Raises:
+            UserError: as `jaxact.simulation.plans.groups`.
+        """
+        self._specification = specification
+        self._samples = samples
+        self._reference = reference
+        self._groups = plans.groups(specification, samples)
+        self._latest: tuple[tuple[object, ...], SharedResponse] | None = None
+
+    def evaluate(self, numbers: np.ndarray) -> list[Found]:
+        """Motions and margins of some samples, by their numbers, rising, shape (n,).
+
+        Returns:
+            For each sample, in order; None of one without any gains, of which there is nothing to
+            say.
+
+        Raises:
+            UserError: commands of joints with gains do not move them at all.
+        """
+        families: dict[tuple[object, ...], list[_Row]] = {}
+        specification, samples = self._specification, self._samples
+        for row in whole_robot.linearised(specification, samples, numbers, self._groups):
+            own = _Row(*row)
+            families.setdefault(own.family, []).append(own)
+        found: dict[int, Found] = {}
+        for family, rows in families.items():
+            if self._latest is None or self._latest[0] != family:
+                self._latest = family, _shared(specification, rows[0], self._reference)
+            shared = self._latest[1]
+            for first in range(0, len(rows), _TOGETHER):
+                part = rows[first : first + _TOGETHER]
+                found |= _of_part(shared, {row.number: _whole(specification, row) for row in part})
+        return [found[int(number)] for number in numbers]
 
 
 def parts(samples: Samples, numbers: np.ndarray) -> list[np.ndarray]:
@@ -143,8 +159,6 @@ def _shared(
     gains = np.array([of_one, of_other])
     period = 1.0 / row.values[CONTROL_RATE]
 
-    # Of all parts of a period that every loop tries, and of a Newton's method that is under way.
-    @functools.lru_cache(maxsize=64)
     def delayed(extra: float) -> tuple[np.ndarray, np.ndarray]:
         (M, N, C), _ = _evaluated(with_one(extra))
         return M - N @ C, N

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +26,7 @@ from jaxact.robot_margins.stiction import Stiction
 from jaxact.robots import friction, mounting
 from jaxact.simulation import kernel, mujoco_batch, plans, robot_loop
 from jaxact.simulation.kernel import Case
+from jaxact.simulation.plans import Plan
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,10 @@ Moved = tuple[np.ndarray, np.ndarray]
 
 
 def linearised(
-    specification: Specification, samples: Samples, chosen: np.ndarray | None = None
+    specification: Specification,
+    samples: Samples,
+    chosen: np.ndarray | None = None,
+    groups: Sequence[Plan] | None = None,
 ) -> Iterator[tuple[int, Case, Template, dict[str, float], Moved | None]]:
     """Every sample with what its linear loop is made of.
 
@@ -111,6 +115,7 @@ def linearised(
         specification: of the robot.
         samples: of it.
         chosen: numbers of those that are wanted, rising; None for all.
+        groups: of all samples, from `jaxact.simulation.plans.groups`, where they are known.
 
     Yields:
         The sample's number, static options, what its group shares, its parameters by key, and A and
@@ -119,7 +124,7 @@ def linearised(
     Raises:
         UserError: as `evaluate`.
     """
-    for plan in plans.groups(specification, samples):
+    for plan in plans.groups(specification, samples) if groups is None else groups:
         parts = [batch[:n] for batch, n in plans.batches(plan, samples, chosen)]
         if not parts:
             continue

@@ -111,10 +111,7 @@ def _computing(shared: _Shared) -> Callable[[np.ndarray], list[Found]]:
     if _model(shared.specification, shared.samples) != shared.model:
         raise UserError("the robot's model has changed since the sweep began")
 
-    def compute(numbers: np.ndarray) -> list[Found]:
-        return families.evaluate(shared.specification, shared.samples, numbers, shared.reference)
-
-    return compute
+    return families.Families(shared.specification, shared.samples, shared.reference).evaluate
 
 
 def linearised(specification: Specification) -> Specification:

@@ -156,6 +156,23 @@ def test_what_has_no_margins_is_said(asked, folder):
         jx.sweep(jx.joint(), engine="linear", kp=[100.0, 200.0], progress=False)
 
 
+UPRIGHT = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0"/>
+<geom size="0.05" pos="0 0 0.5" mass="1"/></body></worldbody>
+<actuator><motor joint="hinge"/></actuator></mujoco>"""
+
+
+def test_gains_that_hardly_hold_a_robot_upright_topple_it_where_gravity_says(tmp_path):
+    """What topples so slowly that nothing is seen right beside the crossing; kp = m g l there."""
+    (tmp_path / "upright.xml").write_text(UPRIGHT)
+    gravity, above = 9.81 * 0.5, np.array([1.0003, 1.001, 1.5])
+    loop = jx.robot(tmp_path / "upright.xml", kp=gravity * above, kd=5.0, actuator="hyq")
+    found = jx.sweep(loop, engine="linear", progress=False)
+    assert (found["verdict"] == Verdict.STABLE).all()
+    # Growth of less than 1e-9 in a period is none, which moves the factor by 1e-6 here.
+    np.testing.assert_allclose(found["gain_reduction_margin"], 1.0 / above, rtol=2e-6)
+    assert (found["gain_reduction_frequency"].values == 0.0).all()
+
+
 def test_disk_margins_side_by_side_are_those_one_by_one():
     rng = np.random.default_rng(2)
     H = rng.normal(size=(7, 5, 5)) + 1j * rng.normal(size=(7, 5, 5))

@@ -79,9 +79,7 @@ def limit(robot: Robot, grid: np.ndarray, followed: np.ndarray) -> tuple[float, 
 
 def marginal(robot: Robot, angle: float, delay: float) -> np.ndarray:
     """Shares of the joints in the motion that is marginal at w T under a delay [s]; (joints,)."""
-    kept, moved, returned = _limits.feedback(
-        robot.later_by, robot.period, angle, delay / robot.period
-    )
-    values, vectors = np.linalg.eig(returned)
+    back = _limits.feedback(robot.later_by, robot.period, angle, delay / robot.period)
+    values, vectors = np.linalg.eig(back.commands)
     nearest = vectors[:, np.argmin(np.abs(values - 1.0))]
-    return _modes.participation(robot, kept, moved @ nearest)
+    return _modes.participation(robot, back.kept, back.states @ nearest)

@@ -21,7 +21,8 @@ import numpy as np
 
 from jaxact.analysis.robot.multiloop import Multiloop, sensitivity
 
-_SWEEPS = 12
+# Sweeps at most, and by which share one may change the scaling that is the last.
+_SWEEPS, _CALM = 12, 1e-3
 _TINY = 1e-150
 # Relative accuracy of the bound: where it is reported, and while its peak is looked for.
 _ACCURACY, _SEARCH = 1e-9, 1e-4
@@ -35,7 +36,7 @@ CENTRED, DAMPED = 0.3, 0.25
 
 
 def balanced(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Osborne's scaling, a few sweeps: D H D^-1 has rows and columns of equal size.
+    """Osborne's scaling, a few sweeps: D H D^-1 has rows and columns of nearly equal size.
 
     Args:
         H: complex, shape (k, m, m).
@@ -49,6 +50,7 @@ def balanced(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     size[:, diagonal, diagonal] = 0.0
     scale = np.ones(H.shape[:-1])
     for _ in range(_SWEEPS):
+        before = scale.copy()
         for joint in range(joints):
             row = size[:, joint, :].sum(axis=-1)
             column = size[:, :, joint].sum(axis=-1)
@@ -57,6 +59,8 @@ def balanced(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             size[:, joint, :] *= np.sqrt(ratio)[:, None]
             size[:, :, joint] /= np.sqrt(ratio)[:, None]
             scale[:, joint] *= ratio**0.25
+        if (np.abs(scale - before) <= _CALM * before).all():
+            break
     scaled = H * (scale[:, :, None] / scale[:, None, :])
     return np.linalg.svd(scaled, compute_uv=False)[:, 0], scale
 

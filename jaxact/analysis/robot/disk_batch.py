@@ -130,9 +130,11 @@ def largest(
 def _highest(S: list[np.ndarray], plain: list[np.ndarray]) -> np.ndarray:
     """The grid point of the largest bound of each loop, but for the accuracy of the search."""
     shifted = [part - 0.5 * np.eye(part.shape[-1]) for part in S]
-    above = [_above(part, size) for part, size in zip(shifted, plain, strict=True)]
+    tops = [int(np.argmax(size)) for size in plain]
+    _, scales = disk.balanced(np.stack([P[top] for P, top in zip(shifted, tops, strict=True)]))
+    above = [_above(*own) for own in zip(shifted, plain, scales, strict=True)]
     found = np.zeros(len(S))
-    tops = np.zeros(len(S), int)
+    highest = np.zeros(len(S), int)
     looked = [np.zeros(len(part), bool) for part in shifted]
     rough = [np.zeros(0, bool)] * len(S)
     while True:
@@ -148,17 +150,16 @@ def _highest(S: list[np.ndarray], plain: list[np.ndarray]) -> np.ndarray:
             looked[loop][first] = True
             places += [(loop, int(place)) for place in first]
         if not places:
-            return tops
+            return highest
         values = bounds(np.stack([shifted[loop][place] for loop, place in places]), _SEARCH)
         for (loop, place), value in zip(places, values, strict=True):
             if value > found[loop]:
-                found[loop], tops[loop] = value, place
+                found[loop], highest[loop] = value, place
 
 
-def _above(P: np.ndarray, plain: np.ndarray) -> np.ndarray:
-    """Upper bounds of the bound at every frequency: by the scaling at the highest of them."""
-    _, scale = disk.balanced(P[[int(np.argmax(plain))]])
-    return np.minimum(plain, singular_bound(P * (scale[0][:, None] / scale[0])))
+def _above(P: np.ndarray, plain: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Upper bounds of the bound at every frequency: by one scaling D, shape (m,), for all."""
+    return np.minimum(plain, singular_bound(P * (scale[:, None] / scale)))
 
 
 def singular_bound(P: np.ndarray) -> np.ndarray:

@@ -43,9 +43,10 @@ ROUNDING = 1e-9
 # Periods of delay by which a guess may be wrong; steps of Newton's method at most, how close they
 # come, and relative differences.
 _NEAR, _NEWTON, _CLOSE, _SMALL = 1.0, 20, 1e-11, 1e-7
-# Periods within which all delays are tried, and how finely: a delay that is not a whole period
-# changes the loop near the Nyquist frequency by more than its phase.
-_TRIED, _PARTS = 4, 4
+# Parts of a period that all delays are tried at, how far before a marginal one, and up to how many
+# periods: a delay that is not a whole period changes the loop near the Nyquist frequency by more
+# than its phase.
+_PARTS, _BEFORE, _END = 4, 1.0 - 1e-9, 4.0
 
 
 @dataclass(frozen=True)
@@ -199,13 +200,13 @@ def gain_limit(
             if fails(at - before * at) != now or fails(at + BESIDE * at) == now:
                 # Another crossing, between two points of the grid or of a leg that is alike.
                 at = switch(growth, start, stop)
-                return math.exp(sign * at), _angle_of_change(matrix, at)
+                return math.exp(sign * at), angle_of_change(matrix, at)
             return math.exp(sign * at), exact.angle
         start = stop
     return (math.inf if up else 0.0), math.inf
 
 
-def _angle_of_change(matrix: Callable[[float], np.ndarray], at: float) -> float:
+def angle_of_change(matrix: Callable[[float], np.ndarray], at: float) -> float:
     """w T [rad] of the root that leaves the unit circle, or comes back, at a distance."""
     parts = [np.linalg.eigvals(matrix(at + part * at)) for part in (-BESIDE, 0.0, BESIDE)]
     before, here, after = sorted_along(np.array(parts))
@@ -261,7 +262,7 @@ def delay_limit(
         for found in marginal_delays(later_by, period, item.angle, guess, best):
             if found[0] < best:
                 best, where = found
-    early = early_delay(later_by, period, min(best, float(_TRIED)) * (1.0 - 1e-9), counted)
+    early = early_delay(later_by, period, min(best, _END) * _BEFORE, counted)
     if early is not None:
         best, where = early
     return best * period, where
@@ -283,25 +284,25 @@ def marginal_delays(
     Those that arrive beyond the best delay so far [periods] are left out.
     """
 
-    def returned(angle: float, delay: float) -> np.ndarray:
-        return feedback(later_by, period, angle, delay)[2]
+    def returned(angle: float, delay: float) -> Returned:
+        return feedback(later_by, period, angle, delay)
 
     first = returned(angle, guess)
-    values, vectors = np.linalg.eig(first)
+    values, vectors = np.linalg.eig(first.commands)
     distance = np.abs(values - 1.0)
     for k in np.flatnonzero(distance <= max(_NEAR * angle, float(distance.min()))):
         point, vector, R = np.array([angle, guess]), vectors[:, k], first
         for _ in range(_NEWTON):
-            roots, left, right = scipy.linalg.eig(R, left=True, right=True)
+            roots, left, right = scipy.linalg.eig(R.commands, left=True, right=True)
             own = int(np.argmax(np.abs(vector.conj() @ right)))
             value, vector = roots[own], right[:, own]
             if abs(value - 1.0) < _CLOSE:
                 yield float(point[1]), float(point[0])
                 break
             dual = left[:, own].conj() / (left[:, own].conj() @ vector)
-            ahead = point * (1.0 + _SMALL)
-            slopes = [dual @ (returned(*at) - R) @ vector / (at - point).sum()
-                      for at in ((ahead[0], point[1]), (point[0], ahead[1]))]  # fmt: skip
+            after = point[1] * (1.0 + _SMALL)
+            moved = (returned(point[0], after).commands - R.commands) / (after - point[1])
+            slopes = [dual @ R.slope(vector), dual @ moved @ vector]
             jacobian = np.array([np.real(slopes), np.imag(slopes)])
             step = np.linalg.lstsq(jacobian, [1.0 - value.real, -value.imag])[0]
             point = point + step
@@ -312,29 +313,54 @@ def marginal_delays(
             R = returned(*point)
 
 
+@dataclass(frozen=True)
+class Returned:
+    """What comes back of commands of one frequency under a delay, see `feedback`; n states.
+
+    Attributes:
+        kept: places of the states.
+        states: these in response to each command, shape (n, m).
+        commands: what comes back of each, shape (m, m); marginal where 1 is an eigenvalue.
+    """
+
+    kept: np.ndarray
+    states: np.ndarray
+    commands: np.ndarray
+    _angle: float
+    _whole: int
+    _outputs: np.ndarray
+    _factors: tuple[np.ndarray, np.ndarray]
+
+    def slope(self, vector: np.ndarray) -> np.ndarray:
+        """How what comes back of these commands changes with w T, shape (m,)."""
+        again, _ = scipy.linalg.lapack.zgetrs(*self._factors, self.states @ vector)
+        turned = np.exp(1j * self._angle * (1 - self._whole)) * (self._outputs @ again)
+        return -1j * (self._whole * (self.commands @ vector) + turned)
+
+
 def feedback(
     later_by: Callable[[float], Matrices], period: float, angle: float, delay: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What comes back of commands of one frequency under a delay: marginal where 1 of them is.
+) -> Returned:
+    """What comes back of commands of one frequency under a delay:
 
-    z^-k C (z I - A)^-1 N of k whole periods, with A = M - N C and N of the part that is left, which
-    changes the loop by more than its phase.
+        R = z^-k C (z I - A)^-1 N,     dR/dt = -j (k R + z^(1-k) C (z I - A)^-2 N),     z = e^(jt)
+
+    of k whole periods, with A = M - N C and N of the part that is left, which changes the loop by
+    more than its phase.
 
     Args:
         angle: w T [rad].
         delay: [periods].
-
-    Returns:
-        The places of the states, these in response to each command, shape (n, m), and what comes
-        back, shape (m, m).
     """
     whole = math.floor(delay)
     matrices = later_by((delay - whole) * period)
     kept = joined(matrices)
     M, N, C = reduced(matrices, kept)
     opened = np.exp(1j * angle) * np.eye(len(M)) - (M - N @ C)
-    moved = np.linalg.solve(opened, N.astype(complex))
-    return kept, moved, np.exp(-1j * angle * whole) * (C @ moved)
+    factors, swaps, _ = scipy.linalg.lapack.zgetrf(opened)
+    moved, _ = scipy.linalg.lapack.zgetrs(factors, swaps, N.astype(complex))
+    back = np.exp(-1j * angle * whole) * (C @ moved)
+    return Returned(kept, moved, back, angle, whole, C, (factors, swaps))
 
 
 def early_delay(
@@ -357,7 +383,9 @@ def early_delay(
     parts = np.arange(1, math.ceil(_PARTS * last)) / _PARTS
     for delay in (*(parts if parts.size else [0.5 * last]), last):
         tried = matrix(float(delay))
-        if not decays(tried) and excess(tried, counted) > 0.0:
+        # The last one is marginal but for rounding, unless it is where trying ends.
+        certain = (delay < last or last >= _END * _BEFORE) and decays(tried)
+        if not certain and excess(tried, counted) > 0.0:
             found = switch(growth, before, float(delay))
             values = np.linalg.eigvals(matrix(found))
             # Delay changes nothing that does not turn.

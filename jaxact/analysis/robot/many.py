@@ -8,6 +8,7 @@ and just after it, as there; where it does not stand, it is computed as there.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,15 +21,18 @@ from jaxact.analysis.robot import modes as _modes
 from jaxact.analysis.robot import multiloop as _multiloop
 from jaxact.analysis.robot.margins import WholeMargins, demand_answers
 from jaxact.analysis.robot.modes import Robot
+from jaxact.analysis.robot.multiloop import Matrices
 from jaxact.analysis.robot.nearest import Loci
 from jaxact.analysis.robot.shared_response import SharedResponse
-from jaxact.analysis.robot.stability import excess
+from jaxact.analysis.robot.stability import excess, switch
 from jaxact.analysis.robot.summits import summits
 
 # Share of the largest value on the grid from which on maxima are refined, and how many at most.
 _HIGH, _SUMMITS = 0.97, 3
 # Crossings within this share of the nearest one are refined too: which is nearest is not yet sure.
 _CLOSE = 0.1
+# Share of its distance within which stability changes at a crossing that it does not change beside.
+_AWAY = 0.05
 Limit = tuple[float, float]
 
 
@@ -44,6 +48,11 @@ class Member:
     robot: Robot
     kp: np.ndarray
     kd: np.ndarray
+
+    @functools.cached_property
+    def reduced(self) -> Matrices:
+        """Its matrices without the states that nothing moves, or that move nothing."""
+        return _multiloop.reduced(self.robot.matrices)
 
 
 @dataclass(frozen=True)
@@ -109,7 +118,7 @@ def margins_of_many(
     for number, member in enumerate(members):
         once = shared.sensitivity(member.kp, member.kd, np.array([1.0]))[0]
         demand_answers(member.robot.names, once)
-        roots = np.linalg.eigvals(_multiloop.reduced(member.robot.matrices)[0])
+        roots = np.linalg.eigvals(member.reduced[0])
         moving = motion(roots, member.robot.period)
         found.append((moving, None))
         if not moving.unstable_roots:
@@ -145,14 +154,23 @@ def _gain(shared: SharedResponse, member: Member, loci: Loci, *, up: bool) -> Li
     close = _distance(crossings[0]) * (1.0 + _CLOSE)
     exact = [nearest.refined(respond, item) for item in crossings if _distance(item) <= close]
     best = min(exact, key=_distance)
-    M, N, C = _multiloop.reduced(member.robot.matrices)
+    M, N, C = member.reduced
+    feedback = N @ C
     at, sign = _distance(best), 1.0 if up else -1.0
 
-    def fails(distance: float) -> bool:
-        return excess(M + math.expm1(sign * distance) * (N @ C)) > 0.0
+    def matrix(distance: float) -> np.ndarray:
+        return M + math.expm1(sign * distance) * feedback
 
-    if not fails(at * (1.0 - _limits.EARLIER)) and fails(at * (1.0 + _limits.BESIDE)):
+    def growth(distance: float) -> float:
+        return excess(matrix(distance))
+
+    if growth(at * (1.0 - _limits.EARLIER)) <= 0.0 and growth(at * (1.0 + _limits.BESIDE)) > 0.0:
         return math.exp(sign * at), best.angle
+    # It may grow so slowly that rounding hides it next to the crossing.
+    low, high = at * (1.0 - _AWAY), at * (1.0 + _AWAY)
+    if max(growth(0.0), growth(low)) <= 0.0 < growth(high):
+        at = switch(growth, low, high)
+        return math.exp(sign * at), _limits.angle_of_change(matrix, at)
     loop = _multiloop.multiloop(*member.robot.matrices, member.robot.period)
     every = _limits.gain_factors(loci.angle, _limits.followed(loci.S))
     return _limits.gain_limit(loop, member.robot.matrices, every, up=up)

@@ -84,6 +84,13 @@ def multiloop(M: np.ndarray, N: np.ndarray, C: np.ndarray, period: float) -> Mul
         M, N, C: shape (n, n), (n, m), (m, n).
         period: T [s].
     """
+    loop = decomposed(M, N, C, period)
+    M, N, C = reduced((M, N, C), loop.kept)
+    return replace(loop, opened=scipy.linalg.eigvals(M - N @ C))
+
+
+def decomposed(M: np.ndarray, N: np.ndarray, C: np.ndarray, period: float) -> Multiloop:
+    """The same of any outputs, shape (rows, n); without the roots of the opened loop."""
     kept = joined((M, N, C))
     M, N, C = reduced((M, N, C), kept)
     balanced, (scale, _) = scipy.linalg.matrix_balance(M, permute=False, separate=True)
@@ -96,7 +103,7 @@ def multiloop(M: np.ndarray, N: np.ndarray, C: np.ndarray, period: float) -> Mul
         triangular=triangular,
         inputs=vectors.conj().T @ (N / scale[:, None]),
         outputs=(C * scale) @ vectors,
-        opened=scipy.linalg.eigvals(M - N @ C),
+        opened=np.zeros(0, complex),
         kept=kept,
         period=period,
         poles=np.zeros(0),
@@ -105,7 +112,7 @@ def multiloop(M: np.ndarray, N: np.ndarray, C: np.ndarray, period: float) -> Mul
     modal = _modal(loop, lasting)
     nearest = np.argsort(np.abs(np.abs(loop.roots) - 1.0), kind="stable")[:_CHECKED]
     angle = np.abs(np.angle(loop.roots[nearest]))
-    exact, found = sensitivity(loop, angle), sensitivity(modal, angle)
+    exact, found = response(loop, angle), response(modal, angle)
     size = np.abs(exact).max(axis=(1, 2), initial=1.0)
     accurate = np.abs(found - exact).max(axis=(1, 2), initial=0.0) <= _WRONG * size
     return modal if accurate.all() else loop
@@ -200,19 +207,27 @@ def states(loop: Multiloop, angle: float, force: np.ndarray) -> np.ndarray:
 
 def sensitivity(loop: Multiloop, angle: np.ndarray) -> np.ndarray:
     """S at w T = `angle` [rad], shape (k,): complex, shape (k, m, m)."""
+    return np.eye(loop.inputs.shape[1]) + response(loop, angle)
+
+
+def response(loop: Multiloop, angle: np.ndarray) -> np.ndarray:
+    """C (z I - M)^-1 N at w T = `angle` [rad], shape (k,): complex, shape (k, rows, m).
+
+    The rows of C may be other than as many as there are inputs.
+    """
     z = np.exp(1j * np.asarray(angle, float))
-    size, joints = loop.inputs.shape
+    (size, inputs), rows = loop.inputs.shape, len(loop.outputs)
     if loop.terms is not None:
-        moved = _features(loop, z) @ loop.terms.reshape(-1, joints * joints)
-        return np.eye(joints) + moved.reshape(-1, joints, joints)
-    chunk = max(1, _ENTRIES // (size * joints))
+        moved = _features(loop, z) @ loop.terms.reshape(-1, rows * inputs)
+        return moved.reshape(-1, rows, inputs)
+    chunk = max(1, _ENTRIES // (size * inputs))
     parts = []
     for part in (z[first : first + chunk] for first in range(0, len(z), chunk)):
-        right = np.broadcast_to(loop.inputs[:, None], (size, len(part), joints))
+        right = np.broadcast_to(loop.inputs[:, None], (size, len(part), inputs))
         solved = _solved(loop, part, right).reshape(size, -1)
-        back = (loop.outputs @ solved).reshape(joints, len(part), joints)
-        parts.append(np.eye(joints) + back.transpose(1, 0, 2))
-    return np.concatenate(parts) if parts else np.zeros((0, joints, joints), complex)
+        back = (loop.outputs @ solved).reshape(rows, len(part), inputs)
+        parts.append(back.transpose(1, 0, 2))
+    return np.concatenate(parts) if parts else np.zeros((0, rows, inputs), complex)
 
 
 def own_sensitivity(loop: Multiloop, angle: np.ndarray, joint: np.ndarray) -> np.ndarray:

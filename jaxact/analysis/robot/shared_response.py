@@ -13,6 +13,7 @@ H is evaluated once on a grid for all gains; what is left is a small system at e
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -25,7 +26,7 @@ from jaxact.analysis.robot.multiloop import Matrices, Multiloop
 
 # Differences of matrices that are the same but for rounding, as a share of their largest entry.
 _ROUNDING = 1e-9
-Delayed = Callable[[float], tuple[np.ndarray, np.ndarray]]
+Delayed = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,7 @@ class SharedResponse:
     """What loops with different gains share; m joints, n states.
 
     Attributes:
-        loop: with the reference gains, its m inputs followed by m that do nothing, its outputs the
-            measured positions and velocities.
+        loop: with the reference gains; its 2 m outputs are the measured positions and velocities.
         kp, kd: the reference gains, shape (m,) each.
         opened: the matrix without controllers, M0 - N C0, shape (n, n).
         inputs: N, shape (n, m).
@@ -42,7 +42,8 @@ class SharedResponse:
         roots: of `opened` without states that nothing moves or that move nothing.
         angle: grid of w T that all of them use [rad], rising, shape (k,).
         response: H there, shape (k, 2, m, m).
-        delayed: extra delay of all commands [s] -> `opened` and `inputs` with it.
+        delayed: extra delay of all commands [s] -> `opened` and `inputs` with it, and the places of
+            the states in them; those that nothing moves, or that move nothing, are left out.
     """
 
     loop: Multiloop
@@ -57,11 +58,15 @@ class SharedResponse:
     delayed: Delayed
 
     def later_by(self, C: np.ndarray) -> Callable[[float], Matrices]:
-        """Extra delay of all commands [s] -> M, N, C of the loop whose controllers are C."""
+        """Extra delay of all commands [s] -> M, N, C of the loop whose controllers are C.
+
+        States that nothing moves, or that move nothing, are left out.
+        """
 
         def matrices(extra: float) -> Matrices:
-            opened, inputs = self.delayed(extra)
-            return opened + inputs @ C, inputs, C
+            opened, inputs, kept = self.delayed(extra)
+            own = C[:, kept]
+            return opened + inputs @ own, inputs, own
 
         return matrices
 
@@ -78,8 +83,7 @@ class SharedResponse:
     def respond(self, angle: np.ndarray) -> np.ndarray:
         """H at w T [rad], shape (k, 2, m, m)."""
         joints = len(self.kp)
-        whole = _multiloop.sensitivity(self.loop, angle) - np.eye(2 * joints)
-        return whole[:, :, :joints].reshape(-1, 2, joints, joints)
+        return _multiloop.response(self.loop, angle).reshape(-1, 2, joints, joints)
 
     def sensitivity(
         self, kp: np.ndarray, kd: np.ndarray, angle: np.ndarray, response: np.ndarray | None = None
@@ -126,7 +130,7 @@ def shared_response(
     gains: np.ndarray,
     reference: np.ndarray,
     period: float,
-    delayed: Delayed,
+    delayed: Callable[[float], tuple[np.ndarray, np.ndarray]],
 ) -> SharedResponse:
     """What all loops of a robot share that differ in their gains only.
 
@@ -135,7 +139,7 @@ def shared_response(
         gains: kp and kd of both, shape (2 settings, 2, m), linearly independent of each joint.
         reference: kp and kd of the loop that H is of, shape (2, m).
         period: T [s].
-        delayed: see `SharedResponse`.
+        delayed: extra delay of all commands [s] -> M - N C and N with it, of all states.
     """
     (M, N, C), (_, _, other) = first, second
     opened = M - N @ C
@@ -145,12 +149,22 @@ def shared_response(
     kp, kd = reference
     M0 = opened - N @ (kp[:, None] * measured[0] + kd[:, None] * measured[1])
     joints = len(kp)
-    padded = np.concatenate([N, np.zeros_like(N)], axis=1)
-    loop = _multiloop.multiloop(M0, padded, np.concatenate(list(measured)), period)
+    outputs = np.concatenate(list(measured))
+    loop = _multiloop.decomposed(M0, N, outputs, period)
     kept = np.ix_(loop.kept, loop.kept)
     roots = scipy.linalg.eigvals(opened[kept])
     own = np.concatenate([loop.roots, roots])
     empty = np.zeros((0, 2, joints, joints), complex)
-    shared = SharedResponse(loop, kp, kd, opened, N, measured, roots, np.zeros(0), empty, delayed)
+
+    # Of all parts of a period that every loop tries, and of a Newton's method that is under way.
+    @functools.lru_cache(maxsize=64)
+    def reduced(extra: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        A, B = delayed(extra)
+        # Of any gains.
+        closed = np.abs(A) + np.abs(B) @ np.abs(measured).sum(axis=0)
+        places = _multiloop.joined((closed, B, outputs))
+        return A[np.ix_(places, places)], B[places], places
+
+    shared = SharedResponse(loop, kp, kd, opened, N, measured, roots, np.zeros(0), empty, reduced)
     angle = _multiloop.grid_of(roots, _multiloop.lowest(own))
     return replace(shared, angle=angle, response=shared.respond(angle))

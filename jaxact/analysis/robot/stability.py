@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -15,10 +16,10 @@ NEUTRAL = 1.5e-7
 DRIFT = 1e-5
 # Halvings of an interval that are worth as much as rounding.
 _HALVINGS = 44
-# Squarings of a matrix at most, and how large its powers P may become meanwhile. Rounding carries a
-# root of P^2 by at most its condition, which |P| bounds, times n u |P|^2: for 100 states 1e-2, far
-# below 1, which is what a root that does not decay keeps.
-_SQUARINGS, _LARGE, _SMALL = 16, 1e4, 0.1
+# Squarings of a matrix at most, how large a power is scaled anew, and how small one is gone.
+_SQUARINGS, _LARGE, _SMALL = 24, 64.0, 0.1
+# Unit of rounding.
+_UNIT = 0.5 * float(np.finfo(float).eps)
 
 # Which of some roots count, of shape (n,).
 Counted = Callable[[np.ndarray], np.ndarray]
@@ -47,16 +48,37 @@ def excess(M: np.ndarray, counted: Counted = all_roots) -> float:
 def decays(M: np.ndarray) -> bool:
     """Whether powers of a matrix become small, which shows that all its roots are inside the unit
     circle for a part of the cost of computing them; where they do not, nothing is said.
+
+    Rounding carries a root of P^2, P = M^j, by at most its condition times n u |P|^2; the condition
+    of one on the unit circle is no larger than the powers are. What a root may have moved by so far
+    is counted in shares of j periods, and must be less than what the powers have decayed by.
     """
-    power, _ = scipy.linalg.matrix_balance(M, permute=False)
+    power = _balanced(M)
+    size = _size(power)
+    largest, moved, share = 1.0, 0.0, 1.0
     for _ in range(_SQUARINGS):
-        power = power @ power
-        size = float(np.max(np.sum(np.abs(power), axis=1)))
-        if size < _SMALL:
-            return True
-        if not size < _LARGE:
+        if size > _LARGE:  # in other units it may be small
+            power = _balanced(power)
+            size = _size(power)
+        largest, share = max(largest, size), 0.5 * share
+        moved += share * largest * size**2 * len(M) * _UNIT
+        if not moved < share:
             return False
+        power = power @ power
+        size = _size(power)
+        if size < _SMALL and -share * np.log(max(size, _UNIT)) > moved:
+            return True
     return False
+
+
+def _balanced(M: np.ndarray) -> np.ndarray:
+    """The matrix in units in which its rows and columns are of like size."""
+    return scipy.linalg.lapack.dgebal(M, scale=1)[0]
+
+
+def _size(M: np.ndarray) -> float:
+    """The largest sum of magnitudes of a row."""
+    return float(scipy.linalg.lapack.dlange("1", M.T))
 
 
 def drifting(roots: np.ndarray) -> np.ndarray:
@@ -82,6 +104,7 @@ def switch(growth: Callable[[float], float], low: float, high: float) -> float:
     """
     from scipy.optimize import brentq  # slow to import
 
+    @functools.cache
     def finite(at: float) -> float:
         return min(growth(at), 1.0)
 
