@@ -21,8 +21,7 @@ import numpy as np
 
 from jaxact.analysis.robot.multiloop import Multiloop, sensitivity
 
-# Sweeps at most, and by which share one may change the scaling that is the last.
-_SWEEPS, _CALM = 12, 1e-3
+_SWEEPS = 12
 _TINY = 1e-150
 # Relative accuracy of the bound: where it is reported, and while its peak is looked for.
 _ACCURACY, _SEARCH = 1e-9, 1e-4
@@ -35,11 +34,12 @@ SHY = 0.2
 CENTRED, DAMPED = 0.3, 0.25
 
 
-def balanced(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def balanced(H: np.ndarray, settled: float = 1e-9) -> tuple[np.ndarray, np.ndarray]:
     """Osborne's scaling, a few sweeps: D H D^-1 has rows and columns of nearly equal size.
 
     Args:
         H: complex, shape (k, m, m).
+        settled: the last sweep is one that changes D by no more than this share.
 
     Returns:
         sigma_max(D H D^-1), shape (k,), and the diagonals of D, shape (k, m).
@@ -59,7 +59,7 @@ def balanced(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             size[:, joint, :] *= np.sqrt(ratio)[:, None]
             size[:, :, joint] /= np.sqrt(ratio)[:, None]
             scale[:, joint] *= ratio**0.25
-        if (np.abs(scale - before) <= _CALM * before).all():
+        if (np.abs(scale - before) <= settled * before).all():
             break
     scaled = H * (scale[:, :, None] / scale[:, None, :])
     return np.linalg.svd(scaled, compute_uv=False)[:, 0], scale

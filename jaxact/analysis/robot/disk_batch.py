@@ -15,6 +15,8 @@ from jaxact.analysis.robot.summits import summits
 # Accuracy of the bound, where it is reported and while its peak is looked for.
 _ACCURACY, _SEARCH = 1e-9, 1e-4
 _TINY = 1e-150
+# Share to which a scaling is settled that is only begun with, or only bounds what is looked at.
+_ROUGH = 1e-3
 # Grid points that are looked at in one go.
 _ROUND = 4
 
@@ -28,7 +30,7 @@ def bounds(H: np.ndarray, accuracy: float = _ACCURACY) -> np.ndarray:
         H: complex, shape (k, m, m).
         accuracy: relative.
     """
-    first, scale = disk.balanced(H)
+    first, scale = disk.balanced(H, _ROUGH)
     joints = H.shape[-1]
     best = np.ones(len(H))
     going = np.flatnonzero(first > 0.0) if joints > 1 else np.zeros(0, int)
@@ -131,10 +133,11 @@ def _highest(S: list[np.ndarray], plain: list[np.ndarray]) -> np.ndarray:
     """The grid point of the largest bound of each loop, but for the accuracy of the search."""
     shifted = [part - 0.5 * np.eye(part.shape[-1]) for part in S]
     tops = [int(np.argmax(size)) for size in plain]
-    _, scales = disk.balanced(np.stack([P[top] for P, top in zip(shifted, tops, strict=True)]))
+    highest = np.stack([P[top] for P, top in zip(shifted, tops, strict=True)])
+    _, scales = disk.balanced(highest, _ROUGH)
     above = [_above(*own) for own in zip(shifted, plain, scales, strict=True)]
     found = np.zeros(len(S))
-    highest = np.zeros(len(S), int)
+    best = np.zeros(len(S), int)
     looked = [np.zeros(len(part), bool) for part in shifted]
     rough = [np.zeros(0, bool)] * len(S)
     while True:
@@ -143,18 +146,19 @@ def _highest(S: list[np.ndarray], plain: list[np.ndarray]) -> np.ndarray:
             ahead = np.flatnonzero((size > found[loop]) & ~looked[loop])
             if ahead.size and found[loop] and not rough[loop].any():
                 # Osborne's bound is nearer than one scaling for all.
-                size[ahead] = np.minimum(size[ahead], disk.balanced(shifted[loop][ahead])[0])
+                nearer, _ = disk.balanced(shifted[loop][ahead], _ROUGH)
+                size[ahead] = np.minimum(size[ahead], nearer)
                 rough[loop] = np.ones(1, bool)
                 ahead = ahead[size[ahead] > found[loop]]
             first = ahead[np.argsort(-size[ahead])[: _ROUND if found[loop] else 1]]
             looked[loop][first] = True
             places += [(loop, int(place)) for place in first]
         if not places:
-            return highest
+            return best
         values = bounds(np.stack([shifted[loop][place] for loop, place in places]), _SEARCH)
         for (loop, place), value in zip(places, values, strict=True):
             if value > found[loop]:
-                found[loop], highest[loop] = value, place
+                found[loop], best[loop] = value, place
 
 
 def _above(P: np.ndarray, plain: np.ndarray, scale: np.ndarray) -> np.ndarray:
