@@ -259,7 +259,6 @@ OF_ROBOTS = {SETPOINT: 0.0, REST_AMPLITUDE: math.nan}
 ROBOT_ONLY = (PAYLOAD, INERTIA_SCALE, JOINT_ARMATURE, JOINT_FRICTION, CONTACT_FRICTION)
 # What makes a joint more than a bare mass. A robot has the springs of its model, and no others.
 OF_JOINT = (JOINT_DAMPING, JOINT_STIFFNESS)
-JOINT_ONLY = (JOINT_STIFFNESS,)
 # What changes the model of a plant that MuJoCo simulates.
 OF_PLANT = (*ROBOT_ONLY, *OF_JOINT)
 # Delays within the loop, of which only the sum counts; and all.

@@ -28,7 +28,7 @@ from jaxact.drive.options import Drive, DriveOptions
 from jaxact.drive.step import Force
 from jaxact.errors import UserError
 from jaxact.loops import loop as _loop
-from jaxact.loops.control_loop import ControlLoop, is_traced
+from jaxact.loops.control_loop import ControlLoop, demand, is_traced
 from jaxact.loops.conversion import drive_of
 from jaxact.loops.longest import fitting
 from jaxact.loops.loop import Loop, LoopState, Output, Prepared
@@ -280,11 +280,7 @@ def _demand_loop(name: str, loop: Any) -> None:
     """Raise UserError for what is not a loop, and for robots whose batch would pass for joints."""
     if isinstance(loop, Drive):
         return
-    if not isinstance(loop, ControlLoop):
-        raise UserError(
-            f"{name}: a {type(loop).__name__} is not a loop; give one from jaxact.joint(...), "
-            "jaxact.robot(...) or an identification's .loop"
-        )
+    demand(loop, name)
     if loop.kind.plant is not None and loop.shape:
         raise UserError(
             f"{name}: a batch of robots of shape {loop.shape}; give one (several: jax.vmap; "

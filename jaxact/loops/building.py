@@ -133,6 +133,11 @@ def robot(
     Raises:
         UserError: there is no such file, and as `jaxact.joint`.
     """
+    if not isinstance(model, str | os.PathLike):
+        raise UserError(
+            f"model: a value of type {type(model).__name__} is not the path of a file; give "
+            "that of an MJCF or URDF file"
+        )
     path = Path(model)
     if not path.is_file():
         raise UserError(f"{path}: no such model file; give an MJCF or URDF file")

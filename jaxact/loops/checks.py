@@ -14,7 +14,8 @@ from jaxact.parameters import (
     CONTROL_RATE,
     DELAY,
     DELAYS,
-    JOINT_ONLY,
+    JOINT_STIFFNESS,
+    MASS,
     NO_LOAD_SPEED,
     OUTPUT_DELAY,
     POLICY_RATE,
@@ -31,13 +32,17 @@ from jaxact.parameters import (
     of,
 )
 
-SPRINGS_OF_MODEL = "a robot's springs are those of its model"
 # Longest history of a signal that a loop keeps, in control periods.
 LONGEST_HISTORY = 4096
 # The filter of the differenced velocity, and the sensor of the sampled one.
 OF_VELOCITY = (
     VELOCITY_FILTER, VELOCITY_RESOLUTION, VELOCITY_NOISE, VELOCITY_BIAS, VELOCITY_BIAS_WALK,
 )  # fmt: skip
+# What only a single joint has, and where a robot has it.
+JOINT_ONLY = {
+    JOINT_STIFFNESS: "a robot's springs are those of its model",
+    MASS: "a robot's masses are those of its model; payload and inertia_scale change them",
+}
 # Most physics steps of one rollout.
 MOST_STEPS = 100_000_000
 FEWEST_CONTROL_PERIODS = 10
@@ -93,7 +98,7 @@ def _check_robot_only(specification: Specification, axes: dict[str, Axis]) -> No
             raise UserError("unit: only for a single joint; a robot's joints have their own")
         for name in (*specification.parameters, *axes):
             if base(name) in JOINT_ONLY:
-                raise UserError(f"{name}: only for a single joint; {SPRINGS_OF_MODEL}")
+                raise UserError(f"{name}: only for a single joint; {JOINT_ONLY[base(name)]}")
         return
     for name in (*specification.parameters, *axes):
         if "@" in name or name in ROBOT_ONLY:

@@ -20,11 +20,10 @@ import jax
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.loops.checks import OF_VELOCITY, SPRINGS_OF_MODEL, check_velocity
+from jaxact.loops.checks import JOINT_ONLY, OF_VELOCITY, check_velocity
 from jaxact.loops.specification import Motion, Plant, Push, Specification
 from jaxact.parameters import (
     INERTIA,
-    JOINT_ONLY,
     MASS,
     PARAMETERS,
     PRESETS,
@@ -76,7 +75,7 @@ class Kind:
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)[:-1]}
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class ControlLoop:
     """A closed control loop, or a batch of them; made by `jaxact.joint` and `jaxact.robot`.
 
@@ -153,6 +152,20 @@ class ControlLoop:
             names = np.array(kind.names, dtype=object).reshape(shape)[index]
             kind = dataclasses.replace(kind, names=tuple(np.ravel(names).tolist()))
         return dataclasses.replace(self, values=picked, kind=kind)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the other is a loop of the same kind with the same values; traced, itself."""
+        if not isinstance(other, ControlLoop):
+            return NotImplemented
+        if is_traced(self) or is_traced(other):
+            return self is other
+        own, others = self.values, other.values
+        return self.kind == other.kind and own.keys() == others.keys() and all(
+            np.array_equal(value, others[name]) for name, value in own.items()
+        )  # fmt: skip
+
+    # Arrays have no hash.
+    __hash__ = None  # type: ignore[assignment]
 
     def __len__(self) -> int:
         """Length of the batch along its first axis."""
@@ -265,9 +278,11 @@ def _checked(name: str, value: Any, *, robot: bool) -> Any:
     if not robot and ("@" in name or name in ROBOT_ONLY):
         raise UserError(f"`{name}`: only a robot has it; make one with jaxact.robot(model, ...)")
     if robot and base(name) in JOINT_ONLY:
-        raise UserError(f"`{name}`: only for a single joint; {SPRINGS_OF_MODEL}")
+        raise UserError(f"`{name}`: only for a single joint; {JOINT_ONLY[base(name)]}")
     if isinstance(value, jax.core.Tracer):
         return value
+    if value is None:
+        raise UserError(f"`{name}` = None is not a number or array of numbers; leave it out")
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
@@ -284,6 +299,24 @@ def _checked(name: str, value: Any, *, robot: bool) -> Any:
     if not array.ndim:
         return float(array)
     return value if isinstance(value, jax.Array) else array
+
+
+def demand(loop: Any, name: str = "loop") -> None:
+    """Raise UserError for what is not a loop.
+
+    Args:
+        loop: what was given for one.
+        name: of the argument.
+    """
+    if isinstance(loop, ControlLoop):
+        return
+    several = isinstance(loop, list | tuple) and all(isinstance(one, ControlLoop) for one in loop)
+    raise UserError(
+        f"{name}: several loops are one with several values, e.g. jaxact.joint(kp=[100, 400])"
+        if several and loop
+        else f"{name}: a value of type {type(loop).__name__} is not a loop; give one from "
+        "jaxact.joint(...), jaxact.robot(...) or an identification's .loop"
+    )
 
 
 def is_traced(loop: ControlLoop) -> bool:

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
+from jaxact.errors import UserError
 from jaxact.plotting import theme, wording
 from jaxact.plotting.page import column, lines, page
 from jaxact.plotting.response import LoopResponse, curve_styles, decibel, frequency_axis, number
@@ -97,6 +98,8 @@ def _dress(magnitude: Axes, phase: Axes, responses: Sequence[LoopResponse]) -> N
     magnitude.axhline(0.0, color=theme.INK, linewidth=0.9, zorder=2)
     levels = np.concatenate([decibel(r.open_loop) for r in responses])
     levels = levels[np.isfinite(levels)]
+    if not levels.size:
+        raise UserError("the open loop is zero: with no gains there is nothing to draw")
     magnitude.set_ylim(max(levels.min(), -80.0) - 4.0, min(levels.max(), 120.0) + 4.0)
     magnitude.yaxis.set_major_locator(MultipleLocator(20.0))
     magnitude.set_ylabel("|L| [dB]")

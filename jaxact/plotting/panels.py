@@ -254,7 +254,7 @@ def _select(dataset: xr.Dataset, select: Mapping[str, str]) -> xr.Dataset:
 
 def _kind(kind: Kind | None, drawn: bool, many: list[str], y: str | None) -> Kind:
     if not many:
-        raise UserError("this sweep has a single loop: nothing to draw along; see jaxact simulate")
+        raise UserError("this sweep has a single loop: nothing to draw along; simulate it instead")
     if kind is None:
         if drawn:
             return "scatter"
@@ -288,7 +288,7 @@ def _axes(
         x = queue.pop(0)
     if y is None and kind != "lines":
         if not queue:
-            raise UserError(f"a {kind} needs two swept parameters; use `kind` lines")
+            raise UserError(f"a {kind} needs two swept parameters; draw lines instead")
         y = queue.pop(0)
     if kind == "lines" and y is None:
         short = [n for n in free if n != x and len(_distinct(swept[n])) <= MOST_SERIES]

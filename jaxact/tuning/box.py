@@ -39,6 +39,8 @@ _REFUSED = {
     "nothing of its amount; sweep it instead",
 }
 _ASCENTS = 24
+# Nobody knows a parameter so badly that it is surely this many times what it is taken for.
+_FAR = 5.0
 
 Rise = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Points of the unit box (n, d) -> values (n,) and slopes (n, d)."""
@@ -177,6 +179,11 @@ def read_box(text: str, varied: Collection[str], *, patterns: bool = False) -> B
             raise UserError(f"`uncertainty` {part}: the lower end is above the upper")
         if factors[0] and (low < 0.0 or (always and low == 0.0)):
             raise UserError(f"`uncertainty` {part}: must be positive")
+        if always and not (low < _FAR and high > 1.0 / _FAR):
+            raise UserError(
+                f"`uncertainty` {part}: these are factors on the nominal {base(name)}, no values of"
+                " it; write e.g. 0.8..1.2"
+            )
         if not factors[0]:
             check(name, low, f"`uncertainty` {name}")
         ranges.append(Range(name, low, high, factors[0]))

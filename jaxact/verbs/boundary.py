@@ -9,9 +9,9 @@ from jaxact.analysis.boundary.boundary import (
     continuous_boundary,
     sampled_boundary,
 )
-from jaxact.errors import UserError
+from jaxact.errors import UserError, shown
 from jaxact.loops import conversion
-from jaxact.loops.control_loop import ControlLoop
+from jaxact.loops.control_loop import ControlLoop, demand
 from jaxact.parameters import CONTROL_RATE, KD, KP, MASS, OF_JOINT, VELOCITY_FILTER, WN, ZETA
 
 Window = tuple[float, float]
@@ -38,8 +38,9 @@ def boundary(
         The curves; `separates` of each says whether it bounds the stable region.
 
     Raises:
-        UserError: a batch of loops, a robot, or an empty window.
+        UserError: a batch of loops, a robot, what is not a loop, or an empty window.
     """
+    demand(loop)
     if loop.kind.plant is not None:
         raise UserError("the boundary in closed form is that of a joint; sweep a robot's gains")
     conversion.linear_specification(loop)  # what does not fit is said here
@@ -60,7 +61,12 @@ def _window(name: str, given: Window | None, own: float) -> Window:
         if not own > 0.0:
             raise UserError(f"{name} = {own:g}: give the window of {name} as (low, high)")
         return own / _AROUND, own * _AROUND
-    low, high = map(float, given)
+    try:
+        low, high = map(float, given)
+    except (TypeError, ValueError):
+        low = high = float("nan")
     if not (-float("inf") < low < high < float("inf")):
-        raise UserError(f"{name} = {given}: a window is (low, high), both finite, low < high")
+        raise UserError(
+            f"{name} = {shown(given)}: a window is (low, high), both finite, low < high"
+        )
     return low, high

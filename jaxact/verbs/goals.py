@@ -24,12 +24,14 @@ def goal_of(goal: str | Goal, bounds: dict[str, Any]) -> Goal:
     Raises:
         UserError: an unknown name or bound, one that makes no sense, or a file that does not fit.
     """
-    known = {field.name for field in dataclasses.fields(Goal)}
+    known = [field.name for field in dataclasses.fields(Goal)]
     for name, value in bounds.items():
         if name not in known:
             raise UserError(f"{name}: unknown bound of a goal; {nearest(name, known)}")
         if isinstance(value, float) and math.isnan(value):
             raise UserError(f"`{name}`: nan is not a bound")
+        if isinstance(getattr(Goal, name), float) and not _is_number(value):
+            raise UserError(f"`{name}`: {shown(value)} is not a number")
     if isinstance(goal, Goal):
         return check(dataclasses.replace(goal, **bounds))
     name, colon, file = goal.partition(":")
@@ -41,6 +43,15 @@ def goal_of(goal: str | Goal, bounds: dict[str, Any]) -> Goal:
     if name == "disk-margin":
         own.setdefault("max_peak", math.inf)
     return check(Goal(objective=name, **own))
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, str | bool) or np.ndim(value):
+        return False
+    try:
+        return not math.isnan(float(value))
+    except (TypeError, ValueError):
+        return False
 
 
 def _reference(path: Path) -> tuple[tuple[float, ...], float]:

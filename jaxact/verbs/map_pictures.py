@@ -224,6 +224,11 @@ def _arranged(
     facet: Sequence[str] = (),
 ) -> tuple[Arrangement, xr.Dataset]:
     """How a sweep lies on panels, and the sweep on an even grid."""
+    if not isinstance(maps, xr.Dataset) or "specification" not in maps.attrs:
+        raise UserError(
+            f"maps: a value of type {type(maps).__name__} that is not a sweep's; give the "
+            "dataset of jaxact.sweep(...) or jaxact.load_result(...), with its attributes"
+        )
     maps = even_grid.resampled(maps) if even_grid.refined(maps) else maps
     picked = _picked(select)
     part = thinning.thinned(_panels.part_of(maps, picked))
@@ -237,6 +242,8 @@ def _picked(select: Select | None) -> dict[str, str]:
 
 def _axes(arrangement: Arrangement, ax: Axes | None, axes: Sequence[Axes] | None) -> list[Axes]:
     """An axes for each panel: those given, or of a new figure."""
+    if ax is not None and axes is not None:
+        raise UserError("ax, axes: give one of the two, `ax` for a single map")
     given = [ax] if ax is not None else None if axes is None else list(np.ravel(np.array(axes)))
     if given is None:
         grid = pyplot.subplots(arrangement.rows, arrangement.columns, sharex=True, sharey=True,

@@ -12,7 +12,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxact import files
-from jaxact.parameters import CONTROL_RATE, LINEAR, MASS, mass_word, of
+from jaxact.loops import conversion
+from jaxact.parameters import (
+    CONTROL_RATE,
+    JOINT_DAMPING,
+    JOINT_STIFFNESS,
+    KD,
+    KP,
+    LINEAR,
+    MASS,
+    WN,
+    ZETA,
+    mass_word,
+    of,
+)
 from jaxact.plotting.wording import quantity
 from jaxact.verbs import naming
 from jaxact.verbs.rendering import rendered, table
@@ -47,6 +60,9 @@ Metrics = Mapping[str, np.ndarray]
 """Metrics of loops by name, shape (n,) each; phase margins in degrees."""
 
 
+_DISTANCE = "log_gain_to_boundary"
+
+
 def text(loop: ControlLoop, found: Mapping[str, Metrics]) -> str:
     """The table of a loop's margins, or of a batch's.
 
@@ -55,7 +71,21 @@ def text(loop: ControlLoop, found: Mapping[str, Metrics]) -> str:
         found: by the prefix of their names, "" or "sampled_".
     """
     loops = naming.named(loop)
-    return tables(loops.labels, loops.values[CONTROL_RATE], found)
+    shown = {prefix: _of_factors(loops.values, own) for prefix, own in found.items()}
+    return tables(loops.labels, loops.values[CONTROL_RATE], shown)
+
+
+def _of_factors(values: Mapping[str, np.ndarray], metrics: Metrics) -> Metrics:
+    """The metrics, with -inf for the distance where no common factor on the gains stabilises.
+
+    It is then that of slowing the loop down, see `jaxact.analysis.joint.margins.Margins`, which a
+    reader of a table would take for a factor.
+    """
+    servo = 2.0 * values[ZETA] / values[WN]
+    beyond = values[KD] <= values[KP] * (conversion.total_delay(values) + servo)
+    bare = (values[JOINT_DAMPING] == 0.0) & (values[JOINT_STIFFNESS] == 0.0)
+    distance = np.where(beyond & bare & ~metrics["stable"], -np.inf, metrics[_DISTANCE])
+    return {**metrics, _DISTANCE: distance}
 
 
 def dataset(loop: ControlLoop, metrics: Metrics) -> xr.Dataset:

@@ -20,7 +20,7 @@ from jaxact.compilation import filling
 from jaxact.compilation.programs import Program
 from jaxact.errors import UserError
 from jaxact.loops import conversion
-from jaxact.loops.control_loop import ControlLoop, is_traced
+from jaxact.loops.control_loop import ControlLoop, demand, is_traced
 from jaxact.parameters import CONTROL_RATE, KP
 from jaxact.reportable import Reportable
 from jaxact.verbs import margin_tables, notebook
@@ -176,15 +176,17 @@ def margins(
         The margins; printed, they are the command line's table.
 
     Raises:
-        UserError: parameters that do not fit each other; of a robot also what its model lacks.
+        UserError: what is not a loop, parameters that do not fit each other; of a robot also what
+            its model lacks.
         TypeError: a traced delay of a sampled loop without `max_delay_steps`, or a traced robot.
     """
+    demand(loop)
+    if sampled not in (False, True, "both"):
+        raise UserError(f"sampled = {sampled!r}; allowed: False, True, 'both'")
     if loop.kind.plant is not None:
         from jaxact.verbs import margins_of_robot
 
         return margins_of_robot.margins_of_robot(loop, engine)
-    if sampled not in (False, True, "both"):
-        raise UserError(f"sampled = {sampled!r}; allowed: False, True, 'both'")
     if sampled == "both":
         return BothMargins(_one(loop, False, None), _one(loop, True, max_delay_steps))
     return _one(loop, bool(sampled), max_delay_steps)

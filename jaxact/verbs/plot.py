@@ -15,7 +15,7 @@ from matplotlib import pyplot
 from matplotlib.axes import Axes
 
 from jaxact.errors import UserError
-from jaxact.loops.control_loop import ControlLoop
+from jaxact.loops.control_loop import ControlLoop, demand
 from jaxact.parameters import KD, KP, of
 from jaxact.plotting import bode as _bode
 from jaxact.plotting import nyquist as _nyquist
@@ -105,14 +105,23 @@ def _curves(
     draw: Callable[..., None],
 ) -> Sequence[Axes]:
     drawn = _responses(loop, sampled)
-    axes = pyplot.subplots(2, 1, sharex=True)[1] if axes is None else axes
+    axes = pyplot.subplots(2, 1, sharex=True)[1] if axes is None else _several(axes, 2)
     draw(axes, drawn, [response.label for response in drawn])
     if legend:
         axes[0].legend(fontsize=_SMALL)
     return axes
 
 
+def _several(axes: Any, number: int) -> Sequence[Axes]:
+    """The axes that were given, where they are so many."""
+    if np.shape(np.array(axes, dtype=object)) != (number,):
+        raise UserError(f"axes: this picture has {number} of them; give a list of as many")
+    given: Sequence[Axes] = axes
+    return given
+
+
 def _responses(loop: ControlLoop, sampled: bool) -> list[LoopResponse]:
+    demand(loop)
     if loop.kind.plant is not None:
         raise UserError(
             "this picture is of a joint's loop; of a robot, see jaxact.plot.robot_margins(...)"
@@ -155,6 +164,7 @@ def trajectory(
     if axes is None:
         heights = {"height_ratios": _trajectory.HEIGHTS}
         axes = pyplot.subplots(3, 1, sharex=True, gridspec_kw=heights)[1]
+    axes = _several(axes, 3)
     _trajectory.draw(axes, _run(one), units=_units(one))
     return axes
 
@@ -171,6 +181,7 @@ def step(
         axes: of position and force.
         legend: name the loops.
     """
+    _demand_run(run)
     one = run if "joint" not in run.dims else _picked(run, joint)
     many = [dim for dim in one.position.dims if dim != "time"]
     flat = one.stack(number=many, create_index=False) if many else one.expand_dims("number")
@@ -183,10 +194,20 @@ def step(
     if axes is None:
         heights = {"height_ratios": _step.HEIGHTS}
         axes = pyplot.subplots(2, 1, sharex=True, gridspec_kw=heights)[1]
+    axes = _several(axes, 2)
     _step.draw(axes, drawn, labels, units=_units(one))
     if legend:
         axes[0].legend(fontsize=_SMALL)
     return axes
+
+
+def _demand_run(run: Any) -> None:
+    """Raise UserError for what has no trajectories."""
+    if not isinstance(run, xr.Dataset) or "position" not in run or "time" not in run.dims:
+        raise UserError(
+            f"run: a value of type {type(run).__name__} without trajectories; give the dataset of "
+            "jaxact.simulate(...)"
+        )
 
 
 def _picked(run: xr.Dataset, joint: str | None) -> xr.Dataset:
@@ -197,6 +218,7 @@ def _picked(run: xr.Dataset, joint: str | None) -> xr.Dataset:
 
 
 def _one_joint(run: xr.Dataset, joint: str | None) -> xr.Dataset:
+    _demand_run(run)
     one = _picked(run, joint) if "joint" in run.dims else run
     if one.position.dims != ("time",):
         raise UserError("this picture is of one loop; pick one, e.g. run.isel(delay=0)")

@@ -10,7 +10,7 @@ import numpy as np
 from jaxact.engines import best_precision
 from jaxact.errors import UserError
 from jaxact.loops import conversion
-from jaxact.loops.control_loop import ControlLoop
+from jaxact.loops.control_loop import ControlLoop, demand
 from jaxact.loops.samples import Samples
 from jaxact.simulation import engines, single
 from jaxact.status import Verdict
@@ -59,6 +59,7 @@ def simulate(
         UserError: parameters that do not fit each other, or a robot that cannot be simulated.
         TypeError: the loop is traced.
     """
+    demand(loop)
     if setpoint is not None:
         loop = loop.replace(setpoint=setpoint)
     found = runs(loop, duration=duration, engine=engine, precision=precision, seed=seed)
@@ -78,7 +79,7 @@ def runs(
     Args:
         loop, duration, engine, precision, seed: as for `simulate`.
     """
-    options: dict[str, Any] = {"duration": float(duration), "seed": seed}
+    options: dict[str, Any] = {"duration": duration, "seed": seed}
     if engine is not None:
         options["engine"] = engine
     options["precision"] = precision or best_precision(engine)

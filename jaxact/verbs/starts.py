@@ -2,9 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from jaxact.loops import conversion
+from jaxact.parameters import (
+    CONTROL_RATE,
+    GAIN_SCALE,
+    JOINT_DAMPING,
+    JOINT_STIFFNESS,
+    KD,
+    KP,
+    WN,
+    ZETA,
+)
 
 if TYPE_CHECKING:
     from jaxact.simulation.single import Single, Start
@@ -83,7 +96,29 @@ def advice(run: Single) -> str:
             "Perturbations of joints that move grow; from every start that was tried dry friction "
             "ended the motion, which it may not after a harder push, or where there is less of it."
         )
+    if verdict == Verdict.UNSTABLE and run.trajectory.configuration is None:  # of a joint
+        return _of_unstable_joint(run.values) or verdict.advice
     return verdict.advice
+
+
+def _of_unstable_joint(values: Mapping[str, float]) -> str | None:
+    """What helps where lower gains do not; None where they may.
+
+    Rigidly m s^2 + c s + k + (kp + kd s)(1 - lag s) has the stiffness kp + k and, without
+    damping of its own, the damping kd - kp lag.
+    """
+    scale, k = values[GAIN_SCALE], values[JOINT_STIFFNESS]
+    kp, kd = scale * values[KP], scale * values[KD]
+    if kp + k <= 0.0:
+        return (
+            "Nothing holds the joint at its setpoint: kp and its own stiffness are together not "
+            "above 0; raise kp."
+        )
+    servo = 2.0 * values[ZETA] / values[WN] if np.isfinite(values[WN]) else 0.0
+    lag = conversion.total_delay(values) + servo + 0.5 / values[CONTROL_RATE]
+    if k == 0.0 and values[JOINT_DAMPING] == 0.0 and kd <= kp * lag:
+        return "Perturbations grow, at lower gains too: raise kd against kp, or shorten the delay."
+    return None
 
 
 def _on_its_way(run: Single) -> bool:

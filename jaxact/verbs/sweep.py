@@ -18,7 +18,7 @@ from jaxact import engines
 from jaxact.errors import UserError
 from jaxact.loops import reading
 from jaxact.loops.axes import Axis, read_axis
-from jaxact.loops.control_loop import ControlLoop, is_traced
+from jaxact.loops.control_loop import ControlLoop, demand, is_traced
 from jaxact.loops.conversion import described, preset_axis
 from jaxact.loops.specification import Sampling, Specification
 from jaxact.parameters import PARAMETERS, WN, ZETA, canonical, known
@@ -108,8 +108,9 @@ def sweep(
             comes of it is kept for the next. None: nothing is measured.
         progress: show a bar on a terminal and in a notebook; or a function that is called with the
             numbers of loops done and in all.
-        axes: parameter, by either name, or `actuator` -> what it is varied over: a list, an array,
-            or a range from `jaxact.log` or `jaxact.linear`.
+        axes: parameter, by either name, or `actuator` -> what it is varied over: a list, a tuple or
+            an array of its values, each of them a loop, or a range from `jaxact.log` or
+            `jaxact.linear`: `kp=(100, 400)` are two values, not what lies between them.
 
     Returns:
         The results as the command line keeps them: growth rate, verdict and metrics over the axes
@@ -159,6 +160,8 @@ def _asked(
     """The checked specification of a sweep."""
     if isinstance(loop, ControlLoop):
         return _of_loop(loop, axes, options, sampling)
+    if not isinstance(loop, Specification | str | os.PathLike):
+        demand(loop)
     own = loop if isinstance(loop, Specification) else reading.load(Path(loop))
     drawn = own.sampling if sampling is None else sampling
     varied = {axis.name: axis for axis in own.axes} | _read(axes, drawn)

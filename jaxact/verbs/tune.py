@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxact.errors import UserError, shown
 from jaxact.loops import conversion, drives
-from jaxact.loops.control_loop import ControlLoop
+from jaxact.loops.control_loop import ControlLoop, demand
 from jaxact.loops.drives import IdentifiedDrive
 from jaxact.parameters import (
     CONTROL_RATE,
@@ -80,11 +80,12 @@ def tune(
             than.
         goal: "stiffness" (largest kp), "bandwidth", "disk-margin", "settling", "tracking:FILE" (a
             CSV file of time [s], setpoint [m]), or a `jaxact.tuning.goal.Goal`.
-        uncertainty: parameter -> (low, high) of what is not known: wn and zeta as factors, mass
-            [kg] and delays [s] as they are; of a robot also payload [kg], inertia_scale, ...; or
-            as the command line writes it; or an identified drive, for the 95 % intervals of all
-            that the loop has from it. Of a joint also a batch of loops, such as the `samples` of
-            what was identified; their gains do not count.
+        uncertainty: parameter -> (low, high), the ends of the range in which it lies (where
+            `jaxact.sweep` takes a list of values): wn and zeta as factors, mass [kg] and delays [s]
+            as they are; of a robot also payload [kg], inertia_scale, ...; or as the command line
+            writes it; or an identified drive, for the 95 % intervals of all that the loop has from
+            it. Of a joint also a batch of loops, such as the `samples` of what was identified;
+            their gains do not count.
         samples: of the uncertainty, beside its corners and its worst interior point; None: 32, of a
             robot 8.
         sampled: of a joint, whether the margins are those of the sampled loop; None: where the loop
@@ -116,7 +117,13 @@ def tune(
         TypeError: the loop is traced.
     """
     asked = goal_of(goal, bounds)
-    loops = [loop] if isinstance(loop, ControlLoop) else list(loop)
+    one = isinstance(loop, ControlLoop) or not isinstance(loop, Iterable)
+    loops: list[Any] = [loop] if one else list(loop)
+    if one:
+        demand(loop)
+    for name, number, least in (("starts", starts, 0), ("steps", steps, 1)):
+        if number is not None and not (isinstance(number, int | np.integer) and number >= least):
+            raise UserError(f"`{name}` {shown(number)}: give a whole number from {least}")
     if not loops or not all(isinstance(one, ControlLoop) for one in loops):
         raise UserError("loop: give one loop, or a list of loops of a robot in its postures")
     if front and not 2 <= front <= MOST_PEAKS:

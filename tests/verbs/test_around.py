@@ -149,8 +149,11 @@ def test_shapes_that_do_not_fit_are_said_in_one_line(loop, joints, setpoint, mea
         ({"physics_step": "1ms"}, "physics_step: '1ms' is not a physics step"),
         ({"joints": 0}, "joints: 0 is not a number of joints; give 1 or more"),
         ({"joints": 2.0}, "joints: 2.0 is not a number of joints"),
-        ({"loop": {"kp": 8.0}}, "loop: a dict is not a loop; give one from jaxact.joint"),
-        ({"longest": {"kp": 8.0}}, "longest: a dict is not a loop"),
+        (
+            {"loop": {"kp": 8.0}},
+            "loop: a value of type dict is not a loop; give one from jaxact.joint",
+        ),
+        ({"longest": {"kp": 8.0}}, "longest: a value of type dict is not a loop"),
     ],
 )
 def test_what_is_no_loop_or_no_number_is_said_in_one_line(given, said):

@@ -1,5 +1,8 @@
 """What `simulate` says of a loop's starts."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from jaxact.simulation.single import Joint, Single, Start
@@ -10,7 +13,8 @@ from jaxact.verbs import starts
 def _run(verdict, growth_rate, *starts):
     made = tuple(Start(name, end, moving, not moving, 0.0, 0.0) for name, end, moving in starts)
     results = {"verdict": float(verdict), "growth_rate": growth_rate}
-    return Single(None, results, {}, (Joint("hip", True),), made)
+    of_robot = SimpleNamespace(configuration=np.zeros((1, 1)))
+    return Single(of_robot, results, {}, (Joint("hip", True),), made)
 
 
 @pytest.mark.parametrize(

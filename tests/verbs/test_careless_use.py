@@ -1,0 +1,99 @@
+"""What a hurried person gives the verbs: a line that says what to do, never a wrong answer."""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxact as jx
+
+LOOP = jx.joint(mass=0.7, kp=400, kd=20, actuator="starleth", delay=1e-3)
+NOTHING_HELPS = LOOP.replace(kp=4000)  # kd/kp is below the lag
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [jx.margins, jx.boundary, jx.simulate, jx.tune, jx.plot.bode, jx.plot.nyquist,
+     lambda loop: jx.sweep(loop, kp=[100.0])],
+    ids=["margins", "boundary", "simulate", "tune", "bode", "nyquist", "sweep"],
+)  # fmt: skip
+def test_what_is_not_a_loop_is_said_in_one_line(verb):
+    with pytest.raises(jx.UserError, match="loop: a value of type int is not a loop; give one"):
+        verb(3)
+
+
+def test_a_list_of_loops_is_one_loop_with_several_values():
+    with pytest.raises(jx.UserError, match=r"several values, e.g. jaxact.joint\(kp=\[100, 400\]\)"):
+        jx.margins([LOOP, LOOP])
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: LOOP.replace(kp=None), "`kp` = None is not a number"),
+        (lambda: jx.boundary(LOOP, kp=100), "kp = 100: a window is"),
+        (lambda: jx.boundary(LOOP, kp=(1, 10, 100)), r"kp = \(1, 10, 100\): a window is"),
+        (lambda: jx.boundary(LOOP, kd=jx.log(1, 10)), "kd = .*: a window is"),
+        (lambda: jx.simulate(LOOP, 0.1, "1 s"), "duration = '1 s'; allowed: a number"),
+        (lambda: jx.margins(LOOP, sampled="yes"), "sampled = 'yes'; allowed"),
+        (lambda: jx.tune(LOOP, max_peak="1.6"), "`max_peak`: '1.6' is not a number"),
+        (lambda: jx.tune(LOOP, max_peak=None), "`max_peak`: None is not a number"),
+        (lambda: jx.tune(LOOP, steps=-1), "`steps` -1: give a whole number from 1"),
+        (lambda: jx.tune(LOOP, uncertainty={"wn": (90, 130)}), "factors on the nominal wn"),
+        (lambda: jx.robot(object()), "model: a value of type object is not the path of a file"),
+        (lambda: jx.plot.stability_map(3), "maps: a value of type int"),
+        (lambda: jx.plot.stability_map(LOOP), "maps: a value of type ControlLoop"),
+        (lambda: jx.plot.step(LOOP), "run: a value of type ControlLoop without trajectories"),
+        (lambda: jx.plot.bode(LOOP, axes=[None]), "axes: this picture has 2 of them"),
+        (lambda: jx.plot.bode(LOOP.replace(kp=0, kd=0)), "the open loop is zero"),
+    ],
+)  # fmt: skip
+def test_slips_are_said_in_one_line(call, said):
+    with pytest.raises(jx.UserError, match=said) as raised:
+        call()
+    assert "\n" not in str(raised.value)
+
+
+def test_a_robot_does_not_swallow_a_mass(tmp_path):
+    model = tmp_path / "arm.xml"
+    model.write_text("<mujoco/>")
+    with pytest.raises(jx.UserError, match="mass.*masses are those of its model; payload"):
+        jx.robot(model, mass=3, kp=80, kd=2)
+
+
+def test_batches_can_be_compared():
+    batch = jx.joint(kp=[100, 400], kd=20)
+    assert batch == jx.joint(kp=np.array([100.0, 400.0]), kd=20.0)
+    assert batch != jx.joint(kp=[100, 401], kd=20)
+    assert batch != jx.joint(kp=[100, 400])
+    assert batch != jx.joint(kp=[100, 400], kd=20, velocity="differenced")
+    assert batch != 3 and batch[0] == jx.joint(kp=100, kd=20)
+    assert jax.jit(lambda kp: 1.0 * (LOOP.replace(kp=kp) == LOOP))(400.0) == 0.0
+
+
+def test_no_factor_is_printed_where_no_factor_helps():
+    """Held against the stability of the loop at other factors."""
+    factors = np.geomspace(1e-4, 1.0, 40)
+    many = LOOP.replace(kp=4000 * factors, kd=20 * factors)
+    assert not np.any(jx.margins(many).stable)
+    assert "log gain to boundary -∞" in " ".join(str(jx.margins(NOTHING_HELPS)).split())
+    helped = jx.margins(LOOP.replace(kp=2000, kd=100))
+    factor = float(np.exp(helped.log_gain_to_boundary))
+    for around, stable in ((0.99, True), (1.01, False)):
+        there = LOOP.replace(kp=2000 * factor * around, kd=100 * factor * around)
+        assert jx.margins(there).stable == stable
+    assert f"{helped.log_gain_to_boundary:.4g}".replace("-", "") in str(helped)
+
+
+@pytest.mark.parametrize(
+    ("loop", "said"),
+    [
+        (LOOP.replace(kp=0, kd=0), "raise kp"),
+        (LOOP.replace(kp=0), "raise kp"),
+        (LOOP.replace(joint_stiffness=-500), "raise kp"),
+        (NOTHING_HELPS, "raise kd against kp"),
+        (LOOP.replace(kp=2000, kd=100), "lower the gains"),
+    ],
+    ids=["no gains", "no kp", "toppling", "no damping", "too stiff"],
+)
+def test_the_advice_helps(loop, said):
+    assert said in " ".join(jx.simulate(loop, 0.1, 0.5).report.split())
