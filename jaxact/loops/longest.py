@@ -40,8 +40,8 @@ def fitting(drive: Drive, longest: Drive, given: DriveOptions) -> Drive:
         return drive
     controller = drive.controller
     fits = _fits(drive, given)
-    gains = {name: jnp.where(fits, getattr(controller, name), jnp.nan) for name in ("kp", "kd")}
-    return replace(drive, controller=replace(controller, **gains))
+    kp, kd = (jnp.where(fits, gain, jnp.nan) for gain in (controller.kp, controller.kd))
+    return replace(drive, controller=replace(controller, kp=kp, kd=kd))
 
 
 def _traced(value: Any) -> bool:
