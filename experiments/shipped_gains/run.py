@@ -132,7 +132,8 @@ def borne(found: WholeRobot) -> dict[str, Any]:
     known = found.delay_borne
     return {
         "delay": plain(known.delay), "frequency": plain(known.frequency),
-        "joint": found.robot.names[int(np.argmax(known.participation))],
+        # Legs that are alike have shares that are alike but for rounding: the first of them.
+        "joint": found.robot.names[int(np.argmax(np.round(known.participation, 6)))],
         "friction_left_out": found.left_out,
     }  # fmt: skip
 

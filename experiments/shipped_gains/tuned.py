@@ -117,5 +117,6 @@ def _borne(robot: Robot, model: Path, rate: float) -> dict[str, Any]:
     known = found.delay_borne
     return {
         "delay": models.plain(known.delay), "frequency": models.plain(known.frequency),
-        "joint": found.robot.names[int(np.argmax(known.participation))],
+        # Legs that are alike have shares that are alike but for rounding: the first of them.
+        "joint": found.robot.names[int(np.argmax(np.round(known.participation, 6)))],
     }  # fmt: skip
