@@ -17,7 +17,7 @@ precision = "float64"
 duration = 0.24
 {options}
 [parameters]
-mass = 0.7
+{mass}
 actuator = "starleth"
 delay = 0.004
 control_rate = 500
@@ -61,7 +61,8 @@ def plain_loop(setpoints, every, late):
 
 
 def simulated(options="", parameters="", folder=None):
-    text = SPECIFICATION.format(options=options, parameters=parameters)
+    mass = "" if "[plant]" in parameters else f"mass = {MASS}"  # the robot has its own
+    text = SPECIFICATION.format(options=options, parameters=parameters, mass=mass)
     folder = folder or Path.cwd()
     path = folder / "loop.toml"
     path.write_text(text)

@@ -124,8 +124,11 @@ def test_what_is_named_rounds_and_is_not_ours_stays(tmp_path):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_while_a_command_is_imported_is_one_line(number):
+    # Where the tests run without a terminal (`nohup`, a shell's background job) it is ignored.
+    taken = "signal.default_int_handler" if number == signal.SIGINT else "signal.SIG_DFL"
     code = (
-        "import os, sys\n"
+        "import os, signal, sys\n"
+        f"signal.signal({int(number)}, {taken})\n"
         "class Sends:\n"
         "    def find_spec(self, name, *_):\n"
         f"        if name == 'jaxact.errors': os.kill(os.getpid(), {int(number)})\n"

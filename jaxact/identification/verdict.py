@@ -116,11 +116,12 @@ def judge(ladder: Ladder) -> Verdict:
             "its rows are too far apart for its loop; log faster, or state the control"
             " rate if it is theirs"
         )
-    if reasons:
-        reasons = [*_opposed(ladder), *reasons]
+    # Of signals that contradict each other, no model is usable, whatever it fits by chance.
+    contradictions = _opposed(ladder) if reasons else []
+    reasons = [*contradictions, *reasons]
     if not reasons:
         level = Level.GOOD
-    elif below is not None and score > _LEAST_SCORE:
+    elif below is not None and score > _LEAST_SCORE and not contradictions:
         level = Level.USABLE
     else:
         level = Level.NOT_ENOUGH
