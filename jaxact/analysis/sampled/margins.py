@@ -16,7 +16,7 @@ from jaxact.analysis.joint.distance import counted_distance, static_factor
 from jaxact.analysis.joint.margins import Margins
 from jaxact.analysis.sampled.period_map import SampledLoop
 from jaxact.analysis.sampled.pulse import PulseTransfer, plant_response, pulse_transfer
-from jaxact.analysis.sampled.roots import dominant_modulus, sampled_roots
+from jaxact.analysis.sampled.roots import count_unstable, dominant_modulus, sampled_roots
 from jaxact.analysis.sampled.search import (
     GAIN_SLOTS,
     PHASE_SLOTS,
@@ -95,8 +95,7 @@ def _margins_of_one(loop: SampledLoop, max_delay_steps: int) -> SampledMargins:
     constant = jax.lax.stop_gradient((loop, transfer))
     found = search(*constant, max_delay_steps)
     roots = sampled_roots(constant[0], max_delay_steps)
-    # What is not inside the unit circle counts, and so does what is not a number.
-    count = jnp.sum(~(jnp.abs(roots) < 1.0)).astype(jnp.int32)
+    count = count_unstable(constant[0], roots)
     return _assemble(loop, transfer, found, dominant_modulus(loop, transfer, roots), count)
 
 
@@ -148,7 +147,7 @@ def _assemble(
     # At z = -1 the response is real: a single root crosses there, whatever the slope.
     present = jnp.concatenate([found.phase_present, at_phase[-1:].real < 0])
     log_factor = -jnp.log(jnp.abs(at_phase))
-    stable = radius < 1.0
+    stable = (radius < 1.0) & (count == 0)
     if loop.sprung:
         log_factor, moved, present = _with_rest(loop, transfer, log_factor, direction, present)
         theta_phase = jnp.append(theta_phase, 0.0)

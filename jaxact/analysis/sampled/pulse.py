@@ -131,17 +131,47 @@ def plant_response(transfer: PulseTransfer, u: Any, s: Any, hold: Any) -> tuple[
         s: 1 - u, computed without cancellation: 2 j sin(theta / 2) exp(-j theta / 2).
         hold: u^{d+1}.
     """
-    q0, q1, r2 = transfer.servo[0], transfer.servo[1], transfer.servo[2]
-    servo = q0 + s * (q1 + s * r2)
-    if transfer.joint is None:
-        rigid, single = s * s, s
-    else:
-        rigid = single = transfer.joint[0] + s * (transfer.joint[1] + s * transfer.joint[2])
+    servo, rigid, single = _denominators(transfer, s)
     position = hold * polynomial(transfer.position, u) / (rigid * servo)
     if not transfer.differenced:
         return position, hold * polynomial(transfer.velocity, u) / (single * servo)
     pole = transfer.pole
     return position, position * s / transfer.period * (1.0 - pole) / (1.0 - pole + pole * s)
+
+
+def characteristic(transfer: PulseTransfer, kp: Any, kd: Any, z: Any) -> Any:
+    """1 + kp Gp(z) + kd Gv(z) times the denominators of both: zero at every closed-loop root z.
+
+    Also at those of a joint of its own, which no gain moves where both are 0.
+
+    Args:
+        transfer: of one plant.
+        kp: gain [N/m].
+        kd: gain [N s/m].
+        z: complex, not 0.
+    """
+    u = 1.0 / z
+    s = 1.0 - u
+    servo, rigid, single = _denominators(transfer, s)
+    hold = u ** (transfer.steps + 1.0)
+    position = hold * polynomial(transfer.position, u)
+    if transfer.differenced:
+        pole = transfer.pole
+        lowpass = 1.0 - pole + pole * s
+        rate = position * s / transfer.period * (1.0 - pole)
+        return (rigid * servo + kp * position) * lowpass + kd * rate
+    velocity = hold * polynomial(transfer.velocity, u)
+    return rigid * servo + kp * position + kd * velocity * (s if transfer.joint is None else 1.0)
+
+
+def _denominators(transfer: PulseTransfer, s: Any) -> tuple[Any, Any, Any]:
+    """Of the servo, of the joint's position, and of its velocity."""
+    q0, q1, r2 = transfer.servo[0], transfer.servo[1], transfer.servo[2]
+    servo = q0 + s * (q1 + s * r2)
+    if transfer.joint is None:
+        return servo, s * s, s
+    own = transfer.joint[0] + s * (transfer.joint[1] + s * transfer.joint[2])
+    return servo, own, own
 
 
 def polynomial(coefficients: Any, u: Any) -> Any:
