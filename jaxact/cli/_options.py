@@ -17,6 +17,8 @@ from jaxact.errors import UserError, nearest, shown
 
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 _SIDES = "│┃|"
+# Options that are called otherwise than the library's parameter.
+_OTHERWISE = {"front": "pareto"}
 _RULE = re.compile(r"[─━═_-]{8,}")
 
 
@@ -38,12 +40,14 @@ def typed(text: str, verb: str) -> str:
     """Parameters in backquotes, as the library names them, as options of a verb.
 
     A `name` becomes --name, a `name="value"` --name value; of what is not an option, the second
-    becomes --set name=value.
+    becomes --set name=value, as TOML writes it.
     """
     names = _names(verb)
 
     def option(found: re.Match[str]) -> str:
         name, value = found.groups()
+        name = _OTHERWISE.get(name, name)
+        value = value.lower() if value in ("True", "False") else value
         if name in names:
             return "--" + name.replace("_", "-") + (f" {value}" if value else "")
         return f"--set {name}={value}" if value else found[0]

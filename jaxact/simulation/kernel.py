@@ -63,7 +63,6 @@ class Case:
         duration: simulated time [s].
         model: digest of the compiled model, empty for the built-in one: a file edited since then
             is another model.
-        own_mass: the samples' mass is given to the model.
         varied: changes of a robot's model that differ between samples.
         step: physics step of a robot [s]; 0 for the built-in plants.
         growth: how the growth rate is measured.
@@ -76,7 +75,6 @@ class Case:
     masked: bool
     duration: float
     model: str = ""
-    own_mass: bool = True
     varied: tuple[str, ...] = ()
     step: float = 0.0
     growth: GrowthOptions = field(default_factory=GrowthOptions)
@@ -167,7 +165,7 @@ def _plant_of(case: Case, template: Template, values: Values) -> Any:
     if case.engine.exact:
         own = (values[name] if name in case.varied else None for name in OF_JOINT)
         return Mass(values[MASS], *own)
-    plant = template.plant.with_mass(values[MASS]) if case.own_mass else template.plant
+    plant = template.plant if case.engine.robot else template.plant.with_mass(values[MASS])
     if not case.varied:
         return plant
     from jaxact.plants.variation import Variation

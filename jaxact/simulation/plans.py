@@ -25,7 +25,6 @@ from jaxact.parameters import (
     CONTROL_RATE,
     INITIAL_POSITION,
     INITIAL_VELOCITY,
-    MASS,
     OF_PLANT,
     SETPOINT,
     base,
@@ -216,7 +215,6 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
         masked=bool(np.any(np.ceil(specification.duration * rates - 1e-4) < ticks)),
         duration=specification.duration,
         model=kernel.model_digest(specification.setting),
-        own_mass=not engine.robot or MASS in varied,
         varied=tuple(name for name in OF_PLANT if name in changed),
         step=1.0 / (fastest * count) if engine.robot else 0.0,
         growth=_growth(

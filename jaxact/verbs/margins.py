@@ -184,6 +184,8 @@ def margins(
     if sampled not in (False, True, "both"):
         raise UserError(f"sampled = {sampled!r}; allowed: False, True, 'both'")
     if loop.kind.plant is not None:
+        if sampled == "both":
+            raise UserError("sampled = 'both' is of a joint; a robot's margins are sampled")
         from jaxact.verbs import margins_of_robot
 
         return margins_of_robot.margins_of_robot(loop, engine)

@@ -182,7 +182,7 @@ def step(
         legend: name the loops.
     """
     _demand_run(run)
-    one = run if "joint" not in run.dims else _picked(run, joint)
+    one = _picked(run, joint)
     many = [dim for dim in one.position.dims if dim != "time"]
     flat = one.stack(number=many, create_index=False) if many else one.expand_dims("number")
     rows = [flat.isel(number=number) for number in range(flat.sizes["number"])]
@@ -211,6 +211,10 @@ def _demand_run(run: Any) -> None:
 
 
 def _picked(run: xr.Dataset, joint: str | None) -> xr.Dataset:
+    if "joint" not in run.dims:
+        if joint is not None:
+            raise UserError(f"joint = {joint!r}: the run is of a single joint; leave it out")
+        return run
     names = [str(name) for name in run.joint.values]
     if joint is not None and joint not in names:
         raise UserError(f"joint = {joint!r}: the driven joints are {', '.join(names)}")
@@ -219,7 +223,7 @@ def _picked(run: xr.Dataset, joint: str | None) -> xr.Dataset:
 
 def _one_joint(run: xr.Dataset, joint: str | None) -> xr.Dataset:
     _demand_run(run)
-    one = _picked(run, joint) if "joint" in run.dims else run
+    one = _picked(run, joint)
     if one.position.dims != ("time",):
         raise UserError("this picture is of one loop; pick one, e.g. run.isel(delay=0)")
     return one

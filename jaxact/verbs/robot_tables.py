@@ -150,7 +150,7 @@ def _head(label: str, found: WholeRobot) -> str:
         lines.append(
             f"MuJoCo's integrator has positions {1e3 * ahead:.3g} ms ahead of velocities, as no "
             "robot has them, which changes the delay margin by up to as much; "
-            "`integrator_correction=true` takes it back"
+            "`integrator_correction=True` takes it back"
         )
     if found.residual > RESIDUAL:
         lines.append(

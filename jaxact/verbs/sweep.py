@@ -7,7 +7,7 @@ import dataclasses
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -223,16 +223,17 @@ def _read(axes: Mapping[str, Any], sampling: Sampling | None) -> dict[str, Axis]
             raise UserError(
                 f"{given}: unknown parameter; {nearest(given, (*PARAMETERS, 'actuator'))}"
             )
-        listed = value if isinstance(value, dict) else _listed(value)
+        listed = value if isinstance(value, dict) else _listed(given, value)
         ranged = isinstance(value, dict) and "num" not in value
         found[name] = read_axis(name, listed, sampled=sampling is not None and ranged)
     return found
 
 
-def _listed(value: Any) -> list[Any]:
-    if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
-        return value if isinstance(value, list) else np.ravel(np.asarray(value)).tolist()
-    return np.ravel(np.asarray(value)).tolist()
+def _listed(name: str, value: Any) -> list[Any]:
+    nested = isinstance(value, list | tuple) and any(np.ndim(one) for one in value)
+    if nested or np.ndim(value) > 1:
+        raise UserError(f"{name}: an axis is a list of values, not of lists")
+    return value if isinstance(value, list) else np.ravel(np.asarray(value)).tolist()
 
 
 @contextlib.contextmanager

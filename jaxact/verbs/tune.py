@@ -126,10 +126,10 @@ def tune(
             raise UserError(f"`{name}` {shown(number)}: give a whole number from {least}")
     if not loops or not all(isinstance(one, ControlLoop) for one in loops):
         raise UserError("loop: give one loop, or a list of loops of a robot in its postures")
-    if front and not 2 <= front <= MOST_PEAKS:
-        raise UserError(f"`pareto` {front}: give between 2 and {MOST_PEAKS} points")
+    if front and not (isinstance(front, int | np.integer) and 2 <= front <= MOST_PEAKS):
+        raise UserError(f"`front` {shown(front)}: give between 2 and {MOST_PEAKS} points")
     if front and tracking_weight:
-        raise UserError("`pareto`: cannot be combined with `tracking_weight`")
+        raise UserError("`front`: cannot be combined with `tracking_weight`")
     if not isinstance(uncertainty, str | Mapping | ControlLoop):
         uncertainty = intervals(drives.taken(uncertainty), loops[0])
     unsure = _ranges(uncertainty) if isinstance(uncertainty, Mapping) else uncertainty

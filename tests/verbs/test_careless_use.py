@@ -37,6 +37,11 @@ def test_a_list_of_loops_is_one_loop_with_several_values():
         (lambda: jx.margins(LOOP, sampled="yes"), "sampled = 'yes'; allowed"),
         (lambda: jx.tune(LOOP, max_peak="1.6"), "`max_peak`: '1.6' is not a number"),
         (lambda: jx.tune(LOOP, max_peak=None), "`max_peak`: None is not a number"),
+        (lambda: jx.tune(LOOP, front=-1), "`front` -1: give between 2 and"),
+        (lambda: jx.tune(LOOP, front=2.5), "`front` 2.5: give between 2 and"),
+        (lambda: jx.sweep(LOOP, delay=[[0, 1e-3], [0]]), "delay: an axis is a list of values"),
+        (lambda: jx.sweep(LOOP, kp=np.ones((2, 2))), "kp: an axis is a list of values"),
+        (lambda: jx.plot.step(jx.simulate(LOOP, 0.1, 0.01), joint="knee"), "run is of a single"),
         (lambda: jx.tune(LOOP, steps=-1), "`steps` -1: give a whole number from 1"),
         (lambda: jx.tune(LOOP, uncertainty={"wn": (90, 130)}), "factors on the nominal wn"),
         (lambda: jx.robot(object()), "model: a value of type object is not the path of a file"),
@@ -58,6 +63,17 @@ def test_a_robot_does_not_swallow_a_mass(tmp_path):
     model.write_text("<mujoco/>")
     with pytest.raises(jx.UserError, match="mass.*masses are those of its model; payload"):
         jx.robot(model, mass=3, kp=80, kd=2)
+
+
+def test_a_robot_has_no_margins_in_continuous_time(tmp_path):
+    model = tmp_path / "arm.xml"
+    model.write_text(
+        '<mujoco><worldbody><body name="link"><joint name="hinge" type="hinge" axis="0 1 0"/>'
+        '<geom size=".1" mass="1" pos="0 0 .1"/></body></worldbody>'
+        '<actuator><motor joint="hinge"/></actuator></mujoco>'
+    )
+    with pytest.raises(jx.UserError, match="sampled = 'both' is of a joint"):
+        jx.margins(jx.robot(model, kp=80, kd=2), sampled="both")
 
 
 def test_batches_can_be_compared():
