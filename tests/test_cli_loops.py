@@ -283,6 +283,7 @@ def test_margins_know_of_the_filter_in_continuous_time_and_sampled(capsys):
 FILTER = 'velocity = "differenced"\n[axes]\nvelocity_filter = [300.0]\n'
 
 
+@pytest.mark.exhaustive
 def test_a_file_says_which_velocity_and_what_linear_loops_leave_out(capsys, tmp_path):
     file = tmp_path / "sweep.toml"
     file.write_text(f"{FILTER}control_rate = [2000]\n[parameters]\nforce_limit = 9\n")

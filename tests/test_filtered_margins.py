@@ -195,6 +195,7 @@ def test_marginal_gains_are_roots_on_the_axis_and_limits_lie_on_them(wn, zeta, d
             assert (int(counted(loop)) > 0) == bool(expected)
 
 
+@pytest.mark.exhaustive
 def test_a_slow_filter_takes_most_of_the_gain_margin():
     """2.44 becomes 1.38 with a filter of 300 rad/s: what a loop's margins say must know of it."""
     values = (80.0, 1.5, 0.02, 300.0, 0.7, 0.002)

@@ -74,6 +74,7 @@ def test_what_a_log_of_every_twentieth_row_says_is_not_taken_for_known(log, cont
     assert "rows are too far apart" in verdict.sentence
 
 
+@pytest.mark.exhaustive
 def test_rows_that_show_all_of_the_loop_are_believed(log):
     known = _climbed(log, "delay, viscous").chosen.knowledge
     assert known.identified

@@ -144,6 +144,7 @@ def test_a_robot_takes_what_its_model_has_not_yet(found, folder):
     assert less.startswith("frictionloss of .*") and "not the 0.5 of arm.xml" in less
 
 
+@pytest.mark.exhaustive
 def test_the_report_has_every_drive_of_the_robot(found, tmp_path):
     text = jx.report(found, tmp_path / "drives.html").text
     data = json.loads(re.search(r'id="data">(.*?)</script>', text)[1])

@@ -10,6 +10,8 @@ import jaxact as jx
 from jaxact.tuning.report import toml_text
 from jaxact.verbs import tuning_front
 
+pytestmark = pytest.mark.exhaustive
+
 HOSTILE = '<script>alert(1)</script> \\"it\'s\\" <b>'
 LARGEST = 1_000_000  # bytes
 
@@ -126,7 +128,6 @@ def test_a_robots_gains_are_refused_with_what_to_report_instead(tmp_path):
     assert not (tmp_path / "robot.html").exists()
 
 
-@pytest.mark.exhaustive
 @in_browser
 def test_gains_without_others_before_stand_alone(page, tmp_path):
     loop = jx.joint(actuator="starleth", delay=1e-3, control_rate=500)

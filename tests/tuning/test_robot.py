@@ -96,6 +96,7 @@ def _fine(loops, index, kp, kd, points=4000):
     return np.linalg.norm(S, 2, axis=(1, 2)), np.linalg.norm(np.eye(len(kp)) - S, 2, axis=(1, 2))
 
 
+@pytest.mark.exhaustive
 def test_every_loop_meets_its_bounds_on_a_fine_grid_and_some_reach_them(tuned):
     assert tuned.certified and tuned.feasible
     highest = np.array(
@@ -107,11 +108,13 @@ def test_every_loop_meets_its_bounds_on_a_fine_grid_and_some_reach_them(tuned):
     assert tuned.certificate.corners == 8 and len(tuned.members) >= 16
 
 
+@pytest.mark.exhaustive
 def test_brute_force_finds_no_better(tuned):
     assert tuned.certificate.gap < 2e-3
     assert tuned.value == pytest.approx(np.sqrt(tuned.kp[0] * tuned.kp[1]))
 
 
+@pytest.mark.exhaustive
 def test_random_points_of_the_box_meet_the_bounds_too(arm, tuned):
     situations, box = arm
     fraction = np.random.default_rng(0).uniform(size=(12, len(box)))
@@ -177,6 +180,7 @@ def test_one_joint_gets_the_gains_of_the_single_joint(folder):
     assert damped[np.argmin(peak[best])] == pytest.approx(kd, rel=2e-3)
 
 
+@pytest.mark.exhaustive
 def test_gains_are_never_worse_than_the_start(arm, tuned):
     situations, _ = arm
     again = robot.tune(
@@ -249,6 +253,7 @@ def test_a_group_of_all_shares_its_gains(known):
     assert tuned.certified and tuned.kp[0] == tuned.kp[1] and tuned.certificate.gap < 2e-3
 
 
+@pytest.mark.exhaustive
 def test_smooth_peaks_become_the_exact_ones(arm, tuned):
     """In float32, and where no peak lies between two frequencies of the table."""
     from jaxact.tuning.robot import smooth
