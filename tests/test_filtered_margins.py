@@ -10,6 +10,7 @@ import theory
 from gain_limits import continuous_limits
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.analysis.boundary.boundary import continuous_boundary
 from jaxact.analysis.joint.frequency import JointLoop, loop_response, phase

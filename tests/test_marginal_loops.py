@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
+from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
 from jaxact.analysis.sampled.period_map import SampledLoop

@@ -18,6 +18,7 @@ pytest.importorskip("mujoco_playground", reason="needs jaxact[playground]; `make
 from ml_collections import config_dict
 from mujoco_playground._src import mjx_env, registry
 from mujoco_playground._src.wrapper import wrap_for_brax_training
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.environments import playground
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from command_line import jaxact
+from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
 from jaxact.errors import UserError

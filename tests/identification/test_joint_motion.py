@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 from scipy.integrate import solve_ivp
 
 from jaxact.drive import step as drive_step

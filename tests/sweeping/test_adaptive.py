@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from exact import growth_rate as exact_growth_rate
+from quickly import compiled_quickly as compiled_quickly
 from synthetic_store import fake_plan
 from test_resume import contents
 

@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 from synthetic_store import run
 
 from jaxact.cli.main import main

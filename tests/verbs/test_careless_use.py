@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
 

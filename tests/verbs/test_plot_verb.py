@@ -4,6 +4,7 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib import pyplot
+from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
 from jaxact.errors import UserError

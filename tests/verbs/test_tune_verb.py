@@ -6,6 +6,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 from robots import QUADRUPED
 
 import jaxact as jx
