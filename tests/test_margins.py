@@ -334,6 +334,7 @@ def test_derivatives_of_an_ideal_actuator_are_finite():
     np.testing.assert_array_equal(jacobian[:, 3:5], 0.0)
 
 
+@pytest.mark.exhaustive
 def test_the_distance_is_smooth_through_the_boundary():
     """Its gradient is the same just inside and just outside."""
     margin = evaluate(PAPER[:, 8:9]).gain_margin[0]  # StarlETH, 5 ms

@@ -21,7 +21,8 @@ def _with(whole, **changes):
     return replace(whole, signals={n: rows for n, rows in signals.items() if rows is not None})
 
 
-@pytest.mark.parametrize("recorded", (True, pytest.param(False, marks=pytest.mark.exhaustive)))
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("recorded", [True, False])
 def test_a_command_at_its_limit_for_most_of_the_rows(recorded):
     logs = [_joint(1, 40, limit=0.5), _joint(2, 70, limit=0.5)]
     held = np.abs(logs[0]["command"]) > 0.499

@@ -155,6 +155,7 @@ def test_what_is_copied_gives_the_same_margins(page, report, tmp_path):
     assert command.startswith("jaxact margins --kp 400 --kd 20") and "--delay 0.002" in command
 
 
+@pytest.mark.exhaustive
 def test_the_boundary_is_where_python_has_it(page, report, loop):
     page.open(report)
     of_page = """(kind) => {
