@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxact.analysis.joint.margins import Margins
@@ -21,7 +22,7 @@ from jaxact.compilation.programs import Program
 from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop, demand, is_traced
-from jaxact.parameters import CONTROL_RATE, KP
+from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KP, LINEAR, PARAMETERS
 from jaxact.reportable import Reportable
 from jaxact.verbs import margin_tables, notebook
 
@@ -161,7 +162,9 @@ def margins(
         jaxact.margins(jaxact.joint(actuator="starleth", delay=[0, 1e-3, 5e-3])).delay_margin
 
     Exact for any delay. Computed in float64 whatever JAX's own precision is; where the caller
-    traces (jit, vmap, grad) in the caller's precision, and differentiable by every parameter.
+    traces (jit, vmap, grad) in the caller's precision, and differentiable by every parameter. What
+    is traced cannot be refused: where it is out of its bounds nothing is known, all metrics are
+    NaN, `stable` is False and `unstable_roots` -1.
 
     Args:
         loop: from `jaxact.joint` or `jaxact.robot`. A robot is linearised at its posture and judged
@@ -208,6 +211,32 @@ def _one(loop: ControlLoop, sampled: bool, steps: int | None) -> LoopMargins:
 
 def _traced(loop: ControlLoop, sampled: bool, steps: int | None) -> Margins | SampledMargins:
     values = loop.broadcast().parameters
+    found = _traced_metrics(loop, values, sampled, steps)
+    known = _within_bounds(values)
+    kind = SampledMargins if sampled else Margins
+
+    def if_known(name: str) -> jax.Array:
+        value = getattr(found, name)
+        other = -1 if name == "unstable_roots" else False if value.dtype == bool else jnp.nan
+        return jnp.where(known, value, other)
+
+    return kind(**{field.name: if_known(field.name) for field in fields(kind)})
+
+
+def _within_bounds(values: Mapping[str, jax.Array]) -> jax.Array:
+    """Where every parameter is what it may be; traced ones cannot be refused."""
+    known = jnp.asarray(True)
+    for name in (*LINEAR, GAIN_SCALE, CONTROL_RATE):
+        bounds = PARAMETERS[name]
+        value = values[name]
+        inside = (value >= bounds.minimum) & (value <= bounds.maximum)
+        known = known & (inside | (bounds.infinite & (value == jnp.inf)))
+    return known
+
+
+def _traced_metrics(
+    loop: ControlLoop, values: Mapping[str, jax.Array], sampled: bool, steps: int | None
+) -> Margins | SampledMargins:
     if not sampled:
         return _continuous_margins(conversion.continuous(values))
     if steps is None:

@@ -114,3 +114,22 @@ def test_no_factor_is_printed_where_no_factor_helps():
 )
 def test_the_advice_helps(loop, said):
     assert said in " ".join(jx.simulate(loop, 0.1, 0.5).report.split())
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_traced_values_out_of_their_bounds_give_no_margins(sampled):
+    def found(mass, delay):
+        loop = LOOP.replace(mass=mass, delay=delay)
+        return jx.margins(loop, sampled=sampled, max_delay_steps=2 if sampled else None).metrics
+
+    masses = np.array([0.7, -0.7, np.nan, 0.7, 0.7])
+    delays = np.array([1e-3, 1e-3, 1e-3, -1e-3, np.nan])
+    with jax.enable_x64():
+        own = jax.jit(jax.vmap(found))(masses, delays)
+    assert own.stable.tolist() == [True, *[False] * 4]
+    assert own.unstable_roots.tolist() == [0, *[-1] * 4]
+    expected = jx.margins(LOOP, sampled=sampled)
+    for name in ("gain_margin", "delay_margin", "sensitivity_peak", "log_gain_to_boundary"):
+        values = getattr(own, name)
+        assert values[0] == pytest.approx(float(getattr(expected, name)), rel=1e-9)
+        assert np.isnan(values[1:]).all()
