@@ -151,7 +151,7 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: Sequence[np.
     last = _finely(case, rough)
     course.points += last
     best = min([*rough, *last], key=Found.rank)
-    if not best.met:
+    if not best.met and not best.out_of_reach:
         course.phase("looking around what comes nearest")
         last.append(polished(case, closer(case, best.x, course)))
         best = min(best, last[-1], key=Found.rank)
@@ -181,7 +181,7 @@ def _finely(case: RobotCase, rough: list[Found]) -> list[Found]:
     found: list[Found] = []
     for one in few:
         found.append(polished(case, one.x))
-        if found[-1].met:
+        if found[-1].met or found[-1].out_of_reach:
             break
     return found
 

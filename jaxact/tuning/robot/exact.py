@@ -25,6 +25,8 @@ from jaxact.tuning.robot.rows import RobotCase, excess
 # Peaks on the grid below this share of the highest are not refined: the grid, made of the roots,
 # misses a few per cent of a peak at most.
 _LOW = 0.7
+# Components of a unit vector this near each other are level.
+_LEVEL = 1e-6
 # Ascent on the uncertainty: starts, steps, frequencies, and step of the difference quotients.
 _STARTS, _ASCENTS, _BAND, _STEP = 4, 10, 24, 1e-4
 
@@ -62,6 +64,29 @@ def exact(loops: OpenLoops, kp: np.ndarray, kd: np.ndarray, metrics: tuple[str, 
         for name, (value, at) in peaks_of.items():
             log[name][index], angle[name][index] = value, at
     return Exact(growth < 0.0, log, growth, angle)
+
+
+def leading(
+    loops: OpenLoops, known: Exact, kp: np.ndarray, kd: np.ndarray, metric: str, index: int
+) -> int:
+    """Number of the joint with the largest part in a loop's peak of a metric.
+
+    That is the largest component of u, where sigma u = X v with the largest singular value of X
+    (`jaxact.tuning.robot.peaks`) at the peak; of joints that are level, the first.
+
+    Args:
+        known: of all loops with these gains.
+        kp, kd: gains of the joints, shape (m,).
+        index: number of the loop, which is stable.
+    """
+    S = sensitivity(loops.response(np.array([index]), known.angle[metric][[index]]), kp, kd)[0]
+    c, c0 = SHIFTS[metric]
+    X = c * S + c0 * np.eye(len(S))
+    if metric == "disk_margin":
+        scale = _disk.scaled(X)[1]
+        X = X * (scale[:, None] / scale[None, :])
+    share = np.abs(np.linalg.svd(X)[0][:, 0])
+    return int(np.argmax(share > share.max() - _LEVEL))
 
 
 def _peaks(loop: _multiloop.Multiloop, metrics: tuple[str, ...]) -> dict[str, tuple[float, float]]:

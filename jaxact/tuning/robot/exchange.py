@@ -12,10 +12,11 @@ from jaxact.tuning.polish import MET
 from jaxact.tuning.robot.exact import Exact, exact, worst_inside
 from jaxact.tuning.robot.loops import OpenLoops, Situation, open_loops, together
 from jaxact.tuning.robot.peaks import extended, growth_rates, refined, tabulate
-from jaxact.tuning.robot.rows import Found, RobotCase, excess, more, polished, rescued
+from jaxact.tuning.robot.rows import OUT_OF_REACH, Found, RobotCase, excess, more, polished, rescued
 
-# How often it does, and how far a peak may be off where the bounds cannot be met anyway [ln].
-_EXCHANGES, _OFF = 12, 1e-3
+# How often it does, and how far a peak may be off where the bounds cannot be met anyway [ln], or
+# are out of reach.
+_EXCHANGES, _OFF, _FAR_OFF = 12, 1e-3, 0.02
 
 
 @dataclass(frozen=True)
@@ -60,13 +61,18 @@ def exchanged(
         over = known.excess(case.goal).max(initial=-np.inf)
         if not np.isfinite(over):
             break
-        if over > max(found.violation, 0.0) + (MET if found.met else _OFF):
+        far = found.violation > OUT_OF_REACH
+        near = MET if found.met else _FAR_OFF if far else _OFF
+        if over > max(found.violation, 0.0) + near:
             angles = np.stack([known.angle[name] for name in case.goal.wanted], axis=1)
             case = replace(case, table=refined(case.table, np.maximum(angles, 1e-9)))
+        elif far:
+            break
         else:
             # The ascent takes longest: only where nothing else is left.
             course.phase("looking for the worst point of the box", turn, _EXCHANGES)
-            more = inside_worse(case, situations, found.x, found.violation, seed, turn)
+            beyond = max(found.violation, 0.0) + near
+            more = inside_worse(case, situations, found.x, beyond, seed, turn)
             if more is None:
                 break
             interior, loops = more
@@ -82,7 +88,7 @@ def inside_worse(
     case: RobotCase,
     situations: Sequence[Situation],
     x: np.ndarray,
-    violation: float,
+    beyond: float,
     seed: int,
     turn: int = 0,
 ) -> tuple[float, OpenLoops] | None:
@@ -90,7 +96,7 @@ def inside_worse(
 
     Args:
         x: log-gains.
-        violation: of the loops that are known.
+        beyond: excess from which a loop is worse.
         seed: of where the ascent begins.
         turn: how many loops have been found so before, for their names.
 
@@ -109,7 +115,7 @@ def inside_worse(
     stable = growth_rates(inside, *gains) < 0.0
     over = np.where(stable, excess(own, x), np.inf)
     order = np.argsort(-over)
-    worse = order[over[order] > max(violation, 0.0) + MET]
+    worse = order[over[order] > beyond]
     return float(over.max()), inside.take(_apart(inside, worse))
 
 

@@ -24,6 +24,9 @@ from jaxact.tuning.rollouts.tracking import Tracking
 _ROUNDS = 12
 # Points before whose rows count as well: at each, few of many singular values are rows.
 _MEMORY = 12
+# A polished point that exceeds the bounds by more is not led inside them by looking closer [ln]:
+# left alone, except where it takes little, with few unknowns.
+OUT_OF_REACH, _FEW = 0.3, 8
 # A point that exceeds the bounds by less may be gone on from, whatever was missed [ln].
 _SLIGHT = 0.03
 # Step of difference quotients of slopes.
@@ -172,6 +175,11 @@ class Found:
         """Whether all bounds hold."""
         return self.violation <= MET
 
+    @property
+    def out_of_reach(self) -> bool:
+        """Whether it would take too long to look closer at the point, which leads nowhere."""
+        return self.violation > OUT_OF_REACH and len(self.x) > _FEW
+
     def rank(self) -> tuple[bool, float]:
         """Smaller is better: what meets the bounds by its value, then what exceeds them least."""
         return not self.met, -self.value if self.met else self.violation
@@ -246,7 +254,9 @@ def polished(
         there = found.x[0]
         growth = growth_rates(case.table.loops, *case.groups.gains(there))
         if not (growth < 0.0).all():
-            # From where all were stable once more, with those that were lost.
+            # From where all were stable once more, with those that were lost; at all frequencies
+            # where a few did not show that they were.
+            kept |= (near & (growth >= 0.0)).any()
             near |= growth >= 0.0
             continue
         beyond = excess(case, there)

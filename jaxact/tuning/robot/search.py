@@ -23,6 +23,7 @@ from jaxact.tuning.course import INTERRUPTED, NOTHING, Course, Told, silent
 from jaxact.tuning.goal import Goal, check
 from jaxact.tuning.groups import Groups
 from jaxact.tuning.optimise import Descended, Descent, no_path
+from jaxact.tuning.polish import MET
 from jaxact.tuning.result import Gains, OfRobot, Outcome, Tuned, judged
 from jaxact.tuning.robot import brute
 from jaxact.tuning.robot.descent import (  # fmt: skip
@@ -35,17 +36,19 @@ from jaxact.tuning.robot.descent import (  # fmt: skip
     stabilised,
     usual,
 )
-from jaxact.tuning.robot.exact import Exact, exact
+from jaxact.tuning.robot.exact import Exact, exact, leading
 from jaxact.tuning.robot.exchange import Candidate, exchanged, inside_worse
-from jaxact.tuning.robot.loops import Situation, open_loops
+from jaxact.tuning.robot.loops import OpenLoops, Situation, open_loops
 from jaxact.tuning.robot.peaks import tabulate
 from jaxact.tuning.robot.rows import Found, RobotCase, more, polished
 from jaxact.tuning.robot.so_far import so_far
-from jaxact.tuning.robot.starts import apart, screened
+from jaxact.tuning.robot.starts import CLOUDS, apart, closer, screened
 from jaxact.tuning.rollouts import tracking
 
 STARTS, SAMPLES, STEPS = 8, 8, 80
 OBJECTIVES = ("stiffness", "disk-margin")
+# Clouds that lead away from where a rescue ends, the wide ones.
+_WIDE = 4
 # What of a goal a robot can be asked for.
 BOUNDS = ("max_peak", "min_disk_margin", "min_kp", "max_kp")
 
@@ -101,6 +104,7 @@ def tune(
             return judge(situations, nowhere, seed, effort=Effort(0, tried), **own)
         own |= {"effort": Effort(starts, tried)}
         own["paths"], found = _searched(case, x, known, starts, steps, course)
+        own |= {"effort": Effort(len(own["paths"].gains), tried)}
         course.best = best = exchanged(case, situations, found, seed, course)
         own |= {"aside": best.found.x}
         if tracking_weight > 0.0 and best.found.met:
@@ -173,7 +177,7 @@ def judge(
             return None
         joints = case.groups.joints
         own = replace(case, groups=Groups(joints, np.arange(len(joints)), joints))
-        worse = inside_worse(own, situations, own.groups.log_gains(*gains), 0.0, seed)
+        worse = inside_worse(own, situations, own.groups.log_gains(*gains), MET, seed)
         return None if worse is None else worse[0]
 
     def score(gains: Gains, value: float) -> float:
@@ -192,12 +196,27 @@ def judge(
     tuned = judged(
         case.goal, loops, outcome, look, start=start, inside=inside, score=score, robot=robot
     )
+    tuned = _blamed(tuned, case.groups.joints)
     if term is None or aside is None:
         return tuned
     x = case.groups.log_gains(tuned.kp, tuned.kd)
     before = None if start is None else case.groups.log_gains(*start)
     tracked = term.tracked(case.stable, x, aside, before)
     return replace(tuned, robot=replace(robot, tracked=tracked))
+
+
+def _blamed(tuned: Tuned, joints: Sequence[str]) -> Tuned:
+    """The same; of a bound that is not met, the verdict says at which joint it is missed most."""
+    missed = [check for check in tuned.closest if not check.met]
+    if not (missed and tuned.improved and tuned.certificate.stable):
+        return tuned
+    worst = max(missed, key=lambda check: check.excess)
+    loops, known = tuned.members, tuned.metrics
+    assert isinstance(loops, OpenLoops) and isinstance(known, Exact)
+    index = loops.names.index(worst.member)
+    joint = joints[leading(loops, known, tuned.kp, tuned.kd, worst.metric, index)]
+    metric = worst.metric.replace("_", " ")
+    return replace(tuned, verdict=f"{tuned.verdict}; most of that {metric} is at joint {joint}")
 
 
 def _begun(
@@ -224,6 +243,10 @@ def _begun(
     there, tried = (x, 0) if case.stable(x) else stabilised(case, situations, x)
     if not case.stable(there):
         there = next((one.x for one in known if case.stable(one.x)), there)
+    if not known and case.stable(there):
+        # Beside the boundary of what is stable, as that is where a rescue ends.
+        course.phase("screening gains beside the only ones that are stable")
+        there = closer(case, there, course, seed, CLOUDS[:_WIDE])
     return case, there, known, number + tried
 
 
@@ -234,13 +257,12 @@ def _searched(
     near = approached(case, x)
     course.points.append(near)
     others = apart(known, starts - 1, case.stable)
-    first = np.stack([near.x, *others])
-    first = first[np.arange(starts) % len(first)]
+    first = np.stack([near.x, *others])[:starts]
     small = hardest(case, near.x)
-    course.phase(f"descending from {starts} starts")
+    course.phase(f"descending from {len(first)} start{'s' if len(first) > 1 else ''}")
     paths = descended(small, first, Descent(steps=steps, polish=0))
     found = best_of(case, near, paths, others, course)
-    tried = near.evaluations + first.shape[0] * steps * len(small.table.loops)
+    tried = near.evaluations + len(first) * steps * len(small.table.loops)
     return paths, more(found, tried, near.steps)
 
 

@@ -11,7 +11,7 @@ the spectrum of one loop.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -29,7 +29,7 @@ _FREQUENCIES, _DAMPING = np.geomspace(0.01, 3.0, 7), np.geomspace(0.2, 5.0, 4)
 # Points that others are tried around, how many, and how far away in ln kp and ln kd.
 _CENTRES, _AROUND, _REACH = 3, 24, (1.5, 1.0)
 # Clouds around what comes nearest to bounds that nothing meets: how wide [ln], points of each.
-_CLOUDS, _POINTS = (1.0, 0.5, 0.2, 0.1, 0.04, 0.015, 0.005), 64
+CLOUDS, _POINTS = (1.0, 0.5, 0.2, 0.1, 0.04, 0.015, 0.005), 64
 # Starts this near each other are one [ln].
 _SAME = 0.5
 
@@ -66,14 +66,22 @@ def screened(
     return sorted([*found, *_judged(few, more, course)], key=Found.rank), len(first) + len(more)
 
 
-def closer(case: RobotCase, x: np.ndarray, course: Course, seed: int = 0) -> np.ndarray:
+def closer(
+    case: RobotCase, x: np.ndarray, course: Course, seed: int = 0, clouds: Sequence[float] = CLOUDS
+) -> np.ndarray:
     """Log-gains near x that exceed the bounds least, by clouds of points that grow narrow.
 
     Where two peaks are level no slope leads on; points to all sides do.
+
+    Args:
+        x: shape (2 g,), where all loops are stable.
+        course: of the search.
+        seed: of the points.
+        clouds: how wide they are [ln].
     """
     few = part(case, _telling(case, x))
     generator = np.random.default_rng(seed)
-    for width in _CLOUDS:
+    for width in clouds:
         offsets = generator.uniform(-1.0, 1.0, (_POINTS, len(x)))
         points = np.concatenate([x[None], x + width * offsets])
         found = _judged(few, _distinct(case, points), course)
