@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.commands import python
 from jaxact.loops import reading
 from jaxact.loops.samples import Samples, expand
 from jaxact.loops.specification import Specification
@@ -44,8 +43,8 @@ def command(engine: str, gains: int, duration: float) -> Callable[[], float]:
     def run() -> float:
         with tempfile.TemporaryDirectory() as folder:
             (Path(folder) / "sweep.toml").write_text(written(engine, gains, duration))
-            words = ["sweep", "sweep.toml", "--out", "out", "--quiet"]
-            subprocess.run([sys.executable, "-m", "jaxact", *words], cwd=folder, check=True)
+            words = ("sweep", "sweep.toml", "--out", "out", "--quiet")
+            python("-m", "jaxact", *words, folder=Path(folder))()
         return units
 
     return run

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import platform
 import statistics
@@ -21,6 +22,7 @@ class Row:
         unit: the unit of work.
         target: what the ratio should be, in words.
         wanted: smallest ratio theirs / ours that meets the target.
+        failure: why it could not be measured, "" where it was.
     """
 
     what: str
@@ -30,11 +32,17 @@ class Row:
     unit: str
     target: str
     wanted: float
+    failure: str = ""
 
     @property
     def ratio(self) -> float:
         """How many times faster than the rival."""
         return self.theirs / self.ours
+
+
+def failed(what: str, why: str, rival: str = "-", target: str = "-", wanted: float = 1.0) -> Row:
+    """A line of something that could not be measured."""
+    return Row(what, rival, math.nan, math.nan, "-", target, wanted, why)
 
 
 def alternate(
