@@ -195,7 +195,8 @@ class MjxPlant:
 
             with jax.numpy_rank_promotion("allow"):
                 return warp.step(self.model, data)
-        return _mjx_step.step(self.model, data)
+        pushed = () if self.push is None else (self.push.body,)
+        return _mjx_step.step(self.model, data, pushed=pushed)
 
     def loaded(self, state: MjxState, force: Force) -> Any:
         """MJX's data with a state and what acts on it filled in."""

@@ -1,5 +1,8 @@
 """One physics step of MJX, with a constraint solver that also finishes in float32.
 
+Robots of a few joints are unrolled to scalars, see `jaxact.plants.mjx.scalars`; of larger ones a
+batch is computed side by side on a CPU, see `jaxact.plants.mjx.side_by_side`.
+
 MJX's solver goes on only where that makes the cost of the constraints smaller. In float32 a cost of
 some thousand is known to 1e-4 or so, and the solver stops where a step would gain less: not far
 from the solution, but always on the side it came from, so that a robot that sways slowly on its
@@ -9,15 +12,16 @@ taken at the end.
 
 from __future__ import annotations
 
-import contextlib
-import io
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from jaxact.plants.mjx import side_by_side
+from jaxact.plants.mjx.derived import derived
+from jaxact.plants.mjx.library import mjx as mjx
+from jaxact.plants.mjx.library import solver as solver
 from jaxact.plants.mjx.scalars.step import written_out
 
 STATE = ("qpos", "qvel", "act", "qacc_warmstart", "time")
@@ -26,22 +30,6 @@ STATE = ("qpos", "qvel", "act", "qacc_warmstart", "time")
 # Most degrees of freedom of a robot whose step is written out, and most of them times the rows of
 # its constraints: beyond, compiling takes longer than without, and a step no less.
 _FREEDOMS, _PRODUCT = 7, 48
-
-
-@contextlib.contextmanager
-def _without_warp_notice() -> Iterator[None]:
-    """MJX prints that the optional Warp is missing; keep that, and only that, off the screen."""
-    captured = io.StringIO()
-    with contextlib.redirect_stdout(captured):
-        yield
-    for line in captured.getvalue().splitlines():
-        if not line.startswith(("Failed to import warp", "Failed to import mujoco_warp")):
-            print(line, file=sys.stdout)
-
-
-with _without_warp_notice():
-    from mujoco import mjx as mjx
-    from mujoco.mjx._src import solver as solver
 
 
 def solved(model: Any, data: Any) -> Any:
@@ -66,13 +54,19 @@ def solved(model: Any, data: Any) -> Any:
     )
 
 
-def step(model: Any, data: Any, solve: Callable[[Any, Any], Any] = solved) -> Any:
+def step(
+    model: Any,
+    data: Any,
+    solve: Callable[[Any, Any], Any] = solved,
+    pushed: tuple[int, ...] | None = None,
+) -> Any:
     """The data given, with the state one step later.
 
     Args:
         model, data: of MJX's own implementation.
         solve: finds the accelerations of the constraints, as `solved`; the integrator RK4, which
             needs them several times, uses MJX's own.
+        pushed: the only bodies that external forces act on; None for all.
     """
     # MJX multiplies matrices by vectors as NumPy allows; a user may have forbidden that.
     with jax.numpy_rank_promotion("allow"):
@@ -80,7 +74,14 @@ def step(model: Any, data: Any, solve: Callable[[Any, Any], Any] = solved) -> An
         def whole(model: Any, data: Any) -> Any:
             return _whole(model, data, solve)
 
-        return (written_out(whole) if _is_small(model, data) else whole)(model, data)
+        def beside_others(model: Any, data: Any) -> Any:
+            return side_by_side.step(model, data, pushed, STATE)
+
+        if _is_small(model, data):
+            return written_out(whole)(model, data)
+        if solve is solved and constrained(data) and side_by_side.serves(model, data):
+            return derived(beside_others, whole)(model, data)
+        return whole(model, data)
 
 
 def _is_small(model: Any, data: Any) -> bool:
