@@ -68,7 +68,7 @@ CASES = {
     "contacts that roll": {
         "condim": 6,
         "shoulder": FRICTION,
-        "flag": 'warmstart="disable" eulerdamp="disable"',
+        "flag": FLAGS,
     },
     "a tendon, a ball": {"condim": 3, "more": TENDON, "ball": 'limited="true" range="0 0.1"'},
     "equalities": {"condim": 3, "more": EQUALITY, "shoulder": FRICTION},

@@ -144,6 +144,7 @@ def _step(
     count = turn.turns + 1
     gained = (place.cost - after.cost) / trace
     last = (count >= settings.iterations) | (gained < problem.tolerance) | flat(after)
+    last |= ~jnp.isfinite(after.cost)  # what has diverged keeps nobody waiting
     ends = turn.last | last
     return _Turn(
         count, either(takes, after, place), ends, turn.done | turn.last, factor, place.held
