@@ -113,6 +113,7 @@ def test_a_delay_longer_than_a_loop_keeps_is_refused_in_a_file_of_loops_too(caps
     assert "late.toml: loop[1]: delay = 10: a loop's history holds 4096 control periods" in said
 
 
+@pytest.mark.exhaustive
 def test_margins_of_a_file_of_loops(capsys, tmp_path):
     rows = [f'[[loop]]\nname = "loop {i}"\nkp = {100 + i}\nactuator = "hyq"' for i in range(1500)]
     Path("loops.toml").write_text("\n".join(rows))

@@ -64,6 +64,7 @@ def test_an_uncertain_actuator_names_what_binds(capsys):
     assert row["margins"]["before"] is None
 
 
+@pytest.mark.exhaustive
 def test_what_cannot_be_met_is_a_result(capsys):
     with pytest.raises(SystemExit) as left:
         main([*STARLETH, "--delay", "5e-3", "--min-kp", "400", "--json"])

@@ -133,6 +133,7 @@ def test_growth_rates_of_a_robot_are_those_of_the_exact_loop(engine, tmp_path):
     np.testing.assert_allclose(found[:3], want, rtol=1e-3)
 
 
+@pytest.mark.exhaustive
 def test_the_robot_itself_is_where_mujoco_has_it(tmp_path):
     """What is drawn of it; only what its drives sense is corrected (both engines: test_robots)."""
     (tmp_path / "pendulum.xml").write_text(PENDULUM)

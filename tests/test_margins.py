@@ -208,6 +208,7 @@ def test_abscissa_sign_agrees_with_the_count_and_is_a_root(crowd):
     assert (root.imag >= 0).all()
 
 
+@pytest.mark.exhaustive
 def test_single_precision_agrees_with_double(crowd, crowd_margins):
     """Away from the boundary, where the question is well posed in seven digits."""
     found = evaluate(crowd[0], "float32")

@@ -86,6 +86,7 @@ def test_every_sampled_figure_of_the_oracle(variant, dtype, tolerance):
     )
 
 
+@pytest.mark.exhaustive
 def test_the_ideal_actuator_at_one_kilohertz_has_gain_margin_seventy():
     """It is lost at z = -1, the very end of the frequency axis, where other tools do not look."""
     found = evaluate(PAPER[:, :1])

@@ -28,6 +28,7 @@ def _specification(text=BASE):
     return reading.parse(text)
 
 
+@pytest.mark.exhaustive
 def test_trajectory_agrees_with_its_figures():
     run = single.simulate(_specification())
     path = run.trajectory

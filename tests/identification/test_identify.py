@@ -145,6 +145,7 @@ def test_a_force_of_the_wrong_sign_is_said():
     assert verdict.level.value != "good" and "has the wrong sign" in verdict.sentence
 
 
+@pytest.mark.exhaustive
 def test_one_log_alone_is_not_called_good():
     found = identify(_log(_prbs(9), STARLETH, 9))
     assert found.ladder.kept_apart and found.verdict.level.value != "good"

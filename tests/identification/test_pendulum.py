@@ -51,6 +51,7 @@ def found(logs):
     return jx.identify(logs[0], "pendulum", validate=logs[1])
 
 
+@pytest.mark.exhaustive
 def test_a_pendulum_is_found_from_the_torques_it_was_told(logs, found):
     numbers = found.chosen.numbers
     assert numbers["inertia"] == pytest.approx(INERTIA, rel=0.02)
@@ -71,6 +72,7 @@ def test_a_pendulum_is_found_from_the_torques_it_was_told(logs, found):
     assert again.driven_by == "command" and again.nrmse < 0.05
 
 
+@pytest.mark.exhaustive
 def test_a_delay_that_a_better_model_places_elsewhere_is_not_known(found):
     """Behind a second-order drive a mere delay fits with narrow intervals, which do not hold."""
     delays = [one for one in found.ladder.candidates if one.rung.dynamics == "delay"]
@@ -82,6 +84,7 @@ def test_a_delay_that_a_better_model_places_elsewhere_is_not_known(found):
     assert rivals.heard(found.ladder) is found.ladder
 
 
+@pytest.mark.exhaustive
 def test_friction_that_may_be_zero_is_not_identified(found):
     of_the_load = [
         known[name]
@@ -93,6 +96,7 @@ def test_friction_that_may_be_zero_is_not_identified(found):
     assert not any(e.identified for e in of_the_load if e.low <= 0.0)
 
 
+@pytest.mark.exhaustive
 def test_commands_of_one_size_leave_a_limit_open(logs, found):
     assert "always asked for" not in found.verdict.sentence
     # The sines are of many sizes: what they show of a limit the steps need not.

@@ -64,6 +64,7 @@ def test_it_asks_for_nothing_and_says_nothing(page, report):
     assert report.stat().st_size < LARGEST
 
 
+@pytest.mark.exhaustive
 def test_it_computes_what_python_computes(page, report, loop):
     page.open(report)
     rng = np.random.default_rng(0)

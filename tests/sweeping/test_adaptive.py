@@ -162,6 +162,7 @@ def test_the_border_of_stability_is_found_to_the_width_asked_for(whole):
     assert sorted(item.name for item in whole.iterdir()) == [store.STORE]
 
 
+@pytest.mark.exhaustive
 def test_it_is_drawn_as_a_map_of_the_nearest_samples(whole, tmp_path):
     results = opening.open_result(whole).load()
     grid = even_grid.resampled(results)

@@ -108,6 +108,7 @@ def test_without_a_limit_of_force_the_shaking_grows(tmp_path):
     assert "without bound" in held.sentence
 
 
+@pytest.mark.exhaustive
 def test_friction_that_holds_any_push_is_said_so(tmp_path):
     text = HINGE.format(loss=0.3, limit='forcerange="-0.35 0.35"')
     held = held_of(specification(tmp_path / "hinge.xml", text))

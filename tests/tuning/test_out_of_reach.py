@@ -86,6 +86,7 @@ def _joint(tuned, number):
     return tuned.robot.situations[0].names[number][0]
 
 
+@pytest.mark.exhaustive
 def test_a_bound_just_out_of_reach_ends_too(arm, far):
     nearest = max(check.value for check in far[0].closest)
     tuned, doing = _tuned(arm, 0.97 * nearest)
