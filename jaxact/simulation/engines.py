@@ -32,9 +32,9 @@ _TILE_OF_LIGHT = 128
 def resolved(specification: Specification) -> Specification:
     """The specification with an engine in place of "auto": the one expected to be faster here.
 
-    On a GPU that is MJX where MJX can simulate the robot, on a CPU C MuJoCo: it needs no
-    compilation, and for robots with contacts it is the faster one. For a sweep see
-    `jaxact.sweeping.throughput.fastest`.
+    On a GPU that is MJX where MJX can simulate the robot, on a CPU C MuJoCo, which needs no
+    compilation. In long sweeps of robots as small as a quadruped MJX is the faster one there too,
+    which this does not know yet. For a sweep see `jaxact.sweeping.throughput.fastest`.
 
     Raises:
         UserError: the engine cannot simulate the robot.
