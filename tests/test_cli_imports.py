@@ -50,11 +50,13 @@ def test_a_command_imports_no_slow_package_but_what_it_uses(command, used):
     assert imported(*command) == used
 
 
+@pytest.mark.exhaustive
 def test_pictures_of_one_joint_import_matplotlib_and_no_simulator(tmp_path):
     out = str(tmp_path / "picture.png")
     assert imported("bode", "--actuator", "hyq", "--out", out) == {"jax", "matplotlib"}
 
 
+@pytest.mark.exhaustive
 def test_the_simulation_of_one_joint_imports_no_simulator_of_robots(tmp_path):
     out = str(tmp_path / "picture.png")
     found = imported("simulate", "--actuator", "hyq", "--duration", "0.02", "--out", out)

@@ -169,6 +169,7 @@ def test_derivatives_with_a_filter_are_those_of_differences():
         np.testing.assert_allclose(slopes[:, i], difference, rtol=1e-5)
 
 
+@pytest.mark.exhaustive
 @settings(max_examples=25, deadline=None)
 @given(
     wn=st.sampled_from([40.0, 800.0, np.inf]),

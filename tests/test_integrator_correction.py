@@ -55,6 +55,7 @@ def test_a_joint_moves_exactly_under_forces_that_change_between_steps(slide, del
     assert position < 1e-12 and velocity < 1e-10
 
 
+@pytest.mark.exhaustive
 def test_under_other_forces_the_error_is_of_second_order(slide):
     drive = Drive(Controller(400.0, 20.0), Actuator(110.0, 0.9, 1.3e-3))
     coarse = _errors(slide, drive, replace(OPTIONS, substeps=2))[0]

@@ -152,13 +152,12 @@ def test_a_point_that_exceeds_its_bounds_is_led_inside(tmp_path):
     assert so_far(case, [Found(x + 9.0, 0.0, 0.1, 0, 0)]) is None
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("module", "name", "turn", "later"),
     [
         ("jaxact.tuning.optimise", "_descended", 1, 0.3),
-        pytest.param(
-            "jaxact.tuning.joint.search", "_interior", 1, 0.0, marks=pytest.mark.exhaustive
-        ),
+        ("jaxact.tuning.joint.search", "_interior", 1, 0.0),
     ],
 )
 def test_a_joints_tuning_ends_with_what_is_certified(tmp_path, module, name, turn, later):

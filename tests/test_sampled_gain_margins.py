@@ -22,13 +22,8 @@ from jaxact.simulation.growth import rate as growth
 ORACLE = json.loads((Path(__file__).parent / "data" / "paper_loop.json").read_text())
 
 
-@pytest.mark.parametrize(
-    "velocity",
-    [
-        "velocity_sampled",
-        pytest.param("velocity_backward_difference", marks=pytest.mark.exhaustive),
-    ],
-)
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("velocity", ["velocity_sampled", "velocity_backward_difference"])
 def test_bisected_gain_margins_equal_the_oracle(velocity):
     names = [case["name"] for case in ORACLE["sampled_1khz"]]
     cases = [(*PRESETS[name.split()[0]], float(name.split()[1]) * 1e-3) for name in names]

@@ -63,7 +63,8 @@ def _fraction(values, index, cutoff=np.inf):
     return numerator, np.trim_zeros(np.polymul(np.polymul(plant, servo), lag), "f")
 
 
-@pytest.mark.parametrize("cutoff", [np.inf, pytest.param(300.0, marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("cutoff", [np.inf, 300.0])
 def test_roots_of_random_joints_are_those_of_their_polynomials(cutoff):
     values = _random(0)
     more = {} if np.isinf(cutoff) else {"velocity_filter": np.full(NUMBER, cutoff)}

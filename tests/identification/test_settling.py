@@ -54,6 +54,7 @@ def test_a_search_that_ended_at_a_crease_is_settled_to_where_no_slope_leads_down
     assert better.square_sum < min(fit.square_sum, float(rest @ rest))
 
 
+@pytest.mark.exhaustive
 def test_a_search_that_arrived_is_left_as_it_is(creased):
     better = settled(solve(creased))
     assert settled(better) is better
@@ -77,6 +78,7 @@ def test_a_search_crosses_all_the_ticks_between_a_mere_delay_and_a_loop_with_les
     assert found.values["zeta"] == pytest.approx(driven_joint.ZETA, abs=2e-3)
 
 
+@pytest.mark.exhaustive
 def test_a_delay_at_a_control_tick_is_not_a_crease():
     logs = ROOT / "experiments" / "identification"
     found = jx.identify(

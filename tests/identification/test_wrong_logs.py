@@ -47,7 +47,9 @@ def test_a_command_at_its_limit_for_most_of_the_rows(recorded):
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ("position", "position goes against the setpoint"),
+        pytest.param(
+            "position", "position goes against the setpoint", marks=pytest.mark.exhaustive
+        ),
         pytest.param(
             "unit",
             "position moves [0-9.]+ times as far as the setpoint",

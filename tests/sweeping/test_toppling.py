@@ -76,6 +76,7 @@ def _rates(scale):
     return np.log(np.linalg.eigvals(whole).astype(complex)) / PERIOD
 
 
+@pytest.mark.exhaustive
 def test_growth_and_shaking_rates_are_those_of_the_equations_of_motion(found):
     rates = [_rates(scale) for scale in SCALES]
     growth = [rate.real.max() for rate in rates]
@@ -88,6 +89,7 @@ def test_growth_and_shaking_rates_are_those_of_the_equations_of_motion(found):
     np.testing.assert_allclose(found["shaking_rate"][slow], np.array(swings)[slow], rtol=0.03)
 
 
+@pytest.mark.exhaustive
 def test_what_falls_without_shaking_topples(found):
     shakes = found["shaking_rate"] > 0.0
     assert shakes.any() and not shakes.all()

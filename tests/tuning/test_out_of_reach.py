@@ -57,6 +57,7 @@ def far(arm):
     return _tuned(arm, 1.05)
 
 
+@pytest.mark.exhaustive
 def test_what_is_far_out_of_reach_is_evaluated_exactly_and_not_looked_into(far):
     tuned, doing = far
     assert not tuned.feasible and not tuned.certified
@@ -70,6 +71,7 @@ def test_what_is_far_out_of_reach_is_evaluated_exactly_and_not_looked_into(far):
     assert worst.member == tuned.members.names[int(np.argmax(highest))]
 
 
+@pytest.mark.exhaustive
 def test_the_joint_at_which_a_bound_is_missed_most_is_named(far):
     tuned, _ = far
     worst = max(tuned.closest, key=lambda check: check.excess)
