@@ -65,7 +65,7 @@ def count_unstable(loop: SampledLoop, roots: jax.Array) -> jax.Array:
         roots: of `sampled_roots`, shape (k,).
     """
     known = _on_circle(loop)
-    # Rounding parts two roots at 1 by its own root, to either side.
+    # Rounding moves the roots of a double root at 1 apart, by the square root of its size.
     slack = jnp.where(known > 0, 4.0 * math.sqrt(float(jnp.finfo(jnp.abs(roots).dtype).eps)), 0.0)
     outside = jnp.sum(~(jnp.abs(roots) < 1.0 - slack)).astype(jnp.int32)
     return jnp.maximum(outside, known)
