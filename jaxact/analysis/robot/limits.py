@@ -22,7 +22,6 @@ from jaxact.analysis.robot.stability import (
     Counted,
     all_roots,
     beyond,
-    decays,
     excess,
     moving,
     switch,
@@ -384,7 +383,7 @@ def early_delay(
     for delay in (*(parts if parts.size else [0.5 * last]), last):
         tried = matrix(float(delay))
         # The last one is marginal but for rounding, unless it is where trying ends.
-        certain = (delay < last or last >= _END * _BEFORE) and decays(tried)
+        certain = (delay < last or last >= _END * _BEFORE) and excess(tried) <= 0.0
         if not certain and excess(tried, counted) > 0.0:
             found = switch(growth, before, float(delay))
             values = np.linalg.eigvals(matrix(found))

@@ -24,7 +24,7 @@ from jaxact.analysis.robot.modes import Robot
 from jaxact.analysis.robot.multiloop import Matrices
 from jaxact.analysis.robot.nearest import Loci
 from jaxact.analysis.robot.shared_response import SharedResponse
-from jaxact.analysis.robot.stability import excess, switch
+from jaxact.analysis.robot.stability import excess, farthest, switch
 from jaxact.analysis.robot.summits import summits
 
 # Share of the largest value on the grid from which on maxima are refined, and how many at most.
@@ -137,12 +137,14 @@ def _look(shared: SharedResponse, number: int, member: Member, roots: np.ndarray
     unit = np.eye(S.shape[-1])
     most, complementary, half = (disk_batch.singular_bound(S - by * unit) for by in _SHIFTS)
     loci = Loci(angle, S, most, complementary)
-    gains = _gain(shared, member, loci, up=True), _gain(shared, member, loci, up=False)
+    gains = tuple(_gain(shared, member, loci, roots, up=up) for up in (True, False))
     above = most, complementary, half
     return _Looked(number, member, angle, S, above, gains, _delay(member, loci))
 
 
-def _gain(shared: SharedResponse, member: Member, loci: Loci, *, up: bool) -> Limit:
+def _gain(
+    shared: SharedResponse, member: Member, loci: Loci, roots: np.ndarray, *, up: bool
+) -> Limit:
     """The nearest factor on all gains at which a stable loop loses it, above or below 1."""
 
     def respond(angle: np.ndarray) -> np.ndarray:
@@ -161,6 +163,7 @@ def _gain(shared: SharedResponse, member: Member, loci: Loci, *, up: bool) -> Li
     def matrix(distance: float) -> np.ndarray:
         return M + math.expm1(sign * distance) * feedback
 
+    @functools.cache
     def growth(distance: float) -> float:
         return excess(matrix(distance))
 
@@ -168,7 +171,7 @@ def _gain(shared: SharedResponse, member: Member, loci: Loci, *, up: bool) -> Li
         return math.exp(sign * at), best.angle
     # It may grow so slowly that rounding hides it next to the crossing.
     low, high = at * (1.0 - _AWAY), at * (1.0 + _AWAY)
-    if max(growth(0.0), growth(low)) <= 0.0 < growth(high):
+    if max(farthest(roots), growth(low)) <= 0.0 < growth(high):
         at = switch(growth, low, high)
         return math.exp(sign * at), _limits.angle_of_change(matrix, at)
     loop = _multiloop.multiloop(*member.robot.matrices, member.robot.period)

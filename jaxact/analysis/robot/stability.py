@@ -14,10 +14,12 @@ MARGINAL = 1e-9
 NEUTRAL = 1.5e-7
 # And those that move so little in a period.
 DRIFT = 1e-5
-# Halvings of an interval that are worth as much as rounding.
-_HALVINGS = 44
-# Squarings of a matrix at most, how large a power is scaled anew, and how small one is gone.
-_SQUARINGS, _LARGE, _SMALL = 24, 64.0, 0.1
+# Halvings of an interval that are worth as much as rounding, and how far a root is from the circle
+# that is on it but for rounding.
+_HALVINGS, _ON_CIRCLE = 44, 1e-13
+# Squarings of a matrix after which most of its roots may be gone, from how many states on that is
+# looked at, and how large a power may be whose roots are known as well as the matrix's own.
+_SQUARINGS, _MANY, _LARGE = (7, 10), 24, 64.0
 # Unit of rounding.
 _UNIT = 0.5 * float(np.finfo(float).eps)
 
@@ -40,40 +42,63 @@ def excess(M: np.ndarray, counted: Counted = all_roots) -> float:
 
     What is not a number is far outside; -1 if no root counts.
     """
-    size = np.abs(found := np.linalg.eigvals(M)) - (1.0 + MARGINAL)
-    size = np.where(np.isnan(size), np.inf, size)
-    return float(np.max(size[counted(found)], initial=-1.0))
+    if counted is all_roots and (sizes := _sizes(M)) is not None:
+        return farthest(sizes)
+    found = np.linalg.eigvals(M)
+    return farthest(found[counted(found)])
 
 
-def decays(M: np.ndarray) -> bool:
-    """Whether powers of a matrix become small, which shows that all its roots are inside the unit
-    circle for a part of the cost of computing them; where they do not, nothing is said.
+def farthest(roots: np.ndarray) -> float:
+    """How far the largest of some roots is outside the unit circle, as `excess`."""
+    outside = np.abs(roots) - (1.0 + MARGINAL)
+    return float(np.max(np.where(np.isnan(outside), np.inf, outside), initial=-1.0))
 
-    Rounding carries a root of P^2, P = M^j, by at most its condition times n u |P|^2; the condition
-    of one on the unit circle is no larger than the powers are. What a root may have moved by so far
-    is counted in shares of j periods, and must be less than what the powers have decayed by.
+
+def _sizes(M: np.ndarray) -> np.ndarray | None:
+    """Magnitudes of the largest roots of a matrix, shape (k,); None where it has to tell itself.
+
+    In a power M^j the motions of actuators and delays are gone: what is left is a small matrix, of
+    which roots take a part of the time. Rounding moves a root of P^2 by at most its condition times
+    n u |P|^2 and one of M by a j-th of that, no more than computing it of M does if P is small.
     """
-    power = _balanced(M)
-    size = _size(power)
-    largest, moved, share = 1.0, 0.0, 1.0
-    for _ in range(_SQUARINGS):
-        if size > _LARGE:  # in other units it may be small
+    if len(M) <= _MANY:
+        return None
+    power = M
+    for squaring in range(_SQUARINGS[-1] + 1):
+        if squaring in _SQUARINGS:
+            if not np.isfinite(_size(power)):
+                return None
             power = _balanced(power)
-            size = _size(power)
-        largest, share = max(largest, size), 0.5 * share
-        moved += share * largest * size**2 * len(M) * _UNIT
-        if not moved < share:
-            return False
-        power = power @ power
-        size = _size(power)
-        if size < _SMALL and -share * np.log(max(size, _UNIT)) > moved:
-            return True
-    return False
+            if _size(power) > _LARGE:
+                return None
+            if len(core := _condensed(power)) < len(power):
+                return np.abs(np.linalg.eigvals(core)) ** (0.5**squaring)
+        with np.errstate(over="ignore", invalid="ignore"):
+            power = power @ power
+    return None
+
+
+def _condensed(P: np.ndarray) -> np.ndarray:
+    """A matrix of less than half the size with the same roots, but for those that are 0 and for
+    rounding; P itself where there is none.
+
+    Of Q R, with Q of a few columns and R of a few rows, R Q has the same roots.
+    """
+    # Of the transpose, which is how LAPACK reads rows.
+    triangle, order, reflectors, _, _ = scipy.linalg.lapack.dgeqp3(P.T)
+    size = np.abs(np.diag(triangle))
+    rank = max(1, int(np.sum(size > _UNIT * size[0])))
+    if 2 * rank >= len(P):
+        return P
+    Q, _, _ = scipy.linalg.lapack.dorgqr(triangle[:, :rank], reflectors[:rank])
+    R = np.empty((rank, len(P)))
+    R[:, order - 1] = np.triu(triangle[:rank])
+    return R @ Q
 
 
 def _balanced(M: np.ndarray) -> np.ndarray:
     """The matrix in units in which its rows and columns are of like size."""
-    return scipy.linalg.lapack.dgebal(M, scale=1)[0]
+    return scipy.linalg.lapack.dgebal(M.T, scale=1)[0].T
 
 
 def _size(M: np.ndarray) -> float:
@@ -106,7 +131,8 @@ def switch(growth: Callable[[float], float], low: float, high: float) -> float:
 
     @functools.cache
     def finite(at: float) -> float:
-        return min(growth(at), 1.0)
+        found = min(growth(at), 1.0)
+        return found if abs(found) > _ON_CIRCLE else 0.0
 
     if (finite(low) > 0.0) == (finite(high) > 0.0):
         return high
