@@ -88,7 +88,7 @@ class Simulations:
         # Of all that are asked for those that are computed, and where of these each one is.
         self._first, self._back = _distinct(number, same)
         computed = np.arange(number)[self._first].size
-        self._batch = Batch(self.model, computed, threads or min(computed, _cores()))
+        self._batch = Batch(self.model, computed, threads or min(computed, cores()))
         for name, values in (fields or {}).items():
             self._batch.expand(name)[:] = values[self._first]
         self._posture, self._impulse, self._joint_push = posture, impulse, push
@@ -180,7 +180,16 @@ def _together(places: list[int]) -> list[int] | slice:
     return slice(*ends) if places == list(range(*ends)) else places
 
 
-def _cores() -> int:
+def is_held(robot: Robot, posture: Posture) -> bool:
+    """Whether contacts, dry friction, limits or other constraints act in a posture."""
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = posture.qpos
+    mujoco.mj_fwdPosition(robot.model, data)
+    return data.nefc > 0
+
+
+def cores() -> int:
+    """Cores that this process may use, on all of which simulations are stepped."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

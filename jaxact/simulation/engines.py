@@ -24,17 +24,28 @@ from jaxact.simulation.kernel import Case
 # Most degrees of freedom of a robot without constraints that MJX on a CPU simulates faster than C
 # MuJoCo: as many as `jaxact.plants.mjx.step` writes out.
 _LIGHT = 7
-# Loops of them in a tile on a CPU: little enough for the first-level cache, and vector units like
-# it better than the usual one, by a third (six hinges) to two thirds (two).
+# Most degrees of freedom of a robot that is held and in MJX the faster one: those of a quadruped. A
+# step takes MJX 12 to 17 us and C MuJoCo 19; with an arm on it (24) 25 against 20.
+_HELD = 18
+# Physics steps of a sweep from which on MJX is the faster one on a CPU: of a light robot for each
+# degree of freedom squared, of another one whose step is written out for each one and row of
+# constraints, and of one that is held. On two cores, compiling anew, both engines are within a
+# tenth of each other between these numbers of steps, in millions: one hinge up to 0.2; two 0.4 to
+# 1.1, with limits 1.0 to 1.9; six 2.9 to 4.9, with limits 13 to 25, with dry friction too 17 to 40;
+# a quadruped 5 to 9; the Go1 9 to 35, on a stand, with dry friction, 3 to 5. See
+# `benchmarks.choice`.
+_MANY_LIGHT, _MANY_WRITTEN_OUT, _MANY_HELD = 1.1e5, 4.5e5, 8e6
+# Loops of light robots in a tile on a CPU: little enough for the first-level cache, and vector
+# units like it better than the usual one, by a third (six hinges) to two thirds (two).
 _TILE_OF_LIGHT = 128
 
 
 def resolved(specification: Specification) -> Specification:
     """The specification with an engine in place of "auto": the one expected to be faster here.
 
-    On a GPU that is MJX where MJX can simulate the robot, on a CPU C MuJoCo, which needs no
-    compilation. In long sweeps of robots as small as a quadruped MJX is the faster one there too,
-    which this does not know yet. For a sweep see `jaxact.sweeping.throughput.fastest`.
+    On a GPU that is MJX where MJX can simulate the robot, on a CPU C MuJoCo, which compiles
+    the drive only. So it is for a single loop; for a sweep, which may be long enough for MJX to
+    make up for its compiling, see `jaxact.sweeping.throughput.fastest`.
 
     Raises:
         UserError: the engine cannot simulate the robot.
@@ -90,10 +101,15 @@ def _for_robot(setting: Setting) -> Engine:
 
 def _robot(setting: Setting) -> tuple[Any, Any]:
     """The robot, and the module that knows which engines suit it."""
-    from jaxact.loops import robots
     from jaxact.robots import model  # imports MuJoCo, which the mass plant does not need
 
-    return robots.scene(setting.plant).robot, model
+    return _scene(setting).robot, model
+
+
+def _scene(setting: Setting) -> Any:
+    from jaxact.loops import robots
+
+    return robots.scene(setting.plant)
 
 
 def able(specification: Specification) -> tuple[Name, ...]:
@@ -109,6 +125,44 @@ def able(specification: Specification) -> tuple[Name, ...]:
         if not warp.lacking() and not warp.refusal(robot.model):
             engines.append(WARP)
     return tuple(engine.name for engine in engines if model.suits(robot, engine.name))
+
+
+def compiling_pays(specification: Specification, steps: float, devices: int) -> bool:
+    """Whether a sweep on a CPU is long enough for MJX, which compiles longer, to be the faster one.
+
+    That can be so of robots whose step is written out, and of others that constraints hold, if MJX
+    computes these of many robots at once. Of a quadruped that hangs, and is at none of its limits,
+    C MuJoCo computes no constraints, and MJX all that may act: a step takes both the same time.
+
+    Args:
+        specification: of a robot that MJX can simulate, as far as that is known.
+        steps: physics steps of all loops.
+        devices: that MJX would use; C MuJoCo uses every core.
+    """
+    if _place() != 0:
+        return False
+    scene = _scene(specification.setting)
+    model = scene.robot.model
+    if light(specification.setting):
+        return steps > _MANY_LIGHT * model.nv**2
+    if model.nv > _HELD or specification.precision != "float32" or old_jax():
+        return False
+    if steps <= min(_MANY_WRITTEN_OUT * model.nv, _MANY_HELD):
+        return False
+    from jaxact.plants import mujoco
+
+    if devices < mujoco.cores():
+        return False
+    from jaxact.plants.mjx import plant, step  # starts MJX
+
+    try:
+        placed = plant.place(scene.robot, scene.posture)
+    except UserError:  # what MJX itself refuses, such as contacts of shapes that it does not have
+        return False
+    if step.is_small(placed.model, placed.data):
+        return steps > _MANY_WRITTEN_OUT * model.nv * step.rows(placed.data)
+    at_once = step.is_side_by_side(placed.model, placed.data)
+    return steps > _MANY_HELD and at_once and mujoco.is_held(scene.robot, scene.posture)
 
 
 def light(setting: Setting) -> bool:

@@ -27,9 +27,6 @@ from jaxact.sweeping import cache
 
 # Tiles that are measured, as factors on the usual one.
 _FACTORS = (0.5, 1.0, 2.0, 4.0)
-# Physics steps from which on MJX is the faster one for a light robot, whose program is mostly kept
-# already. Compiling is made up for by 0 to 1.3 million steps of a mass, a pendulum and an arm.
-_MANY = 2e5
 # Physics steps of a rollout that is measured.
 _STEPS = 400
 
@@ -105,9 +102,9 @@ def fastest(
 ) -> str:
     """The engine that `engine = "auto"` comes to on this machine.
 
-    On a CPU the one that is expected to be it: MJX for light robots in sweeps that are not short,
-    else what `jaxact.simulation.engines.resolved` says. On a GPU each engine that can simulate the
-    robot is measured on short rollouts where the sweep is long, once on a machine.
+    On a CPU the one that is expected to be it: MJX where `jaxact.simulation.engines.compiling_pays`
+    says so, else C MuJoCo. On a GPU each engine that can simulate the robot is measured on short
+    rollouts where the sweep is long, once on a machine.
 
     Args:
         specification, samples: of the sweep.
@@ -120,9 +117,9 @@ def fastest(
     if specification.engine != AUTO or not specification.robot:
         return usual.engine
     able = engines.able(specification)
-    (first, *_) = plans.groups(usual, samples)
-    many = len(samples) * first.steps > _MANY
-    if ROBOT_IN_MJX.name in able and engines.light(specification.setting) and many:
+    first = plans.groups(usual, samples)[0]
+    steps = len(samples) * first.steps
+    if ROBOT_IN_MJX.name in able and engines.compiling_pays(usual, steps, first.devices):
         usual = replace(usual, engine=ROBOT_IN_MJX.name)
         first = plans.groups(usual, samples)[0]
     if not _unsure():

@@ -203,7 +203,7 @@ def test_a_small_robots_steps_are_those_of_mjx(name, tmp_path):
     with jax.enable_x64(True):
         plant = mjx.load(path).prepare(jnp.asarray(2e-3))
         data = plant.data
-        assert mjx_step._is_small(plant.model, data)
+        assert mjx_step.is_small(plant.model, data)
         zero, moved = jnp.zeros(len(plant.dofs)), 0.05 * _RANDOM.normal(size=(6, data.qvel.size))
         force = mjx.Force(mean=zero, moment=zero, partial=None)
 

@@ -290,17 +290,13 @@ def test_auto_is_the_engine_that_was_faster_on_this_machine(folder, monkeypatch,
     assert engines.able(asked) == ("mjx", "mujoco")
     assert throughput.fastest(asked, samples, say=said.append) == "mujoco", "short: expected"
     assert said == []
-    monkeypatch.setattr(throughput, "_MANY", 10)
-    assert throughput.fastest(asked, samples, say=None) == "mjx", "two hinges, many steps"
-    touching = _parsed(folder, 'model = "hopper.xml"', DRIVE + "kp = 60\nkd = 2", engine="auto")
-    assert throughput.fastest(touching, expand(touching), say=None) == "mujoco"
-    for engine, rate in (("mjx", 1e6), ("mujoco", 2e6)):
+    for engine, rate in (("mjx", 2e6), ("mujoco", 1e6)):
         one = dataclasses.replace(asked, engine=engine)
         plan = plans.groups(one, samples)[0]
         throughput.keep(plan, one, rate, throughput.ROLLOUTS)
-    assert throughput.fastest(asked, samples, say=None) == "mjx", "a CPU does as expected"
+    assert throughput.fastest(asked, samples, say=None) == "mujoco", "a CPU does as expected"
     monkeypatch.setattr(throughput, "_unsure", lambda: True)
-    assert throughput.fastest(asked, samples, say=None) == "mujoco", "measured"
+    assert throughput.fastest(asked, samples, say=None) == "mjx", "measured"
     fixed = dataclasses.replace(asked, engine="mujoco")
     assert throughput.fastest(fixed, samples, say=None) == "mujoco", "the specification says it"
 

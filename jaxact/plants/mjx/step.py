@@ -77,21 +77,31 @@ def step(
         def beside_others(model: Any, data: Any) -> Any:
             return side_by_side.step(model, data, pushed, STATE)
 
-        if _is_small(model, data):
+        if is_small(model, data):
             return written_out(whole)(model, data)
-        if solve is solved and constrained(data) and side_by_side.serves(model, data):
+        if solve is solved and is_side_by_side(model, data):
             return derived(beside_others, whole)(model, data)
         return whole(model, data)
 
 
-def _is_small(model: Any, data: Any) -> bool:
+def is_small(model: Any, data: Any) -> bool:
     """Whether a robot's step is written out."""
-    return model.nv <= _FREEDOMS and model.nv * data._impl.efc_J.shape[0] <= _PRODUCT
+    return model.nv <= _FREEDOMS and model.nv * rows(data) <= _PRODUCT
+
+
+def rows(data: Any) -> int:
+    """How many constraints there may be in a model in MJX's own implementation."""
+    return data._impl.efc_J.shape[0]
+
+
+def is_side_by_side(model: Any, data: Any) -> bool:
+    """Whether the constraints of a robot that is not small are computed of many at once."""
+    return constrained(data) and side_by_side.serves(model, data)
 
 
 def constrained(data: Any) -> bool:
     """Whether a model in MJX's own implementation has contacts, limits or friction."""
-    return bool(data._impl.efc_J.size)
+    return rows(data) > 0
 
 
 def _whole(model: Any, given: Any, solve: Callable[[Any, Any], Any]) -> Any:
