@@ -141,6 +141,8 @@ def robot(
     path = Path(model)
     if not path.is_file():
         raise UserError(f"{path}: no such model file; give an MJCF or URDF file")
+    if not isinstance(joints, str | Sequence):
+        raise UserError(f"joints = {shown(joints)}; allowed: a pattern, or several in a list")
     patterns = (joints,) if isinstance(joints, str) else tuple(joints)
     try:
         plant = Plant(

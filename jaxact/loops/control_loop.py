@@ -236,11 +236,15 @@ def read(given: Mapping[str, Any], *, robot: bool) -> dict[str, Any]:
         robot: whether the loop is a robot's.
 
     Raises:
-        UserError: an unknown name, a value out of bounds, or what only a robot has.
+        UserError: an unknown name, a parameter given by both of its names, a value out of bounds,
+            what only a robot has, or arrays whose named dimensions differ.
     """
     values: dict[str, Any] = {}
+    _check_dimensions(given)
     for name, value in given.items():
         short = canonical(name)
+        if any(canonical(other) == short for other in given if other != name):
+            raise UserError(f"`{name}`: the same parameter is given twice; remove one")
         if short == ACTUATOR:
             both = [other for other in given if canonical(other) in _PRESET_SETS]
             if both and value is not None:
@@ -249,11 +253,28 @@ def read(given: Mapping[str, Any], *, robot: bool) -> dict[str, Any]:
                 )
             values |= {} if value is None else _preset(value)
         elif isinstance(value, Mapping):
+            if "min" in value:
+                raise UserError(
+                    f"`{name}`: a range is for an axis of jaxact.sweep; give numbers, e.g. those of"
+                    " numpy.geomspace"
+                )
             for pattern, own in value.items():
                 values |= {f"{short}@{pattern}": _checked(f"{short}@{pattern}", own, robot=robot)}
         else:
             values[short] = _checked(short, value, robot=robot)
     return values
+
+
+def _check_dimensions(given: Mapping[str, Any]) -> None:
+    """Raise UserError where xarray would pair values by name otherwise than arrays do by place."""
+    named = {name: tuple(value.dims) for name, value in given.items() if getattr(value, "dims", ())}
+    first = max(named.values(), key=len, default=())
+    if any(dims != first[len(first) - len(dims) :] for dims in named.values()):
+        shapes = ", ".join(f"{name} ({', '.join(map(str, dims))})" for name, dims in named.items())
+        raise UserError(
+            f"values are paired by place, not by the names of dimensions: {shapes}; give arrays"
+            " that broadcast, or the axes of jaxact.sweep"
+        )
 
 
 def _preset(value: Any) -> dict[str, Any]:
@@ -284,6 +305,8 @@ def _checked(name: str, value: Any, *, robot: bool) -> Any:
     if value is None:
         raise UserError(f"`{name}` = None is not a number or array of numbers; leave it out")
     try:
+        if np.asarray(value).dtype.kind in "mM":  # numpy would take 1 ms for the number 1
+            raise TypeError
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise UserError(f"`{name}` = {shown(value)} is not a number or array of numbers") from None

@@ -29,6 +29,7 @@ from jaxact.compilation.programs import building
 from jaxact.drive import history as _history
 from jaxact.drive.controller import Setpoint
 from jaxact.drive.step import DriveOptions
+from jaxact.errors import UserError
 from jaxact.loops import loop as _loop
 from jaxact.loops.loop import Loop, LoopState
 from jaxact.loops.specification import Setting
@@ -37,6 +38,9 @@ from jaxact.plants.linear import LinearPlant
 from jaxact.simulation import kernel
 from jaxact.simulation.growth import rate as _growth
 from jaxact.simulation.kernel import Case
+
+# Of a linear loop: its matrices, square in them, take 0.5 GB each then.
+MOST_STATES = 8000
 
 
 @jax.tree_util.register_dataclass
@@ -88,6 +92,9 @@ def period_map(loop: Loop, options: DriveOptions) -> PeriodMap:
 
     Returns:
         The matrices, in the precision that JAX has at this moment.
+
+    Raises:
+        UserError: so many states that the square matrices of them would not fit.
     """
     smooth = replace(options.linearised(), setpoint_slots=0)
     prepared = _loop.prepare(loop, smooth)
@@ -95,6 +102,12 @@ def period_map(loop: Loop, options: DriveOptions) -> PeriodMap:
     state = _loop.init(prepared, smooth, rest, rest)
     vector, merge = _growth.split(_growth.aligned(state))
     flat, unravel = ravel_pytree(vector)
+    if flat.size > MOST_STATES:
+        raise UserError(
+            f"the robot's linear loop has {flat.size:,} states, most of them the delays' (in"
+            f" seconds) at its control rate; allowed: {MOST_STATES:,}; shorten a delay, or lower"
+            " the rate"
+        )
 
     def advance(flat: jax.Array, force: jax.Array):
         before = merge(unravel(flat))

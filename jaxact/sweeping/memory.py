@@ -18,9 +18,9 @@ _COPIES = 3
 _RESULT_COPIES = 4
 
 
-def read_size(text: str) -> int:
+def read_size(text: str | int) -> int:
     """A number of bytes from `800M`, `1.5 GiB` or `2000000`; raises UserError for anything else."""
-    match = _SIZE.fullmatch(text.strip().lower())
+    match = _SIZE.fullmatch(str(text).strip().lower())
     if match is None or float(match[1]) <= 0:
         raise UserError(f"`memory` {shown(text)} is not a size; write it as 800M or 2G")
     return int(float(match[1]) * _UNITS[match[2]])

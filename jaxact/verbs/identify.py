@@ -141,6 +141,7 @@ def profile_likelihood(
         name: of the unknown.
         ax: of the values and the rise of the sum of squares, 1 at the ends of a 95 % interval.
     """
+    _demand(identified)
     ax = pyplot.subplots()[1] if ax is None else ax
     _pictures.profile_likelihood(ax, _profile(identified, name))
     return ax
@@ -156,9 +157,18 @@ def residual_autocorrelation(
         log: number of the validation log.
         ax: of lag and autocorrelation.
     """
+    _demand(identified)
     ax = pyplot.subplots()[1] if ax is None else ax
     _pictures.autocorrelation(ax, compared(identified, log))
     return ax
+
+
+def _demand(identified: Any) -> None:
+    if not isinstance(identified, Identified):
+        raise UserError(
+            f"identified: a value of type {type(identified).__name__} is not an identified drive;"
+            " give what jaxact.identify(...) returned of one joint"
+        )
 
 
 def _profile(identified: Identified, name: str) -> _pictures.Profile:

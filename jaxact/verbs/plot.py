@@ -7,7 +7,7 @@ them it makes a figure with `matplotlib.pyplot`, which a notebook shows.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -30,6 +30,7 @@ from jaxact.verbs.boundary import Window
 from jaxact.verbs.boundary import boundary as _boundary
 from jaxact.verbs.identify import profile_likelihood, residual_autocorrelation
 from jaxact.verbs.map_pictures import lines, scatter, stability_map
+from jaxact.verbs.margins_of_robot import RobotLoopMargins
 from jaxact.verbs.run_tables import SIGNALS
 from jaxact.verbs.tuning_pictures import (
     convergence,
@@ -39,9 +40,6 @@ from jaxact.verbs.tuning_pictures import (
     tuned_sensitivity,
     tuning_map,
 )
-
-if TYPE_CHECKING:
-    from jaxact.verbs.margins_of_robot import RobotLoopMargins
 
 __all__ = [
     "bode", "boundary", "convergence", "front", "lines", "nyquist",
@@ -139,6 +137,11 @@ def robot_margins(found: RobotLoopMargins, *, axes: Sequence[Axes] | None = None
         found: from `jaxact.margins`, of a single loop.
         axes: of S, of T and of the shares.
     """
+    if not isinstance(found, RobotLoopMargins):
+        raise UserError(
+            f"found: a value of type {type(found).__name__} has no margins of a robot; give those"
+            " of jaxact.margins(jaxact.robot(...))"
+        )
     if len(found.details) > 1:
         raise UserError("this picture is of one loop; index the loop first, e.g. loop[0]")
     if axes is None:

@@ -127,6 +127,8 @@ def sweep(
     drawn = None if sampling is None and number is None else _sampling(sampling, number)
     asked = _asked(loop, axes, given, drawn)
     how = options(resume=resume, overwrite=overwrite, adaptive=adaptive, width=width)
+    if out is not None and not os.fspath(out):
+        raise UserError("`out` is empty; name a folder, or give None to keep the results in memory")
     if out is None and (resume or overwrite):
         raise UserError("resume and overwrite are for results that are kept; give out")
     where = None if out is None else location.at(os.fspath(out))
@@ -223,6 +225,8 @@ def _read(axes: Mapping[str, Any], sampling: Sampling | None) -> dict[str, Axis]
             raise UserError(
                 f"{given}: unknown parameter; {nearest(given, (*PARAMETERS, 'actuator'))}"
             )
+        if name in found:
+            raise UserError(f"{given}: the same parameter is given twice; remove one")
         listed = value if isinstance(value, dict) else _listed(given, value)
         ranged = isinstance(value, dict) and "num" not in value
         found[name] = read_axis(name, listed, sampled=sampling is not None and ranged)

@@ -32,6 +32,7 @@ from jaxact.plotting.wording import quantity
 from jaxact.tuning.joint import metrics
 from jaxact.tuning.joint.ensemble import chosen, ensemble, joined
 from jaxact.tuning.joint.response import step_responses
+from jaxact.tuning.result import Tuned
 from jaxact.verbs import naming
 from jaxact.verbs import responses as _responses
 from jaxact.verbs.tuning_front import Front
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
     from jaxact.plotting.response import LoopResponse
     from jaxact.tuning.joint.ensemble import Ensemble
-    from jaxact.tuning.result import OfRobot, Tuned
+    from jaxact.tuning.result import OfRobot
 
 _GRID = 110
 _FIELDS = (MASS, "natural_frequency", "damping_ratio", DELAY)
@@ -77,6 +78,7 @@ def convergence(
         axes: of the objective and of the bounds.
         legend: name the curves.
     """
+    _demand(best)
     axes = _two(_convergence.HEIGHTS) if axes is None else axes
     _with_legend(axes[0], _convergence.draw(axes, *_paths(best)[0], **_paths(best)[1]), legend)
     return axes
@@ -111,6 +113,7 @@ def front(
     Raises:
         UserError: no front was asked for.
     """
+    _demand(best)
     if not best.front:
         raise UserError("there is no front; ask for one, e.g. jaxact.tune(loop, front=10)")
     axes = _two(_front.HEIGHTS) if axes is None else axes
@@ -146,6 +149,7 @@ def tuned_sensitivity(best: Tuned, *, axes: Any = None, legend: bool = True) -> 
         axes: of |S| and of |T|; of a robot of the largest singular values, shape (2, postures).
         legend: name the curves.
     """
+    _demand(best)
     if best.robot is None:
         assert best.loop is not None
         axes = pyplot.subplots(2, 1, sharex=True)[1] if axes is None else axes
@@ -206,8 +210,11 @@ def _with_legend(ax: Axes, handles: list[Artist], legend: bool) -> Axes:
     return ax
 
 
-def _demand(best: Tuned, *, robot: bool) -> OfRobot | None:
-    if (best.robot is not None) != robot:
+def _demand(best: Any, *, robot: bool | None = None) -> OfRobot | None:
+    if not isinstance(best, Tuned):
+        kind = type(best).__name__
+        raise UserError(f"best: a value of type {kind} has no tuned gains; give jaxact.tune(...)'s")
+    if robot is not None and (best.robot is not None) != robot:
         raise UserError(f"this picture is of {'a robot' if robot else 'a joint'}'s tuned gains")
     return best.robot
 

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+import xarray as xr
 from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
@@ -51,6 +52,23 @@ def test_a_list_of_loops_is_one_loop_with_several_values():
         (lambda: jx.plot.step(LOOP), "run: a value of type ControlLoop without trajectories"),
         (lambda: jx.plot.bode(LOOP, axes=[None]), "axes: this picture has 2 of them"),
         (lambda: jx.plot.bode(LOOP.replace(kp=0, kd=0)), "the open loop is zero"),
+        (lambda: jx.plot.front(LOOP), "best: a value of type ControlLoop has no tuned gains"),
+        (lambda: jx.plot.convergence(LOOP), "best: a value of type ControlLoop has no tuned"),
+        (lambda: jx.plot.tuning_map(LOOP), "best: a value of type ControlLoop has no tuned"),
+        (lambda: jx.plot.robot_gains(LOOP), "best: a value of type ControlLoop has no tuned"),
+        (lambda: jx.plot.step_band(LOOP), "best: a value of type ControlLoop has no tuned gains"),
+        (lambda: jx.plot.tuned_sensitivity(LOOP), "best: a value of type ControlLoop has no"),
+        (lambda: jx.plot.robot_margins(LOOP), "found: a value of type ControlLoop has no margins"),
+        (lambda: jx.plot.profile_likelihood(LOOP), "type ControlLoop is not an identified drive"),
+        (lambda: jx.plot.residual_autocorrelation(LOOP), "is not an identified drive"),
+        (lambda: jx.joint(wn=100, natural_frequency=200), "given twice; remove one"),
+        (lambda: LOOP.replace(kp=1, stiffness=2), "given twice; remove one"),
+        (lambda: jx.sweep(LOOP, kp=[1], stiffness=[2]), "stiffness: the same parameter is given"),
+        (lambda: jx.joint(delay=np.timedelta64(1, "ms")), "`delay` = .*is not a number"),
+        (lambda: jx.joint(kp=jx.log(10, 100, 3)), "`kp`: a range is for an axis of jaxact.sweep"),
+        (lambda: jx.sweep(LOOP, kp=[100], out=""), "`out` is empty"),
+        (lambda: jx.sweep(LOOP, kp=[100], memory="much"), "'much' is not a size"),
+        (lambda: jx.robot(__file__, joints=3), "joints = 3; allowed: a pattern, or several"),
     ],
 )  # fmt: skip
 def test_slips_are_said_in_one_line(call, said):
@@ -114,6 +132,31 @@ def test_no_factor_is_printed_where_no_factor_helps():
 )
 def test_the_advice_helps(loop, said):
     assert said in " ".join(jx.simulate(loop, 0.1, 0.5).report.split())
+
+
+def test_dimensions_that_xarray_would_pair_otherwise_are_refused():
+    kp, kd = xr.DataArray([100.0, 400.0], dims="kp"), xr.DataArray([5.0, 20.0], dims="kd")
+    with pytest.raises(jx.UserError, match=r"not by the names of dimensions: kp \(kp\), kd \(kd\)"):
+        jx.joint(kp=kp, kd=kd)
+    both = kp * kd  # dimensions (kp, kd), of which the last is kd's
+    assert jx.joint(kp=both, kd=kd).shape == (2, 2)
+
+
+def test_memory_may_be_a_number_of_bytes():
+    with pytest.raises(jx.UserError, match="memory: 4 B are too little"):
+        jx.sweep(LOOP, kp=[100.0], memory=4)
+
+
+def test_a_delay_of_seconds_at_a_robot_is_refused_before_it_takes_all_memory(tmp_path):
+    joints = "".join(
+        f'<body><joint name="j{number}" axis="0 1 0"/><geom size="0.1"/></body>'
+        for number in range(4)
+    )
+    path = tmp_path / "four.xml"
+    path.write_text(f"<mujoco><worldbody>{joints}</worldbody></mujoco>")
+    robot = jx.robot(path, kp=5, kd=0.5, delay=3)  # 3 ms were meant
+    with pytest.raises(jx.UserError, match=r"has 12,\d\d\d states, .*shorten a delay"):
+        jx.margins(robot)
 
 
 @pytest.mark.parametrize("sampled", [False, True])
