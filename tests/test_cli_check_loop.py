@@ -92,6 +92,7 @@ def test_what_limits_hold_is_no_answer(capsys):
     assert "knee (" in capsys.readouterr().err
 
 
+@pytest.mark.exhaustive
 def test_it_is_said_in_sentences(capsys):
     said = " ".join(_check(capsys, STOOL.format(floor=FLOOR, damping=2.0, loss=0.3)).split())
     for words in (

@@ -73,6 +73,7 @@ def test_only_the_sum_of_the_three_delays_matters_for_stability(shares, total, s
     assert rates[0] == pytest.approx(rates[1], rel=1e-6, abs=1e-2)
 
 
+@pytest.mark.exhaustive
 def test_delays_move_the_response_and_nothing_else():
     with jax.enable_x64(True):
         base = simulate(with_delays(3e-3), ticks=300)

@@ -65,6 +65,7 @@ def test_figures_are_those_of_a_sweep(case):
     assert len({float(rate) for rate in want["growth_rate"]}) == 2
 
 
+@pytest.mark.exhaustive
 def test_growth_rate_is_that_of_the_exact_matrix():
     specification = _specification()
     values = {name: np.array([value]) for name, value in specification.nominal.items()}
@@ -72,6 +73,7 @@ def test_growth_rate_is_that_of_the_exact_matrix():
     assert run.results["growth_rate"] == pytest.approx(np.log(radius(values, 0)) * 500.0, rel=1e-4)
 
 
+@pytest.mark.exhaustive
 def test_command_is_delayed_by_the_delay():
     path = single.simulate(_specification()).trajectory
     command, delayed = path.command[:, 0], path.delayed_command[:, 0]
@@ -91,6 +93,7 @@ def test_several_loops_are_what_each_of_them_is_alone():
     assert [run.values["kp"] for run in runs] == [200.0, 200.0, 400.0, 400.0]
 
 
+@pytest.mark.exhaustive
 def test_noise_depends_on_the_seed_only():
     noisy = BASE.replace("delay", "position_noise = 1e-3\ndelay")
     first, again = (single.simulate(_specification(noisy)) for _ in range(2))

@@ -43,6 +43,7 @@ def _recording(time, *, command=None, setpoint=None, position=0.0, velocity=0.0,
     )  # fmt: skip
 
 
+@pytest.mark.exhaustive
 def test_without_friction_it_is_the_loop_of_the_drive_step():
     setpoint = np.repeat(np.random.default_rng(1).normal(size=ROWS // 5), 5)
     drive = drive_step.Drive(
@@ -129,6 +130,7 @@ def test_friction_that_differs_with_direction():
     np.testing.assert_allclose(back, 2.0 * 0.7 / 9.0 * np.expm1(-9.0 / 0.7 * time), atol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_a_pendulum_keeps_its_energy_and_period():
     time = np.arange(4000) * PERIOD
     structure = Structure(closed=False, history=8, difference_ticks=0, gravity=True)

@@ -115,6 +115,7 @@ def test_gains_that_the_log_does_not_know_are_the_drives():
     assert jx.replay("mass.toml", told).largest < 1e-6 * np.ptp(log["position"])
 
 
+@pytest.mark.exhaustive
 def test_a_delay_longer_than_the_fit_would_look_for_is_kept():
     """A delay of thirty ticks does to commands thirty ticks early what two do to those in time."""
     log = _motion()

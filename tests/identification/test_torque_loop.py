@@ -65,7 +65,14 @@ def test_an_ideal_drive_gives_the_command_that_has_arrived(log):
     np.testing.assert_allclose(found[arrived >= 0], command[arrived[arrived >= 0]])
 
 
-@pytest.mark.parametrize("name", ["gain", "offset", "wn", "zeta", "delay"])
+@pytest.mark.parametrize(
+    "name",
+    ["delay"]
+    + [
+        pytest.param(name, marks=pytest.mark.exhaustive)
+        for name in ("gain", "offset", "wn", "zeta")
+    ],
+)
 def test_derivatives_are_central_differences(log, name):
     time, command = map(jnp.asarray, log)
     simulate = jax.jit(lambda x: torque_loop.simulate(time, command, _values() | {name: x}))

@@ -57,7 +57,10 @@ class Motion:
     slope: np.ndarray
 
 
-@pytest.fixture(scope="module", params=["pyramidal", "elliptic"])
+@pytest.fixture(
+    scope="module",
+    params=["pyramidal", pytest.param("elliptic", marks=pytest.mark.exhaustive)],
+)
 def motion(request, tmp_path_factory):
     text = {"pyramidal": MONOPED, "elliptic": ELLIPTIC}[request.param]
     robot = _robot(tmp_path_factory.mktemp(request.param), text)

@@ -76,6 +76,7 @@ def test_the_solver_finishes_in_float32(cone, iterations):
     assert np.abs(forces_off).max() < 5e-3
 
 
+@pytest.mark.exhaustive
 def test_in_float64_it_is_the_solver_of_mjx():
     text = BOX.format(cone="pyramidal", iterations=1)
     offsets = OFF * np.linspace(-1.0, 1.0, 5)[:, None] * np.eye(7)[6]

@@ -118,6 +118,7 @@ def test_the_derivative_of_the_step_is_the_matrix_of_the_sampled_theory():
 _matrix = jax.jit(lambda sampled: one_period_matrix(sampled, 4))
 
 
+@pytest.mark.exhaustive
 def test_no_damping_and_no_stiffness_move_as_the_bare_mass():
     bare, zero = _simulated(Mass(0.7), substeps=2), _simulated(Mass(0.7, 0.0, 0.0), substeps=2)
     np.testing.assert_allclose(zero.position, bare.position, rtol=1e-11, atol=1e-14)

@@ -119,6 +119,7 @@ def test_a_filter_in_continuous_time_is_named(drawn):
     assert "filtered at 300 rad/s" in footer
 
 
+@pytest.mark.exhaustive
 def test_filters_that_differ_are_named_with_their_loops(drawn, tmp_path):
     (tmp_path / "loops.toml").write_text(
         '[[loop]]\nname = "old"\nvelocity_filter = 100\n[[loop]]\nname = "new"\n'

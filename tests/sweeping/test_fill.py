@@ -122,6 +122,7 @@ def test_a_device_short_of_memory_gets_smaller_tiles(monkeypatch, tmp_path):
     np.testing.assert_array_equal(results["rms_force"].values.ravel(), np.arange(90) % 4)
 
 
+@pytest.mark.exhaustive
 def test_other_failures_are_not_taken_for_a_lack_of_memory(monkeypatch, tmp_path):
     def finish(_):
         raise jax.errors.JaxRuntimeError("INTERNAL: something else")

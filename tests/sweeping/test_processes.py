@@ -59,7 +59,7 @@ def test_helpers_compute_beside_this_process_and_end():
         os.kill(other, 0)
 
 
-@pytest.mark.parametrize("prepare", [lost, refusing])
+@pytest.mark.parametrize("prepare", [lost, pytest.param(refusing, marks=pytest.mark.exhaustive)])
 def test_what_a_lost_helper_did_not_compute_is_computed_here(prepare):
     with helping(2, prepare, os.getpid()) as pool:
         end = time.monotonic() + 60.0

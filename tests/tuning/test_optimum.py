@@ -72,6 +72,7 @@ def test_the_oracles_optima_are_reached(oracle, number):
     assert tuned.certified and tuned.feasible
 
 
+@pytest.mark.exhaustive
 def test_the_oracles_constraints_are_met_to_rounding(oracle):
     assert np.all(_largest_peaks(oracle) <= _bounds(oracle) * (1.0 + 1e-9))
 

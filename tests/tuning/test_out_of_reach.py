@@ -97,6 +97,7 @@ def test_a_bound_just_out_of_reach_ends_too(arm, far):
     assert max(check.value for check in tuned.closest) == pytest.approx(nearest, rel=5e-3)
 
 
+@pytest.mark.exhaustive
 def test_where_a_few_frequencies_do_not_show_that_a_loop_is_lost_all_are_looked_at(
     far, monkeypatch
 ):

@@ -159,7 +159,7 @@ def test_a_delay_of_seconds_at_a_robot_is_refused_before_it_takes_all_memory(tmp
         jx.margins(robot)
 
 
-@pytest.mark.parametrize("sampled", [False, True])
+@pytest.mark.parametrize("sampled", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
 def test_traced_values_out_of_their_bounds_give_no_margins(sampled):
     def found(mass, delay):
         loop = LOOP.replace(mass=mass, delay=delay)
