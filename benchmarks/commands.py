@@ -13,7 +13,8 @@ from pathlib import Path
 from benchmarks.timing import Row, failed, seconds
 
 # As the user has it; the process of a group of lines adds what its own JAX needs.
-_GIVEN = dict(os.environ)
+# Of an installed package Python keeps what it has compiled of the sources.
+_GIVEN = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 # Of the robots of MuJoCo Playground: joints, scene, options, and what may be taken by the whole
 # command and by the margins alone of a robot that is linearised already [s]; None: not limited.
 _ROBOTS = (

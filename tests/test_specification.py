@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from jaxact.errors import UserError
-from jaxact.loops import checks, toml
+from jaxact.loops import checks, drives, toml
 from jaxact.loops.reading import load, parse
 from jaxact.parameters import PARAMETERS, canonical
 
@@ -231,6 +231,13 @@ def test_a_file_that_is_no_text_is_refused(content, tmp_path):
     path.write_bytes(content)
     with pytest.raises(UserError, match="TOML"):
         load(path)
+
+
+def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path):
+    marked = tmp_path / "marked.toml"
+    marked.write_text(GOOD, encoding="utf-8-sig")
+    assert load(marked) == parse(GOOD)
+    assert drives.named_by(marked) is None and not drives.is_drive(marked)
 
 
 @pytest.mark.parametrize("path", ["absent.toml", ".", "/dev/zero", "absent/\n/x.toml"])

@@ -256,7 +256,7 @@ def load_drive(path: str | os.PathLike[str]) -> IdentifiedDrive:
     """
     where = Path(path)
     try:
-        document = tomllib.loads(where.read_text(encoding="utf-8"))
+        document = tomllib.loads(where.read_text(encoding="utf-8-sig"))
     except OSError as error:
         reason = error.strerror or error
         raise UserError(f"{where}: cannot be read ({reason}); give a drive of identify") from None
@@ -268,7 +268,7 @@ def load_drive(path: str | os.PathLike[str]) -> IdentifiedDrive:
 def is_drive(path: Path) -> bool:
     """Whether a file is of an identified drive; not where it cannot be read at all."""
     try:
-        return path.suffix == ".toml" and "estimates" in tomllib.loads(path.read_text("utf-8"))
+        return path.suffix == ".toml" and "estimates" in tomllib.loads(path.read_text("utf-8-sig"))
     except (OSError, ValueError, RecursionError):
         return False
 
@@ -344,7 +344,7 @@ def filled(drive: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
 
 def named_by(specification: Path) -> Path | None:
     """The file of the drive that a specification names, which was read; None for none."""
-    given = tomllib.loads(specification.read_text(encoding="utf-8")).get(DRIVE)
+    given = tomllib.loads(specification.read_text(encoding="utf-8-sig")).get(DRIVE)
     return None if given is None else specification.parent / given
 
 

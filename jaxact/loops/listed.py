@@ -29,7 +29,7 @@ def rows(path: Path) -> list[dict[str, Any]] | None:
         UserError: the file cannot be read, or what it lists are not tables.
     """
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "is not UTF-8 text"
         raise UserError(f"{path}: cannot be read ({reason}); give a TOML file of loops") from None

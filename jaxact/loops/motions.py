@@ -80,7 +80,7 @@ def _columns(path: Path) -> dict[str, np.ndarray]:
         if path.suffix.lower() == ".npz":
             with np.load(path, allow_pickle=False) as arrays:
                 return {name: np.asarray(arrays[name], float) for name in arrays.files}
-        with path.open(encoding="utf-8") as file:
+        with path.open(encoding="utf-8-sig") as file:
             names = [name.partition("[")[0].strip() for name in file.readline().split(",")]
             table = np.loadtxt(file, delimiter=",", ndmin=2)
     except (OSError, ValueError, UnicodeDecodeError) as error:

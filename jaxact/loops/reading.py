@@ -119,7 +119,8 @@ def _read(path: Path) -> dict[str, Any]:
             raise UserError("is not a file; give the path of a TOML specification")
         if path.stat().st_size > _LARGEST_FILE:
             raise UserError(f"is larger than {_LARGEST_FILE:,} bytes; is it a TOML specification?")
-        return _loads(path.read_text(encoding="utf-8"))
+        # Some editors begin a file with a byte order mark.
+        return _loads(path.read_text(encoding="utf-8-sig"))
     except UnicodeDecodeError:
         raise UserError("is not UTF-8 text; give the path of a TOML specification") from None
     except (OSError, ValueError) as error:

@@ -214,7 +214,7 @@ def _found(
 def _toml(path: Path) -> dict[str, Any]:
     """What a TOML file says; nothing of any other, which is judged where it is read."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8")) if path.suffix == ".toml" else {}
+        return tomllib.loads(path.read_text(encoding="utf-8-sig")) if path.suffix == ".toml" else {}
     except (OSError, ValueError, RecursionError):
         return {}
 

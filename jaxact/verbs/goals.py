@@ -57,7 +57,7 @@ def _is_number(value: Any) -> bool:
 def _reference(path: Path) -> tuple[tuple[float, ...], float]:
     """Setpoints and the time between them, from a CSV file of time and setpoint."""
     try:
-        rows = np.loadtxt(path, delimiter=",", comments="#", ndmin=2, encoding="utf-8")
+        rows = np.loadtxt(path, delimiter=",", comments="#", ndmin=2, encoding="utf-8-sig")
     except OSError as error:
         reason = error.strerror or "is missing"
         raise UserError(f"{path}: cannot be read ({reason}); give a CSV file") from None

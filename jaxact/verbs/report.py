@@ -83,7 +83,7 @@ def _is_robot(subject: Any) -> bool:
     if isinstance(subject, str | os.PathLike):
         path = Path(subject)
         described = path.suffix == ".toml" and path.is_file()
-        text = path.read_text(encoding="utf-8", errors="replace") if described else ""
+        text = path.read_text(encoding="utf-8-sig", errors="replace") if described else ""
         return path.suffix.lower() in _MODELS or "[plant]" in text
     text = getattr(subject, "attrs", {}).get("specification_toml", "")
     own = hasattr(subject, "of_joints") or getattr(subject, "robot", None) is not None
@@ -149,7 +149,7 @@ def tuned_file(path: Path) -> tuple[Path, Mapping[str, Any]] | None:
     if own.suffix != ".toml" or not own.is_file():
         return None
     try:
-        document = tomllib.loads(own.read_text(encoding="utf-8"))
+        document = tomllib.loads(own.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError) as error:
         if own != path:
             raise UserError(f"{own}: is damaged ({error}); make it anew") from None

@@ -136,7 +136,7 @@ def _subject(subject: Any) -> Subject:
         if path.suffix != ".toml":
             return _of_sweep(_opened(subject))
         if listed.rows(path) is not None:
-            return Subject(loop_of(path), specification=path.read_text(encoding="utf-8"))
+            return Subject(loop_of(path), specification=path.read_text(encoding="utf-8-sig"))
         return _of_specification(*report_specification.load(path))
     raise UserError(f"a report cannot be of a {type(subject).__name__}; give a loop or a result")
 

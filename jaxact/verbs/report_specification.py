@@ -20,7 +20,7 @@ def load(path: Path) -> tuple[Specification, str]:
         UserError: as `jaxact.loops.reading.load`.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
         document = tomllib.loads(text)
     except (OSError, ValueError, RecursionError):
         document = {}  # what is wrong with it is said below
