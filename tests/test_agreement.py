@@ -101,6 +101,7 @@ def test_boundary_separates_the_exact_verdicts(results):
     assert (radii < 1.0).sum() == 1
 
 
+@pytest.mark.exhaustive
 def test_of_very_many_loops_an_even_part_is_looked_at(results, monkeypatch):
     results["verdict"].values[..., ::7] = 2
     whole = agreement.sweep_agreement(results)

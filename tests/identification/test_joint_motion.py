@@ -218,6 +218,7 @@ def swinging():
     return jax.jit(position), jax.jit(jax.jacfwd(position))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("drive", [(110.0, 0.9), (800.0, 0.45), (4e4, 100.0)])
 def test_derivatives_are_central_differences_inside_a_tick(swinging, drive):
     position, slopes = swinging

@@ -125,6 +125,7 @@ def test_random_points_of_the_box_meet_the_bounds_too(arm, tuned):
         assert max(S.max(), T.max()) <= 1.8 * (1.0 + 1e-7)
 
 
+@pytest.mark.exhaustive
 def test_exact_peaks_have_the_slopes_of_differences(arm):
     situations, _ = arm
     loops = open_loops(situations[:1], read_box(SPANS, VARIED).corners())
@@ -209,6 +210,7 @@ def test_what_cannot_be_met_is_said_with_the_closest_value(known):
             assert max(v.max() for v in _fine(tuned.members, 0, kp, kd, 400)) > closest * 0.999
 
 
+@pytest.mark.exhaustive
 def test_an_unstable_start_is_rescued(arm):
     situations, box = arm
     groups = group([], situations[0].names)
