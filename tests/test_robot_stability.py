@@ -52,6 +52,21 @@ def test_the_largest_root_is_found_among_slow_motions_fast_ones_and_delays(slow,
     assert stability.excess(M) == pytest.approx(expected, abs=1e-10 * radius)
 
 
+def test_motions_that_grow_much_before_they_are_gone_hide_no_slow_one():
+    """As large as a million, and as good as gone after a hundred periods."""
+    rng = np.random.default_rng(3)
+    for radius in (1.0 - 1e-8, 1.0 + 1e-8):
+        M = np.diag([radius, *np.full(29, 0.7)]) + 1.2 * np.triu(rng.normal(size=(30, 30)), 1)
+        M[0, 1:] *= 1e-3
+        power, largest = M, 0.0
+        for _ in range(7):
+            largest, power = max(largest, np.abs(power).max()), power @ power
+        assert largest > 1e6
+        Q, _ = np.linalg.qr(rng.normal(size=M.shape))
+        expected = radius - 1.0 - stability.MARGINAL
+        assert np.sign(stability.excess(Q @ M @ Q.T)) == np.sign(expected)
+
+
 def test_what_is_not_a_number_grows_and_what_is_gone_at_once_does_not():
     line = np.diag(np.ones(39), 1)
     assert stability.excess(line) == stability.excess(np.zeros((40, 40))) == -1.0

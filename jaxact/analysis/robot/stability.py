@@ -59,22 +59,22 @@ def _sizes(M: np.ndarray) -> np.ndarray | None:
 
     In a power M^j the motions of actuators and delays are gone: what is left is a small matrix, of
     which roots take a part of the time. Rounding moves a root of P^2 by at most its condition times
-    n u |P|^2 and one of M by a j-th of that, no more than computing it of M does if P is small.
+    n u |P|^2 and one of M by a j-th of that: if all P are small, no more than computing it of M.
     """
     if len(M) <= _MANY:
         return None
     power = M
     for squaring in range(_SQUARINGS[-1] + 1):
-        if squaring in _SQUARINGS:
+        looked_at = squaring in _SQUARINGS
+        if looked_at or not _size(power) <= _LARGE:
             if not np.isfinite(_size(power)):
                 return None
-            power = _balanced(power)
+            power = _balanced(power)  # in other units it may be small
             if _size(power) > _LARGE:
                 return None
-            if len(core := _condensed(power)) < len(power):
-                return np.abs(np.linalg.eigvals(core)) ** (0.5**squaring)
-        with np.errstate(over="ignore", invalid="ignore"):
-            power = power @ power
+        if looked_at and len(core := _condensed(power)) < len(power):
+            return np.abs(np.linalg.eigvals(core)) ** (0.5**squaring)
+        power = power @ power
     return None
 
 
