@@ -52,6 +52,29 @@ def test_the_largest_root_is_found_among_slow_motions_fast_ones_and_delays(slow,
     assert stability.excess(M) == pytest.approx(expected, abs=1e-10 * radius)
 
 
+def _delayed_oscillator(ahead, gain):
+    """A motion whose velocity is in units a million times too small, fed back after a delay."""
+    M = np.diag(np.ones(ahead + 1), 1)
+    turn = np.array([[1.0, 1e-3], [-40.0, 0.8]])
+    M[:2, :2], M[1, 2] = turn, 1e3
+    M[-1] = 0.0
+    M[-1, :2] = -gain * np.array([1e-2, 1e-6])
+    return M
+
+
+@pytest.mark.parametrize("ahead", [6, 30])
+@pytest.mark.parametrize("gain", [0.1, 1.0, 3.0, 4.0, 8.0])
+def test_motions_that_are_slow_are_told_apart_beside_powers_that_grow_at_first(gain, ahead):
+    M = _delayed_oscillator(ahead, gain)
+    inside = np.abs(np.linalg.eigvals(M)).max() < 1.0
+    assert (stability.excess(M) < 0.0) == inside
+    slow = np.zeros((len(M) + 1,) * 2)
+    slow[:-1, :-1], slow[-1, -1] = M, 1.0 - 1e-6
+    assert (stability.excess(slow) < 0.0) == inside
+    slow[-1, -1] = 1.0 + 1e-8
+    assert stability.excess(slow) > 0.0
+
+
 def test_motions_that_grow_much_before_they_are_gone_hide_no_slow_one():
     """As large as a million, and as good as gone after a hundred periods."""
     rng = np.random.default_rng(3)
