@@ -165,7 +165,7 @@ def specified(
         robot: which one, or the file; neither for a joint.
         given: parameter (or `actuator`) -> its value, or a tuple of values, which are an axis then.
         static: options of the whole specification; None is not given.
-        defaults: of these, where there is no file.
+        defaults: values of static options, used where there is no file.
         push: keys of the push, None where none was given.
 
     Raises:

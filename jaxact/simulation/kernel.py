@@ -222,8 +222,8 @@ def setpoints(template: Template, values: Values, ticks: int) -> Setpoint | None
 def linear_part(case: Case, setting: Setting) -> tuple[Case, Setting]:
     """What the linearised loop depends on: sweeps that differ in nothing else share its kernels.
 
-    It knows of no noise (a bias that walks is a state, but none of the linear loop), quantisation
-    and limits, nor of how long the loop is simulated and what moves it.
+    Noise (the bias that walks included, whose state is not one of the linear loop), quantisation
+    and limits do not change it, nor how long the loop is simulated or what moves it.
     """
     return (
         replace(
