@@ -1,5 +1,6 @@
 """For tests that compile much and compute little: the compiler optimises little."""
 
+import sys
 from contextlib import contextmanager
 from importlib.metadata import version
 
@@ -31,11 +32,21 @@ def optimised_little():
 @contextmanager
 def optimised_fully():
     """What is compiled meanwhile is compiled as users have it, in a module that does not else."""
-    # What tests before compiled quickly is not what users have.
+    # What tests before compiled quickly is not what users have, nor what it found.
     programs.let_go()
     jax.clear_caches()
+    _forget()
     with _optimisations(disabled=False):
         yield
+
+
+def _forget():
+    """Clear what jaxact's functions remember: numbers of kernels, in their last bits, among it."""
+    for name, module in list(sys.modules.items()):
+        if name.partition(".")[0] == "jaxact":
+            for thing in vars(module).values():
+                if hasattr(thing, "cache_clear"):
+                    thing.cache_clear()
 
 
 @contextmanager
