@@ -135,6 +135,7 @@ def test_a_mistake_ends_the_process_with_exit_code_2(small):
         (["plot", "absent"], "absent"),
         (["export", "absent", "x.nc"], "absent"),
         (["export", "."], "FILE"),
+        (["export", "absent", "x.xls"], "must end in .nc"),
         (["info", "--jsn"], "--jsn"),
     ],
 )

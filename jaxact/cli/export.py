@@ -8,8 +8,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from jaxact import files
-from jaxact.cli import _arguments, _warnings
+from jaxact.cli import _arguments, _files, _warnings
 from jaxact.cli._arguments import option
 from jaxact.errors import UserError, shown
 
@@ -130,7 +129,7 @@ def _parameters(changes: tuple[str, ...]) -> dict[str, Any]:
 def _netcdf(result: str, file: Path, *, overwrite: bool) -> None:
     from jaxact.sweeping import opening
 
-    files.check_output(file, overwrite=overwrite)
+    _files.check_output(file, ".nc", overwrite=overwrite)
     _warnings.older(result)
     opening.to_netcdf(opening.load_result(result), file, overwrite=overwrite)
     print(f"{file}: {file.stat().st_size:,} bytes")
