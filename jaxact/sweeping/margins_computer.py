@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxact import engines
+from jaxact.analysis.robot.one_thread import one_thread
 from jaxact.errors import UserError
 from jaxact.loops.samples import Samples
 from jaxact.parameters import CONTROL_RATE
@@ -69,7 +70,7 @@ class MarginsComputer:
         count = helping_processes(
             self._work.specification, sum(layout.span(number)[1] for number in chunks)
         )
-        with helping(count, _computing, self._shared) as pool:
+        with one_thread(), helping(count, _computing, self._shared) as pool:
             for number in chunks:
                 found = _margins(self._shared, layout.numbers(number), pool)
                 yield number, (found, self._work.store.tile)
@@ -87,7 +88,7 @@ def recomputed(
     """
     shared = _shared(specification, samples)
     count = helping_processes(specification, len(numbers))
-    with helping(count, _computing, shared) as pool:
+    with one_thread(), helping(count, _computing, shared) as pool:
         return _margins(shared, numbers, pool)
 
 

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from jaxact.analysis.robot.margins import JointMargins, WholeMargins
+from jaxact.analysis.robot.one_thread import one_thread
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
@@ -154,6 +155,7 @@ def _unflatten(details: _Same, children: Any) -> RobotLoopMargins:
 jax.tree_util.register_pytree_node(RobotLoopMargins, _flatten, _unflatten)
 
 
+@one_thread()
 def margins_of_robot(loop: ControlLoop, engine: str = "mujoco") -> RobotLoopMargins:
     """The margins of a robot's loops, as `jaxact.margins`.
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxact.analysis.robot.one_thread import one_thread
 from jaxact.tuning.course import Told, silent
 from jaxact.tuning.goal import HIGHEST, LOWEST, Goal, peaks
 from jaxact.tuning.polish import MET
@@ -31,6 +32,7 @@ _ABOVE, _HIGH, _FAR = 1.02, 2.0, 1.5
 _WORTH = 1e-6
 
 
+@one_thread()
 def front(tuned: Tuned, number: int, *, seed: int = 0, told: Told = silent) -> list[Tuned]:
     """The best gains for peaks from small to large, even in 1/M (`jaxact.tuning.goal.peaks`).
 

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxact.analysis.robot.one_thread import one_thread
 from jaxact.errors import UserError
 from jaxact.tuning.certificate import Effort
 from jaxact.tuning.course import INTERRUPTED, NOTHING, Course, Told, silent
@@ -53,6 +54,7 @@ _WIDE = 4
 BOUNDS = ("max_peak", "min_disk_margin", "min_kp", "max_kp")
 
 
+@one_thread()
 def tune(
     situations: Sequence[Situation],
     goal: Goal,
