@@ -7,6 +7,7 @@ from jaxact.loops import reading
 from jaxact.loops.samples import expand
 from jaxact.plants import mujoco
 from jaxact.plants.mjx import side_by_side
+from jaxact.simulation import engines
 from jaxact.sweeping import throughput
 
 LIMITED = PENDULUM.replace('axis="0 1 0"', 'axis="0 1 0" limited="true" range="-170 170"')
@@ -53,7 +54,9 @@ def _chosen(name, seconds, folder, **options):
 @pytest.mark.parametrize("name", ["two hinges", "two hinges with limits", "hopper", "quadruped"])
 def test_it_is_c_mujoco_in_a_short_sweep_and_mjx_in_a_long_one(name, tmp_path):
     assert _chosen(name, 200.0, tmp_path) == "mujoco"
-    assert _chosen(name, 20e3, tmp_path) == "mjx"
+    found = _chosen(name, 20e3, tmp_path)
+    # Robots with contacts or limits are computed side by side from JAX 0.11 on only.
+    assert found == ("mujoco" if engines.old_jax() and name != "two hinges" else "mjx")
 
 
 def test_the_lighter_a_robot_the_shorter_a_sweep_of_it_in_mjx(tmp_path):
@@ -75,6 +78,7 @@ def test_it_stays_c_mujoco_where_mjx_computes_more_or_by_itself(name, options, t
     assert _chosen(name, 1e6, tmp_path, **options) == "mujoco"
 
 
+@pytest.mark.skipif(engines.old_jax(), reason="MJX is never taken for it")
 def test_it_stays_c_mujoco_for_a_robot_with_too_many_constraints(monkeypatch, tmp_path):
     assert _chosen("hopper", 1e6, tmp_path) == "mjx"
     monkeypatch.setattr(side_by_side, "_PRODUCT", 100)  # of 112 that it has
