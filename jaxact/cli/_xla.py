@@ -7,13 +7,14 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jaxact.analysis.robot.one_thread import CHOSEN
+
 if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
 
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
 POOL = "NPROC"
 THREADS = "OPENBLAS_NUM_THREADS"
-_OTHER_THREADS = ("OMP_NUM_THREADS", "GOTO_NUM_THREADS")  # which OpenBLAS reads too
 DEVICE_COUNT = "JAX_NUM_CPU_DEVICES"
 _OLD_DEVICE_COUNT = "--xla_force_host_platform_device_count"
 
@@ -36,7 +37,7 @@ def prepare(*, all_cores: bool = False) -> None:
     if flags != given:
         os.environ["XLA_FLAGS"] = flags.strip()
     enlarge_pool()
-    if not any(name in os.environ for name in (THREADS, *_OTHER_THREADS)):
+    if not any(name in os.environ for name in CHOSEN):
         os.environ[THREADS] = "1"
     if all_cores and DEVICE_COUNT not in os.environ and _OLD_DEVICE_COUNT not in flags:
         os.environ[DEVICE_COUNT] = str(cores())

@@ -14,8 +14,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import scipy.linalg  # noqa: F401  its OpenBLAS, too, is there to be limited
-
 # What OpenBLAS reads: a number that the user has chosen stays.
 CHOSEN = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "GOTO_NUM_THREADS")
 
@@ -29,6 +27,7 @@ class _Limit:
         self._limit: Any = None
 
     def take(self) -> None:
+        import scipy.linalg  # noqa: F401  its OpenBLAS, too, is there to be limited
         from threadpoolctl import threadpool_limits
 
         with self._lock:
