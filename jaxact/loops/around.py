@@ -29,7 +29,7 @@ from jaxact.drive.step import Force
 from jaxact.errors import UserError
 from jaxact.loops import loop as _loop
 from jaxact.loops.control_loop import ControlLoop, demand, is_traced
-from jaxact.loops.conversion import drive_of
+from jaxact.loops.conversion import drive_of, within_bounds
 from jaxact.loops.longest import fitting
 from jaxact.loops.loop import Loop, LoopState, Output, Prepared
 from jaxact.parameters import GAIN_SCALE, KD, KP
@@ -85,8 +85,18 @@ class Simulator:
         return found[0], found[1]
 
     def advance(self, state: Any, force: Force) -> Any:
-        """State one physics step later under the mean force, so that the impulse is exact."""
-        return self.advance_by(state, force.mean)
+        """State one physics step later under the mean force, so that the impulse is exact.
+
+        Raises:
+            UserError: `step` gives something else than a state.
+        """
+        after = self.advance_by(state, force.mean)
+        if jax.tree.structure(after) != jax.tree.structure(state):
+            raise UserError(
+                f"step: gives a value of type {type(after).__name__}, other than the state of type "
+                f"{type(state).__name__} that it is given; needed is the state a physics step later"
+            )
+        return after
 
     def between(
         self, before: Any, after: Any, force: Force, offset: jax.Array
@@ -131,7 +141,8 @@ class Driven:
 
         Args:
             state: the simulator's own.
-            command: past command, and the force it gives [N or N m], shape (joints,) or a number.
+            command: past command, and the force it gives [N or N m], shape (joints,) or a number;
+                0 unless it is given.
         """
         position, velocity = self.prepared.plant.measure(state)
         drive = _drive.init(self.prepared.drive, self.options, position, velocity, command=command)
@@ -209,9 +220,10 @@ def drive_around(
             longer all the same, the forces are not a number.
 
     Returns:
-        `init(data)` begins and `step(state, setpoint, key)` takes a control period; it returns the
-        state, in which `simulator` is yours, and an output with the `position` and `velocity` at
-        the end of the period, and its `command` and `force`. With noise, `key` is the
+        `init(data, command=0.0)` begins, the drives having held that command for ever, and
+        `step(state, setpoint, key)` takes a control period; it returns the state, in which
+        `simulator` is yours, and a `jaxact.loops.loop.Output`: `command`, `peak_force`, the
+        `position` and `velocity` at the end of the period, ... With noise, `key` is the
         simulator's: the same one at every step.
 
     Raises:
@@ -229,6 +241,9 @@ def drive_around(
     _demand_loop("loop", loop)
     _demand_loop("longest", static)
     _demand_numbers(physics_step, joints)
+    for name, own in (("step", step), ("measure", measure)):
+        if not callable(own):
+            raise UserError(f"{name}: a value of type {type(own).__name__} is not a function")
     drive, known = _drive_in(loop), _drive_in(static)
     joints = _number(static) if joints is None else joints
     plant = Simulator(jnp.asarray(physics_step), step, measure, joints)
@@ -264,6 +279,9 @@ def _drive_in(loop: ControlLoop | Drive) -> Drive:
 
         values = robots.of_drives(loop.kind.plant, values)
     scale = values[GAIN_SCALE]
+    traced = [name for name, value in loop.values.items() if isinstance(value, jax.core.Tracer)]
+    if traced:  # what is out of its bounds gives forces that are not a number
+        scale = jnp.where(within_bounds(loop.values, traced), scale, jnp.nan)
     return drive_of({**values, KP: scale * values[KP], KD: scale * values[KD]})
 
 

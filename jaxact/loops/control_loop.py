@@ -129,7 +129,10 @@ class ControlLoop:
         import jax.numpy as jnp
 
         shape = self.shape
-        given = {name: jnp.broadcast_to(value, shape) for name, value in self.values.items()}
+        given = {  # what JAX does not have yet it would round to its own precision
+            name: (jnp if isinstance(value, jax.Array) else np).broadcast_to(value, shape)
+            for name, value in self.values.items()
+        }
         return dataclasses.replace(self, values=given)
 
     def __getitem__(self, index: Any) -> ControlLoop:
@@ -243,8 +246,9 @@ def read(given: Mapping[str, Any], *, robot: bool) -> dict[str, Any]:
     _check_dimensions(given)
     for name, value in given.items():
         short = canonical(name)
-        if any(canonical(other) == short for other in given if other != name):
-            raise UserError(f"`{name}`: the same parameter is given twice; remove one")
+        twice = [other for other in given if other != name and canonical(other) == short]
+        if twice:
+            raise UserError(f"`{name}` and `{twice[0]}` are the same parameter; remove one")
         if short == ACTUATOR:
             both = [other for other in given if canonical(other) in _PRESET_SETS]
             if both and value is not None:

@@ -6,7 +6,7 @@ The one place where delays are added up and parameters become the fields of anot
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import jax
@@ -45,6 +45,7 @@ from jaxact.parameters import (
     NOISES,
     OF_JOINT,
     OUTPUT_DELAY,
+    PARAMETERS,
     POLICY_RATE,
     POSITION_RESOLUTION,
     PRESETS,
@@ -54,6 +55,7 @@ from jaxact.parameters import (
     WALKS,
     WN,
     ZETA,
+    base,
     of,
 )
 
@@ -64,6 +66,21 @@ _OF_SENSOR = (
 # Rates must each fit the physics step; of what else varies the ends say enough.
 _EACH_COUNTS = (CONTROL_RATE, POLICY_RATE)
 _LOOP = {"long_name": "loop", "units": "1", "description": "Number of the loop."}
+
+
+def within_bounds(values: Mapping[str, Any], names: Iterable[str]) -> jax.Array:
+    """Where parameters are what they may be; traced ones cannot be refused. Of their shape.
+
+    Args:
+        values: parameters by key, numbers or arrays.
+        names: the keys that are asked about.
+    """
+    known = jnp.asarray(True)
+    for name in names:
+        bounds, value = PARAMETERS[base(name)], values[name]
+        inside = (value >= bounds.minimum) & (value <= bounds.maximum)
+        known = known & (inside | (bounds.infinite & (value == jnp.inf)))
+    return known
 
 
 def total_delay(values: Mapping[str, Any]) -> Any:

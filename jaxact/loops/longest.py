@@ -52,13 +52,14 @@ def _fits(drive: Drive, given: DriveOptions) -> jax.Array:
     """Whether the delays, traced, have slots enough; bool, of the shape of the delays."""
     period = jnp.asarray(drive.control_period)
     total = jnp.asarray(drive.actuator.delay) + drive.output_delay
-    fits = _delay.split(total, period)[0] < given.command_slots
+    fits = (total >= 0.0) & (_delay.split(total, period)[0] < given.command_slots)
     # A line that is not there has no delay; a line of setpoints has one slot more.
     for late, slots in (
         (jnp.asarray(drive.sensor.delay), given.measurement_slots),
         (jnp.asarray(drive.controller.setpoint_delay), given.setpoint_slots - 1),
     ):
-        fits &= _delay.split(late, period)[0] < slots if slots > 0 else late == 0.0
+        room = _delay.split(late, period)[0] < slots if slots > 0 else late == 0.0
+        fits &= (late >= 0.0) & room
     return fits
 
 

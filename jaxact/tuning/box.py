@@ -29,6 +29,7 @@ from jaxact.parameters import (
     base,
     check,
     known,
+    of,
 )
 
 _FACTORS = (WN, ZETA, INERTIA_SCALE, CONTACT_FRICTION)
@@ -41,6 +42,8 @@ _REFUSED = {
 _ASCENTS = 24
 # Nobody knows a parameter so badly that it is surely this many times what it is taken for.
 _FAR = 5.0
+# Share of a range's end by which a value may be outside of it.
+_ROUNDING = 1e-9
 
 Rise = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Points of the unit box (n, d) -> values (n,) and slopes (n, d)."""
@@ -189,6 +192,51 @@ def read_box(text: str, varied: Collection[str], *, patterns: bool = False) -> B
         ranges.append(Range(name, low, high, factors[0]))
     order = list(varied)
     return Box(tuple(sorted(ranges, key=lambda one: (order.index(base(one.name)), one.name))))
+
+
+def inside(
+    box: Box,
+    given: Mapping[str, float],
+    defaults: Mapping[str, float],
+    unit: str | None = None,
+) -> dict[str, float]:
+    """What a loop must have to be among those that a box holds, of what it was not given.
+
+    Args:
+        box: what is uncertain.
+        given: values that were given, by key.
+        defaults: of others.
+        unit: of the joint's position, None for m.
+
+    Returns:
+        The middle of every range that leaves out the default.
+
+    Raises:
+        UserError: a range leaves out the value given, so that its certificate is not of this loop.
+    """
+    found = {}
+    for one in box.ranges:
+        own = 1.0 if one.factor else given.get(one.name, defaults.get(one.name))
+        room = _ROUNDING * max(abs(one.low), abs(one.high))
+        if own is None or one.low - room <= float(own) <= one.high + room:
+            continue
+        if one.name in given:
+            raise UserError(f"`uncertainty` {one.name}: {_left_out(one, float(own), unit)}")
+        if not one.factor:
+            found[one.name] = 0.5 * (one.low + one.high)
+    return found
+
+
+def _left_out(one: Range, own: float, joint: str | None) -> str:
+    name, unit = base(one.name), of(base(one.name), joint).unit
+    ends = f"{one.low:g} to {one.high:g}"
+    certified = "so that what is certified would not hold for the loop with its new gains"
+    if one.factor:
+        return f"a factor of {ends} leaves out 1, the loop's own {name}, {certified}"
+    return (
+        f"{ends} {unit} leaves out the loop's own {own:g} {unit}, {certified}; give a {name} "
+        "within, or the ends as factors, 0.8x..1.2x"
+    )
 
 
 def _number(text: str, part: str) -> float:

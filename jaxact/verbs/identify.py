@@ -24,6 +24,7 @@ from jaxact.parameters import CONTROL_RATE, DELAY
 from jaxact.plotting import identification as _pictures
 from jaxact.plotting.identification import Compared, Step
 from jaxact.verbs import notebook
+from jaxact.verbs.given_axes import on_axes
 from jaxact.verbs.report_identified import OF_THE_DRIVE, compared
 
 if TYPE_CHECKING:
@@ -131,6 +132,7 @@ def identification_sheet(identified: Identified, *, title: str = "", log: int = 
     )
 
 
+@on_axes
 def profile_likelihood(
     identified: Identified, name: str = DELAY, *, ax: Axes | None = None
 ) -> Axes:
@@ -147,6 +149,7 @@ def profile_likelihood(
     return ax
 
 
+@on_axes
 def residual_autocorrelation(
     identified: Identified, *, log: int = 0, ax: Axes | None = None
 ) -> Axes:

@@ -23,6 +23,7 @@ from jaxact.plotting import stability_map as _map
 from jaxact.plotting.zero_line import zero_line
 from jaxact.sweeping import agreement, variables
 from jaxact.verbs import map_lines
+from jaxact.verbs.given_axes import on_axes
 
 if TYPE_CHECKING:
     from jaxact.plotting.panels import Arrangement, Kind
@@ -32,6 +33,7 @@ Select = Mapping[str, float | str]
 """Parameter -> value, of which the nearest is kept."""
 
 
+@on_axes
 def stability_map(
     maps: xr.Dataset,
     *,
@@ -76,6 +78,7 @@ def stability_map(
     return _finished(given, handles if legend else [], outer=own)
 
 
+@on_axes
 def scatter(
     maps: xr.Dataset,
     *,
@@ -109,6 +112,7 @@ def scatter(
     return _finished(given, handles, outer=ax is None and axes is None)
 
 
+@on_axes
 def lines(
     maps: xr.Dataset,
     *,

@@ -22,7 +22,7 @@ from jaxact.compilation.programs import Program
 from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop, demand, is_traced
-from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KP, LINEAR, PARAMETERS
+from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KP, LINEAR
 from jaxact.reportable import Reportable
 from jaxact.verbs import margin_tables, notebook
 
@@ -212,7 +212,7 @@ def _one(loop: ControlLoop, sampled: bool, steps: int | None) -> LoopMargins:
 def _traced(loop: ControlLoop, sampled: bool, steps: int | None) -> Margins | SampledMargins:
     values = loop.broadcast().parameters
     found = _traced_metrics(loop, values, sampled, steps)
-    known = _within_bounds(values)
+    known = conversion.within_bounds(values, (*LINEAR, GAIN_SCALE, CONTROL_RATE))
     kind = SampledMargins if sampled else Margins
 
     def if_known(name: str) -> jax.Array:
@@ -221,17 +221,6 @@ def _traced(loop: ControlLoop, sampled: bool, steps: int | None) -> Margins | Sa
         return jnp.where(known, value, other)
 
     return kind(**{field.name: if_known(field.name) for field in fields(kind)})
-
-
-def _within_bounds(values: Mapping[str, jax.Array]) -> jax.Array:
-    """Where every parameter is what it may be; traced ones cannot be refused."""
-    known = jnp.asarray(True)
-    for name in (*LINEAR, GAIN_SCALE, CONTROL_RATE):
-        bounds = PARAMETERS[name]
-        value = values[name]
-        inside = (value >= bounds.minimum) & (value <= bounds.maximum)
-        known = known & (inside | (bounds.infinite & (value == jnp.inf)))
-    return known
 
 
 def _traced_metrics(

@@ -28,6 +28,7 @@ from jaxact.plotting.wording import quantity
 from jaxact.verbs import responses
 from jaxact.verbs.boundary import Window
 from jaxact.verbs.boundary import boundary as _boundary
+from jaxact.verbs.given_axes import on_axes, stacked
 from jaxact.verbs.identify import profile_likelihood, residual_autocorrelation
 from jaxact.verbs.map_pictures import lines, scatter, stability_map
 from jaxact.verbs.margins_of_robot import RobotLoopMargins
@@ -50,6 +51,7 @@ __all__ = [
 _SMALL = "small"
 
 
+@on_axes
 def bode(
     loop: ControlLoop, *, sampled: bool = False, axes: Sequence[Axes] | None = None,
     legend: bool = True,
@@ -65,6 +67,7 @@ def bode(
     return _curves(loop, sampled, axes, legend, _bode.draw)
 
 
+@on_axes
 def sensitivity(
     loop: ControlLoop, *, sampled: bool = False, axes: Sequence[Axes] | None = None,
     legend: bool = True,
@@ -78,6 +81,7 @@ def sensitivity(
     return _curves(loop, sampled, axes, legend, _sensitivity.draw)
 
 
+@on_axes
 def nyquist(
     loop: ControlLoop, *, sampled: bool = False, ax: Axes | None = None, legend: bool = True
 ) -> Axes:
@@ -127,6 +131,7 @@ def _responses(loop: ControlLoop, sampled: bool) -> list[LoopResponse]:
     return responses.responses(loop, sampled=sampled)
 
 
+@on_axes
 def robot_margins(found: RobotLoopMargins, *, axes: Sequence[Axes] | None = None) -> Sequence[Axes]:
     """Largest singular values of S and T of a robot, |S_ii| and |T_ii| of its joints, and motions.
 
@@ -153,6 +158,7 @@ def robot_margins(found: RobotLoopMargins, *, axes: Sequence[Axes] | None = None
     return axes
 
 
+@on_axes
 def trajectory(
     run: xr.Dataset, *, joint: str | None = None, axes: Sequence[Axes] | None = None
 ) -> Sequence[Axes]:
@@ -164,14 +170,12 @@ def trajectory(
         axes: of position, velocity and force.
     """
     one = _one_joint(run, joint)
-    if axes is None:
-        heights = {"height_ratios": _trajectory.HEIGHTS}
-        axes = pyplot.subplots(3, 1, sharex=True, gridspec_kw=heights)[1]
-    axes = _several(axes, 3)
+    axes = stacked(_trajectory.HEIGHTS) if axes is None else _several(axes, 3)
     _trajectory.draw(axes, _run(one), units=_units(one))
     return axes
 
 
+@on_axes
 def step(
     run: xr.Dataset, *, joint: str | None = None, axes: Sequence[Axes] | None = None,
     legend: bool = True,
@@ -194,10 +198,7 @@ def step(
         _step.StepResponse(label, _run(row), stable=int(row.verdict) == 0)
         for label, row in zip(labels, rows, strict=True)
     ]
-    if axes is None:
-        heights = {"height_ratios": _step.HEIGHTS}
-        axes = pyplot.subplots(2, 1, sharex=True, gridspec_kw=heights)[1]
-    axes = _several(axes, 2)
+    axes = stacked(_step.HEIGHTS) if axes is None else _several(axes, 2)
     _step.draw(axes, drawn, labels, units=_units(one))
     if legend:
         axes[0].legend(fontsize=_SMALL)
@@ -248,6 +249,7 @@ def _label(row: xr.Dataset, dims: Sequence[Any]) -> str:
     return ", ".join(words) or "response"
 
 
+@on_axes
 def boundary(
     loop: ControlLoop, *, kp: Window | None = None, kd: Window | None = None,
     sampled: bool = False, ax: Axes | None = None, **line: Any,

@@ -16,10 +16,12 @@ from jaxact.loops.control_loop import ControlLoop, demand
 from jaxact.loops.drives import IdentifiedDrive
 from jaxact.parameters import (
     CONTROL_RATE,
+    DELAY,
     GAIN_SCALE,
     JOINT_STIFFNESS,
     KD,
     KP,
+    LOOP_DELAYS,
     MASS,
     OF_JOINT,
     VELOCITY_FILTER,
@@ -28,7 +30,7 @@ from jaxact.parameters import (
     base,
     canonical,
 )
-from jaxact.tuning.box import KNOWN, read_box
+from jaxact.tuning.box import KNOWN, inside, read_box
 from jaxact.tuning.course import Told, ahead
 from jaxact.tuning.goal import MOST_PEAKS, Goal
 from jaxact.tuning.groups import group
@@ -82,7 +84,8 @@ def tune(
             CSV file of time [s], setpoint [m]), or a `jaxact.tuning.goal.Goal`.
         uncertainty: parameter -> (low, high), the ends of the range in which it lies (where
             `jaxact.sweep` takes a list of values): wn and zeta as factors, mass [kg] and delays [s]
-            as they are; of a robot also payload [kg], inertia_scale, ...; or as the command line
+            as they are, what the loop was given among them (a joint that was given nothing gets
+            the middle); of a robot also payload [kg], inertia_scale, ...; or as the command line
             writes it; or an identified drive, for the 95 % intervals of all that the loop has from
             it. Of a joint also a batch of loops, such as the `samples` of what was identified;
             their gains do not count.
@@ -121,7 +124,8 @@ def tune(
     loops: list[Any] = [loop] if one else list(loop)
     if one:
         demand(loop)
-    for name, number, least in (("starts", starts, 0), ("steps", steps, 1)):
+    counts = (("starts", starts, 0), ("steps", steps, 1), ("samples", samples, 1))
+    for name, number, least in counts:
         if number is not None and not (isinstance(number, int | np.integer) and number >= least):
             raise UserError(f"`{name}` {shown(number)}: give a whole number from {least}")
     if not loops or not all(isinstance(one, ControlLoop) for one in loops):
@@ -228,11 +232,13 @@ def _of_joint(
     nominal = _nominal(loop, CONTROL_RATE in loop.values if sampled is None else sampled)
     start = _start_of_joint(loop)
     how = None if steps is None else Descent(steps=steps)
-    box = KNOWN
+    box, middle = KNOWN, {}
     if isinstance(uncertainty, ControlLoop):
         nominal = joined(nominal, _drawn(uncertainty, loop, nominal.sampling))
     else:
         box = read_box(uncertainty, FIELDS)
+        late = {DELAY: float(nominal.delay[0])} if set(LOOP_DELAYS) & set(loop.values) else {}
+        middle = inside(box, loop.values | late, loop.parameters, loop.kind.unit)
     tuned = _joint_search.tune(
         nominal, goal, box, number=samples or _joint_search.SAMPLES,
         seed=seed, start=start, starts=starts, how=how, verify=verify, told=told,
@@ -243,7 +249,7 @@ def _of_joint(
     ))  # fmt: skip
     gains = {KP: tuned.kp, KD: tuned.kd}
     scale = {GAIN_SCALE: 1.0} if GAIN_SCALE in loop.values else {}
-    there = loop.replace(**gains, **scale)
+    there = loop.replace(**gains, **scale, **middle)
     along = tuple(
         dataclasses.replace(one, loop=there.replace(kp=one.kp, kd=one.kd)) for one in tuned.front
     )
@@ -330,15 +336,11 @@ def _of_robot(
     derivative: str = "auto",
     told: Told,
 ) -> Tuned:
-    """Find the best gains of a robot that is described by specifications, and certify them.
+    """Find the best gains of a robot, and certify them.
 
     Args:
         named: a name and a specification for every posture.
-        goal: what is asked.
-        uncertainty: as the command line writes it.
-        samples, groups, starts, steps, seed, front, verify, tracking_weight, derivative: as for
-            `tune`.
-        told: what is being done.
+        uncertainty: as the command line writes it; the others as for `tune`.
     """
     from jaxact.tuning.robot import front as _front
     from jaxact.tuning.robot import search
@@ -347,6 +349,8 @@ def _of_robot(
     if isinstance(uncertainty, ControlLoop):
         raise UserError("`uncertainty`: of a robot give ranges, or an identified drive")
     box = read_box(uncertainty, VARIED, patterns=True)
+    for _, one in named:
+        inside(box, one.parameters, {})
     situations: list[Situation] = []
     for place, (name, one) in enumerate(named):
         told(f"settling and linearising {name}", place, len(named))

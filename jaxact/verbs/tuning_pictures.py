@@ -35,6 +35,7 @@ from jaxact.tuning.joint.response import step_responses
 from jaxact.tuning.result import Tuned
 from jaxact.verbs import naming
 from jaxact.verbs import responses as _responses
+from jaxact.verbs.given_axes import on_axes, stacked
 from jaxact.verbs.tuning_front import Front
 from jaxact.verbs.tuning_front import front as _points
 
@@ -52,6 +53,7 @@ _CONSTANTS, _SLOWER = 6.0, 5.0
 _SMALL = "small"
 
 
+@on_axes
 def tuning_map(
     best: Tuned, *, ax: Axes | None = None, colorbar: bool = True, legend: bool = True
 ) -> Axes:
@@ -68,6 +70,7 @@ def tuning_map(
     return _with_legend(ax, handles, legend)
 
 
+@on_axes
 def convergence(
     best: Tuned, *, axes: Sequence[Axes] | None = None, legend: bool = True
 ) -> Sequence[Axes]:
@@ -79,11 +82,12 @@ def convergence(
         legend: name the curves.
     """
     _demand(best)
-    axes = _two(_convergence.HEIGHTS) if axes is None else axes
+    axes = stacked(_convergence.HEIGHTS) if axes is None else axes
     _with_legend(axes[0], _convergence.draw(axes, *_paths(best)[0], **_paths(best)[1]), legend)
     return axes
 
 
+@on_axes
 def step_band(best: Tuned, *, ax: Axes | None = None, legend: bool = True) -> Axes:
     """Step responses of a joint before and after: the range of all members as a band.
 
@@ -100,6 +104,7 @@ def step_band(best: Tuned, *, ax: Axes | None = None, legend: bool = True) -> Ax
     return _with_legend(ax, _band.draw(ax, *_steps(best, best.loop)), legend)
 
 
+@on_axes
 def front(
     best: Tuned, *, axes: Sequence[Axes] | None = None, legend: bool = True
 ) -> Sequence[Axes]:
@@ -116,13 +121,14 @@ def front(
     _demand(best)
     if not best.front:
         raise UserError("there is no front; ask for one, e.g. jaxact.tune(loop, front=10)")
-    axes = _two(_front.HEIGHTS) if axes is None else axes
+    axes = stacked(_front.HEIGHTS) if axes is None else axes
     found, marked = _points(best.front), best.goal.max_peak
     drawn, words = drawn_front(found, marked)
     _with_legend(axes[0], _front.draw_front(axes, *drawn, **words), legend)
     return axes
 
 
+@on_axes
 def robot_gains(
     best: Tuned, *, axes: Sequence[Axes] | None = None, legend: bool = True
 ) -> Sequence[Axes]:
@@ -141,6 +147,7 @@ def robot_gains(
     return axes
 
 
+@on_axes
 def tuned_sensitivity(best: Tuned, *, axes: Any = None, legend: bool = True) -> Any:
     """Sensitivities before and after.
 
@@ -195,13 +202,6 @@ def of_robot(tuned: Tuned, robot: OfRobot) -> dict[str, Any]:
         "convergence": _convergence.convergence(*values, **options),
         "gains": _gains.gains(*_of_groups(tuned, robot), units=tuned.units[:2]),
     }
-
-
-def _two(heights: tuple[float, float]) -> Sequence[Axes]:
-    axes: Sequence[Axes] = pyplot.subplots(
-        2, 1, sharex=True, gridspec_kw={"height_ratios": heights}
-    )[1]
-    return axes
 
 
 def _with_legend(ax: Axes, handles: list[Artist], legend: bool) -> Axes:

@@ -60,6 +60,19 @@ function ofCase(one) {
   return { ...BARE, mass, delay, wn: wn ?? Infinity, zeta: zeta ?? 1 };
 }
 
+for (const kd of [5, -5]) {
+  for (const [wn, delay] of [[Infinity, 0], [Infinity, 1e-3], [800, 0], [800, 1e-3]]) {
+    for (const make of [continuousLoop, sampledLoop]) {
+      test(`nothing holds the joint: ${make.name}, kd ${kd}, wn ${wn}, delay ${delay}`, () => {
+        // s = 0 is a root, and with a negative kd another one grows.
+        const p = { ...BARE, wn, zeta: 0.45, delay, joint_stiffness: -100 };
+        const { loop, cached } = prepared(make, p, 100, Math.abs(kd));
+        assert.equal(margins(loop, cached, 100, kd).unstable_roots, kd > 0 ? 1 : 2);
+      });
+    }
+  }
+}
+
 for (const one of [...oracle.paper_cases, ...oracle.frequency_sweep]) {
   test(`oracle: ${one.name ?? `wn ${one.natural_frequency}, zeta ${one.damping_ratio}`}`, () => {
     const found = all(continuousLoop, ofCase(one), one.kp, one.kd);

@@ -155,12 +155,13 @@ def test_shapes_that_do_not_fit_are_said_in_one_line(loop, joints, setpoint, mea
             "loop: a value of type dict is not a loop; give one from jaxact.joint",
         ),
         ({"longest": {"kp": 8.0}}, "longest: a value of type dict is not a loop"),
+        ({"measure": 3}, "measure: a value of type int is not a function"),
     ],
 )
 def test_what_is_no_loop_or_no_number_is_said_in_one_line(given, said):
-    given = {"loop": jx.joint(), "joints": 2, "physics_step": H, **given}
+    given = {"loop": jx.joint(), "joints": 2, "physics_step": H, "measure": measure, **given}
     with pytest.raises(UserError, match=said) as refused:
-        jx.drive_around(step, given.pop("loop"), measure=measure, **given)
+        jx.drive_around(step, given.pop("loop"), **given)
     assert "\n" not in str(refused.value)
 
 
@@ -230,6 +231,30 @@ def test_a_traced_delay_without_room_gives_no_number_and_never_a_wrong_one(late,
     assert np.isnan(traced(room + 0.004)).all()
     with pytest.raises(UserError, match="longest: lacks what the loop has: .*delay"):
         last(room + 0.004)
+
+
+@pytest.mark.parametrize(
+    "name, value",
+    [("delay", -1e-3), ("measurement_delay", -1e-4), ("wn", -800.0), ("wn", 0.0), ("zeta", -0.4)],
+)
+def test_a_traced_value_that_none_may_have_gives_no_number(name, value):
+    loop = jx.joint(kp=8.0, kd=0.4, wn=800.0, zeta=0.4, delay=1e-3, measurement_delay=1e-3)
+
+    def last(value):
+        drive = jx.drive_around(step, loop.replace(**{name: value}), measure=measure,
+                                physics_step=H, joints=2, longest=loop)  # fmt: skip
+        return rolled(drive, (jnp.array([0.01, -0.02]), jnp.zeros(2)), 20)[-1]
+
+    found = jax.jit(jax.vmap(last))(jnp.array([value, float(loop.parameters[name])]))
+    assert np.isnan(found[0]).all() and np.isfinite(found[1]).all()
+
+
+def test_a_step_that_gives_no_state_is_said_in_one_line():
+    drive = jx.drive_around(lambda state, force: None, jx.joint(), measure=measure,
+                            physics_step=H, joints=2)  # fmt: skip
+    state = drive.init((jnp.zeros(2), jnp.zeros(2)))
+    with pytest.raises(UserError, match="step: gives a value of type NoneType, other than the"):
+        drive.step(state, jnp.zeros(2))
 
 
 @pytest.mark.parametrize(

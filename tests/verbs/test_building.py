@@ -41,6 +41,13 @@ def test_values_broadcast_to_a_batch_that_can_be_indexed():
     assert loop.broadcast().values["mass"].shape == (2, 3)
 
 
+def test_a_batch_that_is_broadcast_keeps_every_digit():
+    loop = jx.joint(kp=np.array([100.1, 200.2]), kd=7.3, delay=1e-3).broadcast()
+    assert (loop.kp.dtype, loop.kp.tolist(), loop.kd[1]) == (float, [100.1, 200.2], 7.3)
+    doubled = jax.vmap(lambda one: 2.0 * one.kp + one.delay)(loop)
+    assert np.asarray(doubled) == pytest.approx([200.201, 400.401], rel=1e-6)
+
+
 def test_replacing_keeps_the_rest():
     loop = jx.joint(kp=100.0, kd=5.0, actuator="hyq").replace(kp=200.0, actuator="starleth")
     assert (loop.kp, loop.kd, loop.wn) == (200.0, 5.0, 110.0)

@@ -4,6 +4,7 @@ import jax
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib import pyplot
 from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
@@ -50,7 +51,11 @@ def test_a_list_of_loops_is_one_loop_with_several_values():
         (lambda: jx.plot.stability_map(3), "maps: a value of type int"),
         (lambda: jx.plot.stability_map(LOOP), "maps: a value of type ControlLoop"),
         (lambda: jx.plot.step(LOOP), "run: a value of type ControlLoop without trajectories"),
-        (lambda: jx.plot.bode(LOOP, axes=[None]), "axes: this picture has 2 of them"),
+        (
+            lambda: jx.plot.bode(LOOP, axes=[pyplot.figure().subplots()]),
+            "axes: this picture has 2 of them",
+        ),
+        (lambda: jx.plot.bode(LOOP, axes=[None]), "axes: .* NoneType is not Matplotlib's axes"),
         (lambda: jx.plot.bode(LOOP.replace(kp=0, kd=0)), "the open loop is zero"),
         (lambda: jx.plot.front(LOOP), "best: a value of type ControlLoop has no tuned gains"),
         (lambda: jx.plot.convergence(LOOP), "best: a value of type ControlLoop has no tuned"),
@@ -61,8 +66,11 @@ def test_a_list_of_loops_is_one_loop_with_several_values():
         (lambda: jx.plot.robot_margins(LOOP), "found: a value of type ControlLoop has no margins"),
         (lambda: jx.plot.profile_likelihood(LOOP), "type ControlLoop is not an identified drive"),
         (lambda: jx.plot.residual_autocorrelation(LOOP), "is not an identified drive"),
-        (lambda: jx.joint(wn=100, natural_frequency=200), "given twice; remove one"),
-        (lambda: LOOP.replace(kp=1, stiffness=2), "given twice; remove one"),
+        (
+            lambda: jx.joint(wn=100, natural_frequency=200),
+            "`wn` and `natural_frequency` are the same parameter; remove one",
+        ),
+        (lambda: LOOP.replace(kp=1, stiffness=2), "are the same parameter; remove one"),
         (lambda: jx.sweep(LOOP, kp=[1], stiffness=[2]), "stiffness: the same parameter is given"),
         (lambda: jx.joint(delay=np.timedelta64(1, "ms")), "`delay` = .*is not a number"),
         (lambda: jx.joint(kp=jx.log(10, 100, 3)), "`kp`: a range is for an axis of jaxact.sweep"),

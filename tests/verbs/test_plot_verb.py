@@ -71,6 +71,20 @@ def test_several_maps_need_as_many_axes(maps):
         jx.plot.stability_map(maps, ax=pyplot.subplots()[1])
 
 
+@pytest.mark.parametrize(
+    "given, said",
+    [
+        (lambda: {"ax": pyplot.figure()}, "ax: a value of type Figure is not Matplotlib's axes"),
+        (lambda: {"ax": pyplot.subplots(1, 2)[1]}, "ax: a value of type ndarray .*one of them"),
+        (lambda: {"axes": "ax"}, "axes: a value of type .*str.* a list of them"),
+        (lambda: {"ax": pyplot.subplot(projection="polar")}, "these axes are polar"),
+    ],
+)
+def test_what_are_no_axes_is_said_in_one_line(maps, given, said):
+    with pytest.raises(UserError, match=said):
+        jx.plot.stability_map(maps.isel(delay=0), **given())
+
+
 def test_the_boundary_separates_stable_from_unstable(loop):
     ax = jx.plot.boundary(loop[1])
     kp, kd = ax.lines[0].get_data()

@@ -77,6 +77,10 @@ def test_a_robot_is_tuned_by_the_same_call():
         ({"goal": "stif"}, "did you mean 'stiffness'"),
         ({"uncertainty": {"wm": (0.8, 1.2)}}, "did you mean 'wn'"),
         ({"uncertainty": {"wn": 3.0}}, r"give \(low, high\)"),
+        ({"uncertainty": {"mass": (0.8, 1.2)}}, "leaves out the loop's own 0.7 kg.*0.8x..1.2x"),
+        ({"uncertainty": {"delay": (0.0, 0.9e-3)}}, "leaves out the loop's own 0.001 s"),
+        ({"uncertainty": {"wn": (1.1, 1.2)}}, "a factor of 1.1 to 1.2 leaves out 1"),
+        ({"uncertainty": {"mass": (0.5, 1.2)}, "samples": -1}, "`samples` -1: give a whole number"),
         ({"groups": ("hip",)}, "is for a robot"),
         ({"max_peak": 0.5}, "max_peak|peak"),
     ],
@@ -84,6 +88,15 @@ def test_a_robot_is_tuned_by_the_same_call():
 def test_what_makes_no_sense_is_refused(loop, given, said):
     with pytest.raises(UserError, match=said):
         jx.tune(loop, **given)
+
+
+def test_a_tuned_joint_is_among_those_certified():
+    box = {"mass": (2.0, 3.0), "delay": (1e-3, 3e-3)}
+    best = jx.tune(jx.joint(actuator="starleth"), max_peak=1.6, uncertainty=box, samples=2,
+                   starts=2, steps=30)  # fmt: skip
+    assert best.certified and (best.loop.mass, best.loop.delay) == (2.5, 2e-3)
+    corners = best.loop.replace(mass=[2.0, 2.5, 3.0], delay=[[1e-3], [2e-3], [3e-3]])
+    assert jx.margins(corners).sensitivity_peak.max() <= 1.6 * (1.0 + 1e-6)
 
 
 def test_tuning_cannot_be_traced(loop):

@@ -8,6 +8,9 @@ const FINE = 1.0;
 const DEEPEST = 40;
 const MOST_BEYOND = 4000;
 const SETTLED = 0.5;
+// A stiffness left that is rounding, and how far left of the axis a root on it is counted.
+const NO_STIFFNESS = 1e-14;
+const BESIDE = 1e-9;
 
 /** Delta and Delta' at sigma + j w, and |Delta - A| / |A|. */
 export function characteristic(loop, kp, kd, sigma, w) {
@@ -69,13 +72,18 @@ function left(loop, sigma, w, value) {
 }
 
 /**
- * Number of unstable roots at given gains from the cached A, B and C alone.
+ * Number of unstable roots at given gains from the cached A, B and C alone; one at rest is, where
+ * nothing holds the joint as its own stiffness takes all of kp away.
  *
  * As `rootsRightOf` at 0; small turns are told by the signs of Delta: the whole turn is the angle at
  * the end and a full turn for every passage of the negative real axis.
  */
 export function unstableRoots(loop, cached, kp, kd) {
   const { w, ar, ai, br, bi, cr, ci } = cached;
+  const { mass, joint_stiffness: k } = loop.parameters;
+  if (Math.abs(kp + k) <= NO_STIFFNESS * Math.abs(k)) {
+    return rootsRightOf(loop, kp, kd, -BESIDE * Math.sqrt(Math.abs(k) / mass), w);
+  }
   const at = (frequency) => characteristic(loop, kp, kd, 0, frequency);
   const origin = at(0);
   let [re, im] = [origin.re, origin.im];
