@@ -234,8 +234,8 @@ def _left_out(one: Range, own: float, joint: str | None) -> str:
     if one.factor:
         return f"a factor of {ends} leaves out 1, the loop's own {name}, {certified}"
     return (
-        f"{ends} {unit} leaves out the loop's own {own:g} {unit}, {certified}; give a {name} "
-        "within, or the ends as factors, 0.8x..1.2x"
+        f"{ends} {unit} leaves out the loop's own {own:g} {unit}, {certified}; give a value of "
+        f"{name} within, or the ends as factors, 0.8x..1.2x"
     )
 
 
