@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -232,6 +233,13 @@ def _arranged(
         raise UserError(
             f"maps: a value of type {type(maps).__name__} that is not a sweep's; give the "
             "dataset of jaxact.sweep(...) or jaxact.load_result(...), with its attributes"
+        )
+    swept = json.loads(maps.attrs["specification"])["axes"]
+    lost = next((name for name in swept if name not in maps.coords), None)
+    if lost is not None:  # the exact boundary would be that of another value
+        raise UserError(
+            f"maps: {lost} was swept, and these no longer say which value they have; pick one that "
+            f"stays with them, e.g. maps.isel({lost}=0), not its mean or with drop=True"
         )
     maps = even_grid.resampled(maps) if even_grid.refined(maps) else maps
     picked = _picked(select)

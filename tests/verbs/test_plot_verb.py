@@ -85,6 +85,14 @@ def test_what_are_no_axes_is_said_in_one_line(maps, given, said):
         jx.plot.stability_map(maps.isel(delay=0), **given())
 
 
+@pytest.mark.parametrize(
+    "taken", [lambda maps: maps.mean("delay"), lambda maps: maps.isel(delay=1, drop=True)]
+)
+def test_maps_that_have_lost_a_value_are_not_drawn_with_another_ones_boundary(maps, taken):
+    with pytest.raises(UserError, match=r"maps: delay was swept, .* maps.isel\(delay=0\)"):
+        jx.plot.stability_map(taken(maps))
+
+
 def test_the_boundary_separates_stable_from_unstable(loop):
     ax = jx.plot.boundary(loop[1])
     kp, kd = ax.lines[0].get_data()
