@@ -50,6 +50,7 @@ _PUBLIC = {
     "simulate": "jaxact.verbs.simulate",
     "sweep": "jaxact.verbs.sweep",
     "tune": "jaxact.verbs.tune",
+    "InexactWarning": "jaxact.errors",
     "UserError": "jaxact.errors",
     "Verdict": "jaxact.status",
     "widget": "jaxact.verbs.widget",

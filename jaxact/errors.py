@@ -6,6 +6,13 @@ import difflib
 from collections.abc import Iterable
 
 
+class InexactWarning(UserWarning):
+    """A result that is computed nevertheless, with something in it that is not exact.
+
+    The command line prints it as `jaxact: warning: <message>`.
+    """
+
+
 class UserError(Exception):
     """A mistake in what the user gave: says in one line what, where, and what to do.
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from typing import TYPE_CHECKING
+import warnings
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 from jaxact.cli import _options
+from jaxact.errors import InexactWarning
 
 if TYPE_CHECKING:
     from jaxact.loops.specification import Plant
@@ -32,6 +36,23 @@ def posture(plant: Plant | None) -> None:
             "small growth rates, and verdicts that follow from their sign, are those of its "
             "creeping"
         )
+
+
+@contextlib.contextmanager
+def as_lines() -> Iterator[None]:
+    """What the library warns of, as a line like every other warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", InexactWarning)
+        others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
+            if issubclass(category, InexactWarning):
+                warn(str(message))
+            else:
+                others(message, category, *where)
+
+        warnings.showwarning = show  # type: ignore[assignment]
+        yield
 
 
 def gains(plant: Plant | None) -> None:

@@ -108,12 +108,12 @@ def _run(given: list[str]) -> int:
         print(f"jaxact {__version__}")
         return 0
     from jaxact import files
-    from jaxact.cli import _gl, _options, _xla
+    from jaxact.cli import _gl, _options, _warnings, _xla
 
     verb = _options.choose("command", given[0], VERBS)
     _gl.prepare()
     _xla.prepare(all_cores=verb in ("sweep", "validate"))
-    with files.read_once():
+    with files.read_once(), _warnings.as_lines():
         _options.call(_options.main_of(verb), f"jaxact {verb}", given[1:])
     if sys.stdout is not None:
         sys.stdout.flush()

@@ -16,7 +16,7 @@ import numpy as np
 from jaxact.robots import actuators, assets, motors
 from jaxact.robots.actuators import Law
 from jaxact.robots.findings import ASKED, EMULATED, ENGINES, MJX, WARP, Finding, named, refused
-from jaxact.robots.parity import switched_off
+from jaxact.robots.parity import ITERATIONS, SEARCHES, ends_early, switched_off
 from jaxact.robots.robot import Joint
 from jaxact.robots.selection import Driven
 
@@ -77,6 +77,8 @@ def _set_options(option: mujoco.MjOption) -> None:
         option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     if option.solver == mujoco.mjtSolver.mjSOL_PGS:
         option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    if ends_early(option):
+        option.iterations, option.ls_iterations = ITERATIONS, SEARCHES
     if option.density == option.viscosity == 0.0:
         option.wind = np.zeros(3)  # moves nothing, but MJX takes it for a fluid
 

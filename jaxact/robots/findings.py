@@ -13,6 +13,10 @@ EMULATED = "emulated"
 HARMLESS = "ignored harmlessly"
 """Left out; what it changes is said, and the stability of the loops is not among it."""
 
+INEXACT = "not exact in MJX"
+"""MJX simulates it otherwise than MuJoCo, by more than rounding: `engine = "auto"` does without
+MJX, and whoever asks for MJX is told."""
+
 ASKED = "as asked"
 """Otherwise than the model has it, because the user says so."""
 
@@ -34,7 +38,7 @@ class Finding:
         field: the attribute's name in MJCF, or what it is about.
         value: as the model has it.
         mjx: what MJX does with it by itself.
-        action: `LIFTED`, `EMULATED`, `HARMLESS`, `ASKED` or `REFUSED`: what jaxact does.
+        action: `LIFTED`, `EMULATED`, `HARMLESS`, `INEXACT`, `ASKED` or `REFUSED`: what jaxact does.
         advice: how that is done, or what to change where it is refused; a sentence.
         engines: the engines that cannot simulate it; empty unless refused.
     """

@@ -33,10 +33,10 @@ from jaxact.robots.actuators import FORCE, POSITION, VELOCITY, Law
 from jaxact.robots.conversion import DAMPING, IN_DRIVE, IN_JOINT
 from jaxact.robots.findings import EMULATED, HARMLESS, LIFTED, Finding
 from jaxact.robots.posture import Posture
-from jaxact.robots.robot import Joint, Robot, demand, suits
+from jaxact.robots.robot import Joint, Robot, demand, exact, inexact, suits
 from jaxact.robots.selection import Driven
 
-__all__ = ["Finding", "Joint", "Robot", "demand", "read", "suits"]
+__all__ = ["Finding", "Joint", "Robot", "demand", "exact", "inexact", "read", "suits"]
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,27 @@ import mujoco
 import numpy as np
 
 from jaxact.parameters import DELAY
-from jaxact.robots.findings import EMULATED, HARMLESS, MJX, REFUSED, WARP, Finding, named
+from jaxact.robots.findings import (
+    EMULATED,
+    HARMLESS,
+    INEXACT,
+    MJX,
+    REFUSED,
+    WARP,
+    Finding,
+    named,
+)
+from jaxact.robots.touching import on_planes, pair_name
 
 Places = Iterable[tuple[str, str]]
 """(where, value) of each element that has the field."""
+
+ITERATIONS, SEARCHES = 100, 50
+"""Most iterations of the solver, and of its line search, in place of very few: MuJoCo's own."""
+
+# Models that are made for speed have one to three, with which not even Newton's method is done; it
+# is with four, and conjugate gradients with some tens.
+_ENOUGH = {mujoco.mjtSolver.mjSOL_NEWTON: 4, mujoco.mjtSolver.mjSOL_CG: 30}
 
 _DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
 _MUJOCO_CAN = "or choose the engine `mujoco`"
@@ -149,6 +166,35 @@ def _plugins(model: mujoco.MjModel, driven: frozenset[int]) -> Places:
         yield named("body", model.body(index).name, int(index)), "yes"
 
 
+def _on_planes(*, margin: bool) -> Callable[[mujoco.MjModel, frozenset[int]], Places]:
+    """Boxes and meshes that may touch a plane, with a margin or without one."""
+
+    def find(model: mujoco.MjModel, driven: frozenset[int]) -> Places:
+        found = {pair: size for pair, size in on_planes(model) if (size > 0.0) == margin}
+        if found:
+            value = f"{max(found.values()):g} m" if margin else "box or mesh on a plane"
+            yield pair_name(model, list(found)), value
+
+    return find
+
+
+def _held_together(model: mujoco.MjModel, driven: frozenset[int]) -> Places:
+    for index in range(model.neq):
+        kind = mujoco.mjtEq(model.eq_type[index])
+        if kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
+            name = named("equality", model.equality(index).name, index)
+            yield name, kind.name.removeprefix("mjEQ_").lower()
+
+
+def ends_early(option: mujoco.MjOption) -> bool:
+    """Whether the solver is ended before it can be done."""
+    return bool(option.iterations < _ENOUGH.get(mujoco.mjtSolver(option.solver), 0))
+
+
+def _few_iterations(model: mujoco.MjModel) -> str:
+    return f"{model.opt.iterations}" if ends_early(model.opt) else ""
+
+
 def _delayed_sensors(model: mujoco.MjModel, driven: frozenset[int]) -> Places:
     for index in range(model.nsensor):
         delay, interval = model.sensor_delay[index], model.sensor_interval[index, 0]
@@ -239,6 +285,17 @@ CLAIMS = (
           "dampers have damping 0 instead"),
     Claim("noslip_iterations", _option(lambda model: model.opt.noslip_iterations), _IGNORES,
           HARMLESS, "contacts under load creep a little, in every engine"),
+    Claim("iterations", _option(_few_iterations), "ends its solver as early", EMULATED,
+          f"{ITERATIONS} instead, and {SEARCHES} of a line search, in every engine: a solver that "
+          "ends so early leaves the forces of contacts unfinished, as no robot does"),
+    Claim("contact margin", _on_planes(margin=True),
+          "sees no contact of a box or mesh with a plane before it sinks in", INEXACT,
+          "where these touch only `mujoco` has the margin; or set it to 0"),
+    Claim("contact corners", _on_planes(margin=False),
+          "leaves out corners that are more than 1 mm above the deepest one", INEXACT,
+          "where heavy feet sink in further, or land on an edge, only `mujoco` has all of them"),
+    Claim("equality", _held_together, "leaves out how anchors accelerate as their bodies turn",
+          INEXACT, "forces in it are off, the more the faster it moves; `mujoco` has all of them"),
     Claim("flag sleep", _enabled(_ENABLE.mjENBL_SLEEP), _IGNORES, HARMLESS,
           "nothing falls asleep, in every engine"),
     Claim("flag energy", _enabled(_ENABLE.mjENBL_ENERGY), _NOT_AT_ALL, HARMLESS,

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.robots.findings import ENGINES, Finding
+from jaxact.robots.findings import ENGINES, INEXACT, MJX, Finding
 
 
 @dataclass(frozen=True)
@@ -95,6 +95,17 @@ class Robot:
 def suits(robot: Robot, engine: str) -> bool:
     """Whether this engine can simulate the robot: "mjx", "mujoco" or "warp"."""
     return not any(engine in item.engines for item in robot.findings)
+
+
+def exact(robot: Robot, engine: str) -> bool:
+    """Whether this engine can simulate the robot, and does so as MuJoCo does but for rounding."""
+    return suits(robot, engine) and (engine != MJX or not inexact(robot))
+
+
+def inexact(robot: Robot) -> list[Finding]:
+    """What MJX simulates otherwise than MuJoCo, the first element of each kind."""
+    found = {item.field: item for item in reversed(robot.findings) if item.action == INEXACT}
+    return list(reversed(found.values()))
 
 
 def demand(robot: Robot, engine: str = "mjx") -> Robot:

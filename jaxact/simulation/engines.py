@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -16,8 +17,8 @@ from jaxact.engines import (
     Name,
     names,
 )
-from jaxact.errors import UserError
-from jaxact.loops.specification import Setting, Specification
+from jaxact.errors import InexactWarning, UserError
+from jaxact.loops.specification import Plant, Setting, Specification
 from jaxact.simulation import starts as _starts
 from jaxact.simulation.kernel import Case
 
@@ -96,7 +97,7 @@ def _for_robot(setting: Setting) -> Engine:
     """The engine of a robot that is expected to be the faster one."""
     robot, model = _robot(setting)
     on_cpu = jax.default_backend() == "cpu"
-    return MUJOCO if on_cpu or not model.suits(robot, ROBOT_IN_MJX.name) else ROBOT_IN_MJX
+    return MUJOCO if on_cpu or not model.exact(robot, ROBOT_IN_MJX.name) else ROBOT_IN_MJX
 
 
 def _robot(setting: Setting) -> tuple[Any, Any]:
@@ -112,8 +113,20 @@ def _scene(setting: Setting) -> Any:
     return robots.scene(setting.plant)
 
 
+def tell_inexact(plant: Plant | None) -> None:
+    """Warn of what MJX simulates otherwise than MuJoCo in a robot; nothing without one."""
+    if plant is None:
+        return
+    from jaxact.loops import robots
+    from jaxact.robots import model
+
+    for found in model.inexact(robots.scene(plant).robot):
+        said = f"the engine `mjx` {found.mjx} ({found.where}): {found.advice}"
+        warnings.warn(said, InexactWarning, stacklevel=3)
+
+
 def able(specification: Specification) -> tuple[Name, ...]:
-    """The engines that can simulate the robot and are worth measuring here.
+    """The engines that simulate the robot as MuJoCo does and are worth measuring here.
 
     MJX-Warp is on an NVIDIA GPU only; on a CPU it is there to be asked for by name.
     """
@@ -124,7 +137,7 @@ def able(specification: Specification) -> tuple[Name, ...]:
 
         if not warp.lacking() and not warp.refusal(robot.model):
             engines.append(WARP)
-    return tuple(engine.name for engine in engines if model.suits(robot, engine.name))
+    return tuple(engine.name for engine in engines if model.exact(robot, engine.name))
 
 
 def compiling_pays(specification: Specification, steps: float, devices: int) -> bool:

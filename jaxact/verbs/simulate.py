@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact.engines import best_precision
+from jaxact.engines import ROBOT_IN_MJX, best_precision
 from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop, demand
@@ -84,6 +84,8 @@ def runs(
         options["engine"] = engine
     options["precision"] = precision or best_precision(engine)
     asked = engines.resolved(conversion.specification(loop, **options))
+    if asked.engine == ROBOT_IN_MJX.name:
+        engines.tell_inexact(asked.plant)
     return single.simulate_all(asked, conversion.samples(loop))
 
 

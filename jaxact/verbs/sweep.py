@@ -22,6 +22,7 @@ from jaxact.loops.control_loop import ControlLoop, demand, is_traced
 from jaxact.loops.conversion import described, preset_axis
 from jaxact.loops.specification import Sampling, Specification
 from jaxact.parameters import PARAMETERS, WN, ZETA, canonical, known
+from jaxact.simulation.engines import tell_inexact
 from jaxact.sweeping import execution, location
 from jaxact.verbs import showing
 from jaxact.verbs.sweep_options import Say, computed_by, options, settled
@@ -133,6 +134,8 @@ def sweep(
         raise UserError("resume and overwrite are for results that are kept; give out")
     where = None if out is None else location.at(os.fspath(out))
     asked = settled(asked, where, how, say if workers == "local" else None)
+    if asked.engine == engines.ROBOT_IN_MJX.name:
+        tell_inexact(asked.plant)
     from jaxact.verbs import results  # with xarray, which is slow to import
 
     by = computed_by(how, workers=workers, address=address, budget=memory, say=say)

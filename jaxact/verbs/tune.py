@@ -30,6 +30,7 @@ from jaxact.parameters import (
     base,
     canonical,
 )
+from jaxact.simulation.engines import tell_inexact
 from jaxact.tuning.box import KNOWN, inside, read_box
 from jaxact.tuning.course import Told, ahead
 from jaxact.tuning.goal import MOST_PEAKS, Goal
@@ -351,6 +352,8 @@ def _of_robot(
     box = read_box(uncertainty, VARIED, patterns=True)
     for _, one in named:
         inside(box, one.parameters, {})
+        if tracking_weight:  # simulated in MJX
+            tell_inexact(one.plant)
     situations: list[Situation] = []
     for place, (name, one) in enumerate(named):
         told(f"settling and linearising {name}", place, len(named))

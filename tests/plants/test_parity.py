@@ -12,7 +12,7 @@ from jaxact.plants.mjx import refusals as mjx_refusals
 from jaxact.plants.mjx.plant import mjx
 from jaxact.robots import model as models
 from jaxact.robots import parity
-from jaxact.robots.findings import EMULATED, HARMLESS, MJX, REFUSED, WARP
+from jaxact.robots.findings import EMULATED, HARMLESS, INEXACT, MJX, REFUSED, WARP
 
 # One pendulum for each field of joints, tendons and actuators; `plain` has none.
 PENDULA = {
@@ -196,6 +196,65 @@ def test_fields_of_the_whole_model(tmp_path, field, text):
         assert finding.engines == (MJX,)
 
 
+FOOT = """<mujoco><option timestep="0.001"/><worldbody>
+  <geom name="floor" type="plane" size="5 5 .1"/><body pos="0 0 {height}" euler="2 1 0"><freejoint/>
+  <geom name="foot" type="{shape}" size=".12 .06 .02" mass="20" {foot}/>
+  <body pos="0 0 .1"><joint name="j" axis="0 1 0"/>
+  <geom size=".02" mass=".1" contype="0" conaffinity="0"/></body></body></worldbody>
+  <actuator><motor joint="j"/></actuator></mujoco>"""
+LINKS = """<mujoco><option timestep="0.001"/><worldbody>
+  <body name="a"><joint name="a" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.4"
+  size=".02" contype="0" conaffinity="0"/><body name="b" pos="0 0 -.4"><joint name="b"
+  axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" contype="0"
+  conaffinity="0"/></body></body>
+  <body name="c" pos=".3 0 .2"><joint name="c" axis="0 1 0"/><geom type="capsule"
+  fromto="0 0 0 0 0 -.6" size=".02" contype="0" conaffinity="0"/></body></worldbody>
+  <equality>{held}</equality><actuator><motor joint="a"/></actuator>
+  <keyframe><key qvel="6 -6 4"/></keyframe></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("field", "text"),
+    [
+        ("contact corners", FOOT.format(height=".016", shape="box", foot="")),
+        ("contact margin", FOOT.format(height=".026", shape="box", foot='margin=".01"')),
+        ("equality", LINKS.format(held='<connect body1="b" body2="c" anchor=".3 0 0"/>')),
+        ("equality", LINKS.format(held='<weld body1="b" body2="c"/>')),
+    ],
+)
+def test_what_mjx_simulates_otherwise_is_said_and_left_to_c_mujoco(tmp_path, field, text):
+    model = mujoco.MjModel.from_xml_string(text)
+    assert np.abs(in_mjx(model, steps=10) - in_c(model, steps=10)).max() > 1e-6
+    robot = read(tmp_path, text)
+    assert said(robot)[field].action == INEXACT
+    assert models.suits(robot, MJX) and not models.exact(robot, MJX)
+    assert models.exact(robot, "mujoco")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        FOOT.format(height=".016", shape="ellipsoid", foot=""),
+        FOOT.format(height=".016", shape="box", foot='contype="0" conaffinity="0"'),
+        LINKS.format(held='<joint joint1="a" joint2="c"/>'),
+    ],
+)
+def test_what_mjx_simulates_alike_is_not_said(tmp_path, text):
+    model = mujoco.MjModel.from_xml_string(text)
+    assert np.abs(in_mjx(model, steps=10) - in_c(model, steps=10)).max() < 1e-6
+    assert models.exact(read(tmp_path, text), MJX)
+
+
+def test_a_solver_that_a_model_ends_early_finishes(tmp_path):
+    """C MuJoCo with as many iterations as it needs, though the file allows one."""
+    text = LINKS.format(held='<weld body1="b" body2="c"/>')
+    early = text.replace("timestep", 'iterations="1" ls_iterations="2" timestep')
+    assert said(read(tmp_path, early))["iterations"].action == EMULATED
+    assert "iterations" not in said(read(tmp_path, text))
+    option = read(tmp_path, early).model.opt
+    assert (option.iterations, option.ls_iterations) == (100, 50)
+
+
 FLEX = """<mujoco><worldbody><flexcomp name="f" type="grid" count="2 2 2" spacing=".1 .1 .1"
   radius=".01" dim="3" mass="1"/><body><joint name="j"/><geom size=".1"/></body></worldbody>
   <actuator><motor joint="j"/></actuator></mujoco>"""
@@ -236,6 +295,7 @@ def test_what_mjx_refuses(tmp_path, field, text):
 def test_every_claim_is_tested():
     tested = {
         *PENDULA, *(field for field, _ in REFUSED_BY_MJX), "pair adhesion", "adhesion",
+        "contact corners", "contact margin", "equality", "iterations",
         "surfacevel", "noslip_iterations", "flag spring", "flag damper", "flag sleep", "fluidshape",
     }  # fmt: skip
     # sensors move nothing; plugins: MJX has no field for them

@@ -5,11 +5,11 @@ from __future__ import annotations
 import copy
 
 import mujoco
-import numpy as np
 
 from jaxact.plants.mjx.plant import put_model
-from jaxact.robots.findings import HARMLESS, MJX, Finding, named, refused
+from jaxact.robots.findings import HARMLESS, MJX, Finding, refused
 from jaxact.robots.parity import unknown_to_mjx
+from jaxact.robots.touching import pair_name, touching
 
 _INSTEAD = "choose the engine `mujoco`"
 
@@ -29,7 +29,7 @@ def find(model: mujoco.MjModel) -> list[Finding]:
         return [refused("model", "MJX", reason, "refuses the model", advice, (MJX,))]
     found: list[Finding] = []
     warned: set[str] = set()
-    for kinds, pairs in _touching(model, types, affinities).items():
+    for kinds, pairs in touching(model, types, affinities).items():
         # one pair of each kind: the one with the widest margin, which not all kinds may have
         first, second = max(pairs, key=lambda pair: model.geom_margin[list(pair)].sum())
         probe.geom_contype[first] = probe.geom_conaffinity[second] = 1
@@ -73,42 +73,9 @@ def _collision(
     names = [mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower() for kind in kinds]
     value = " and ".join(names)
     lacks = f"has no contact margin between {value}" if margin else f"has no {value} contacts"
-    where = " and ".join(_name(model, geom) for geom in pairs[0])
-    more = f" (and {len(pairs) - 1} more such pairs)" if len(pairs) > 1 else ""
     return refused(
-        where + more, "contact", value, "refuses the model",
+        pair_name(model, pairs), "contact", value, "refuses the model",
         f"MJX {lacks}; switch them off (contype, conaffinity or <exclude>), use other shapes, or "
         f"{_INSTEAD}",
         (MJX,),
     )  # fmt: skip
-
-
-def _touching(
-    model: mujoco.MjModel, types: np.ndarray, affinities: np.ndarray
-) -> dict[tuple[int, int], list[tuple[int, int]]]:
-    """Pairs of geoms that MuJoCo tests for contact, by their types; <pair> elements left out."""
-    first, second = np.triu_indices(model.ngeom, 1)
-    wanted = (types[first] & affinities[second]) | (types[second] & affinities[first])
-    body1, body2 = model.geom_bodyid[first], model.geom_bodyid[second]
-    weld1, weld2 = model.body_weldid[body1], model.body_weldid[body2]
-    apart = weld1 != weld2
-    if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
-        parent1 = model.body_weldid[model.body_parentid[weld1]]
-        parent2 = model.body_weldid[model.body_parentid[weld2]]
-        related = (weld1 == parent2) | (weld2 == parent1)
-        apart &= ~(related & (weld1 != 0) & (weld2 != 0))
-    low, high = np.minimum(body1, body2), np.maximum(body1, body2)
-    apart &= ~np.isin((low << 16) + high, model.exclude_signature)
-    groups: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    for pair in np.stack([first, second], 1)[(wanted != 0) & apart].tolist():
-        kinds = sorted(int(model.geom_type[geom]) for geom in pair)
-        groups.setdefault((kinds[0], kinds[1]), []).append(tuple(pair))
-    return groups
-
-
-def _name(model: mujoco.MjModel, geom: int) -> str:
-    name = model.geom(geom).name
-    if name:
-        return named("geom", name, geom)
-    body = int(model.geom_bodyid[geom])
-    return f"{named('geom', '', geom)} of {named('body', model.body(body).name, body)}"
