@@ -1,12 +1,15 @@
 """What is computed nevertheless, and warned of in one line."""
 
+import warnings
 from dataclasses import replace
 
 import pytest
 from robots import HOPPER
 
+import jaxact as jx
 from jaxact.cli import _warnings
 from jaxact.loops import reading, robots
+from jaxact.simulation import engines
 
 TEXT = '[plant]\nmodel = "hopper.xml"\n{posture}[parameters]\nkp = 60\n[axes]\nkd = [2.0]\n'
 
@@ -50,3 +53,41 @@ def test_one_that_starts_from_its_keyframe_as_it_is_was_asked_for(asked, monkeyp
 def test_no_robot_no_word(tmp_path, capsys):
     _warnings.posture(reading.parse("[axes]\nkp = [100]\nkd = [5]\n", tmp_path).plant)
     assert capsys.readouterr() == ("", "")
+
+
+FLAT = """<mujoco><worldbody><geom name="floor" type="plane" size="5 5 .1"/><body pos="0 0 .1">
+<freejoint/><geom name="foot" type="box" size=".1 .1 .02" mass="1"/><body><joint name="hip"
+axis="0 1 0"/><geom size=".05" mass="1" pos="0 0 .3" contype="0" conaffinity="0"/></body></body>
+</worldbody><actuator><motor joint="hip"/></actuator></mujoco>"""
+
+
+@pytest.fixture
+def flat(tmp_path):
+    (tmp_path / "hopper.xml").write_text(FLAT)
+    return reading.parse(TEXT.format(posture='posture = "keyframe"\n'), tmp_path)
+
+
+def test_an_engine_that_is_not_exact_is_warned_of_and_not_chosen(flat):
+    with pytest.warns(
+        jx.InexactWarning, match="`mjx` leaves out corners .*'floor' and geom 'foot'"
+    ):
+        engines.tell_inexact(flat.plant)
+    assert engines.able(flat) == ("mujoco",)
+    assert not engines.compiling_pays(flat, 1e12, 2)
+
+
+def test_other_robots_are_not_warned_of(flat, tmp_path, recwarn):
+    (tmp_path / "hopper.xml").write_text(FLAT.replace('"box"', '"ellipsoid"'))
+    engines.tell_inexact(flat.plant)
+    engines.tell_inexact(None)
+    assert not recwarn.list and "mjx" in engines.able(flat)
+
+
+def test_warnings_of_the_library_are_lines_on_the_command_line(flat, capsys):
+    with _warnings.as_lines():
+        engines.tell_inexact(flat.plant)
+        with pytest.raises(UserWarning, match="another"):  # as pytest has it, an error
+            warnings.warn("another", UserWarning, stacklevel=1)
+    out, said = capsys.readouterr()
+    assert out == "" and said.count("\n") == 1
+    assert said.startswith("jaxact: warning: the engine `mjx` leaves out corners")

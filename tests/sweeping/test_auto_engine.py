@@ -11,11 +11,17 @@ from jaxact.simulation import engines
 from jaxact.sweeping import throughput
 
 LIMITED = PENDULUM.replace('axis="0 1 0"', 'axis="0 1 0" limited="true" range="-170 170"')
+_BOX = '<geom name="box" type="box" size="0.2 0.15 0.1" mass="8"/>'
+_FEET = "".join(
+    f'<geom size="0.02" pos="{x} {y} -0.08" mass="2"/>' for x in (-0.2, 0.2) for y in (-0.15, 0.15)
+)
+ON_FEET = HOPPER.replace(_BOX, _FEET)
 MODELS = {
     "two hinges": PENDULUM,
     "two hinges with limits": LIMITED,
-    "hopper": HOPPER,
-    "hopper, elliptic cones": HOPPER.replace("pyramidal", "elliptic"),
+    "hopper": ON_FEET,
+    "hopper on a box": HOPPER,
+    "hopper, elliptic cones": ON_FEET.replace("pyramidal", "elliptic"),
     "hopper, a floor that MJX refuses": HOPPER.replace(
         'type="plane" size="3 3 0.1"', 'type="cylinder" size="3 0.1" pos="0 0 -0.1"'
     ),
@@ -69,6 +75,7 @@ def test_the_lighter_a_robot_the_shorter_a_sweep_of_it_in_mjx(tmp_path):
     [
         ("quadruped, hung", {}),
         ("quadruped with an arm", {}),
+        ("hopper on a box", {}),
         ("hopper, elliptic cones", {}),
         ("hopper, a floor that MJX refuses", {}),
         ("hopper", {"precision": "float64"}),
