@@ -217,7 +217,7 @@ def drive_around(
             whose quantities have no axis.
         longest: where values of `loop` are traced or change later: a loop with the longest delays
             and with every part (noise, resolution, limits) that may occur. Where a traced delay is
-            longer all the same, the forces are not a number.
+            longer all the same, or a traced value out of its bounds, the forces are not a number.
 
     Returns:
         `init(data, command=0.0)` begins, the drives having held that command for ever, and
