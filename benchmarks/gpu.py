@@ -10,6 +10,7 @@ import argparse
 import dataclasses
 import json
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks import robots, sweeps
+from benchmarks import rivals, robots, sweeps
 from benchmarks.timing import machine, seconds
 from jaxact.loops import loop
-from jaxact.loops.samples import expand
+from jaxact.loops.samples import Samples, expand
+from jaxact.loops.specification import Specification
+from jaxact.plants import warp
 from jaxact.simulation import envelope, kernel, metrics, plans
 from jaxact.simulation.metrics import Period
 
@@ -31,22 +34,24 @@ _CHAIN = 64
 
 def main() -> None:
     """Measure, print a table and write it to results/benchmarks/gpu.md and gpu.json."""
+    parts = {"mass": _mass, "joint": _joint, "quadruped": _quadruped, "warp": _warp}
     parser = argparse.ArgumentParser(prog="benchmarks.gpu", description=main.__doc__)
     text = "small sizes, on any device, nothing written"
     parser.add_argument("--quick", action="store_true", help=text)
-    quick = parser.parse_args().quick
-    if jax.default_backend() != "gpu" and not quick:
+    text = "measure this only, nothing written; may be given again"
+    parser.add_argument("--only", action="append", choices=parts, help=text)
+    asked = parser.parse_args()
+    if jax.default_backend() != "gpu" and not asked.quick:
         print("benchmarks.gpu: JAX has no GPU here; --quick runs on any device", file=sys.stderr)
         raise SystemExit(2)
-    document = {
-        "machine": machine(),
-        "peaks": _peaks(quick),
-        "mass": _mass(quick),
-        "quadruped": _quadruped(quick),
-    }
+    document: dict[str, Any] = {"machine": machine(), "peaks": _peaks(asked.quick)}
+    for name in asked.only or parts:
+        begun = time.perf_counter()
+        document[name] = parts[name](asked.quick)
+        print(f"{name}: {time.perf_counter() - begun:.0f} s", file=sys.stderr, flush=True)
     page = _page(document)
     print(page)
-    if not quick:
+    if not asked.quick and not asked.only:
         RESULTS.mkdir(parents=True, exist_ok=True)
         (RESULTS / "gpu.md").write_text(page, encoding="utf-8")
         (RESULTS / "gpu.json").write_text(json.dumps(document, indent=1) + "\n", "utf-8")
@@ -129,24 +134,68 @@ def _operations(jaxpr: Any) -> int:
     return count
 
 
-def _quadruped(quick: bool) -> dict[str, Any]:
-    """Rollouts of a quadruped in MJX with the full drive and with a bare PD command."""
-    loops, duration = (64, 0.02) if quick else (8192, 0.2)
-    tiles = (32,) if quick else (1024, 4096, 8192)
+def _joint(quick: bool) -> dict[str, Any]:
+    """Rollouts of a joint in MJX with the full drive, and with a bare PD command."""
+    gains, duration = (16, 0.04) if quick else (256, 0.5)
+    tiles = (256,) if quick else (4096, 16384, 65536)
+    asked = sweeps.specification("mjx", gains, duration, physics_step=0.001)
+    asked = sweeps.with_everything(asked)
+    samples = expand(asked)
+    ticks = sweeps.steps(asked, samples) // len(samples)
     rows = []
     for tile in tiles:
-        asked = robots.specification(robots.QUADRUPED, "mjx", duration, loops)
-        asked = dataclasses.replace(asked, tile=tile)
-        samples = expand(asked)
+        own = dataclasses.replace(asked, tile=tile)
+        bare = rivals.bare_mjx(samples, ticks, tile, 1, own_step=True)
+        rows.append(_row(tile, sweeps.rollouts(own), bare))
+    return {"loops": len(samples), "tiles": rows}
+
+
+def _quadruped(quick: bool) -> dict[str, Any]:
+    """Rollouts of a quadruped in MJX with the full drive and with a bare PD command."""
+    found = _robot("mjx", (32,) if quick else (2048, 8192), quick)
+    # The same tile last, so that its samples and plan are those of the rival.
+    asked, samples = _asked("mjx", found["tiles"][-1]["tile"], quick)
+    plan = robots.rollouts(asked, samples)[1]
+    mjx = robots.bare(robots.QUADRUPED, samples, plan, own_step=False)
+    return found | {"mjx_seconds_per_step": _each(mjx)}
+
+
+def _warp(quick: bool) -> dict[str, Any]:
+    """The same in MJX-Warp; why not, where it is not there."""
+    missing = warp.lacking()
+    if missing:
+        return {"missing": missing}
+    return _robot("warp", (32,) if quick else (2048, 8192), quick)
+
+
+def _robot(engine: str, tiles: tuple[int, ...], quick: bool) -> dict[str, Any]:
+    """Rollouts of the quadruped by the loops in a tile, as many loops as the largest holds."""
+    rows = []
+    for tile in tiles:
+        asked, samples = _asked(engine, tile, quick)
         ours, plan = robots.rollouts(asked, samples)
-        full, bare = _each(ours), _each(robots.bare(robots.QUADRUPED, samples, plan, own_step=True))
-        rows.append({
-            "tile": tile,
-            "full_seconds_per_step": full,
-            "bare_seconds_per_step": bare,
-            "drive_share": 1.0 - bare / full,
-        })  # fmt: skip
-    return {"loops": loops, "tiles": rows}
+        bare = robots.bare(robots.QUADRUPED, samples, plan, own_step=True)
+        rows.append(_row(tile, ours, bare))
+    return {"loops": len(samples), "tiles": rows}
+
+
+def _asked(engine: str, tile: int, quick: bool) -> tuple[Specification, Samples]:
+    """The quadruped's sweep."""
+    loops, duration = (64, 0.02) if quick else (8192, 0.2)
+    asked = robots.specification(robots.QUADRUPED, engine, duration, loops)
+    asked = dataclasses.replace(asked, tile=tile)
+    return asked, expand(asked)
+
+
+def _row(tile: int, ours: Callable[[], float], bare: Callable[[], float]) -> dict[str, float]:
+    """Seconds of a step with the drive and without."""
+    full, plain = _each(ours), _each(bare)
+    return {
+        "tile": tile,
+        "full_seconds_per_step": full,
+        "bare_seconds_per_step": plain,
+        "drive_share": 1.0 - plain / full,
+    }
 
 
 def _each(run: Callable[[], float]) -> float:
@@ -157,17 +206,36 @@ def _each(run: Callable[[], float]) -> float:
 
 def _page(document: dict[str, Any]) -> str:
     """The results as Markdown."""
-    peaks, mass, quadruped = document["peaks"], document["mass"], document["quadruped"]
-    arithmetic = mass["operations_per_step"] / peaks["operations_per_second"]
-    traffic = 2.0 * mass["carried_bytes"] / peaks["bytes_per_second"]
-    traffic /= mass["periods_per_iteration"]
-    best = min(row["rollouts_seconds_per_step"] for row in mass["tiles"])
+    peaks = document["peaks"]
     lines = ["# On a GPU", "", "Made by `python -m benchmarks.gpu`.", ""]
     lines += [f"- {name}: {value}" for name, value in document["machine"].items() if value]
     lines += [
         f"- reached by a copy: {peaks['bytes_per_second'] / 1e9:,.0f} GB/s",
         f"- reached by multiplications and additions: "
         f"{peaks['operations_per_second'] / 1e12:,.2f} Tflop/s",
+    ]
+    if "mass" in document:
+        lines += _of_mass(document["mass"], peaks)
+    if "joint" in document:
+        lines += _table("A joint in MJX", document["joint"])
+    if "quadruped" in document:
+        lines += _table("Quadruped in MJX, 12 joints", document["quadruped"])
+        own = min(row["bare_seconds_per_step"] for row in document["quadruped"]["tiles"])
+        other = document["quadruped"]["mjx_seconds_per_step"]
+        lines += ["", f"MJX's own step with a bare PD command takes {other * 1e9:,.3g} ns, "]
+        lines[-1] += f"{other / own:.3g} times as long as jaxact's of the same model."
+    if "warp" in document:
+        lines += _table("Quadruped in MJX-Warp", document["warp"])
+    return "\n".join(lines) + "\n"
+
+
+def _of_mass(mass: dict[str, Any], peaks: dict[str, float]) -> list[str]:
+    """The mass plant's throughput beside the floor."""
+    arithmetic = mass["operations_per_step"] / peaks["operations_per_second"]
+    traffic = 2.0 * mass["carried_bytes"] / peaks["bytes_per_second"]
+    traffic /= mass["periods_per_iteration"]
+    best = min(row["rollouts_seconds_per_step"] for row in mass["tiles"])
+    lines = [
         "",
         f"## Mass plant, {mass['loops']:,} loops, {mass['control_periods']:,} control periods",
         "",
@@ -184,17 +252,26 @@ def _page(document: dict[str, Any]) -> str:
         f"on: read and written once in {mass['periods_per_iteration']} periods, "
         f"{traffic * 1e12:.3g} ps. The best rollouts take {best / max(arithmetic, traffic):.3g} "
         "times the longer of the two.",
+    ]
+    return lines
+
+
+def _table(title: str, found: dict[str, Any]) -> list[str]:
+    """Rollouts with the full drive beside those with a bare PD command."""
+    if "missing" in found:
+        return ["", f"## {title}", "", f"Not measured: {found['missing']}."]
+    lines = [
         "",
-        f"## Quadruped in MJX, 12 joints, {quadruped['loops']:,} loops",
+        f"## {title}, {found['loops']:,} loops",
         "",
         "| loops in a tile | full drive and metrics | bare PD command | share of the drive |",
         "|---|---|---|---|",
     ]
-    for row in quadruped["tiles"]:
+    for row in found["tiles"]:
         full, bare = (row[f"{what}_seconds_per_step"] * 1e9 for what in ("full", "bare"))
         share = f"{row['drive_share']:.1%}"
         lines.append(f"| {row['tile']:,} | {full:,.3g} ns | {bare:,.3g} ns | {share} |")
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 if __name__ == "__main__":

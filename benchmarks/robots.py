@@ -138,11 +138,13 @@ def bare(
 ) -> Callable[[], float]:
     """MJX with a PD command and nothing else, in the same tiles; units as `rollouts`.
 
-    The step is MJX's (`mjx.step`), or jaxact's of the same model (`own_step`).
+    The step is MJX's (`mjx.step`), or jaxact's of the same model (`own_step`); in MJX-Warp, if the
+    plan's engine is that.
     """
     read = models.read(robot.file, keyframe=robot.keyframe)
     start = posture.settled(read)
-    plant = mjx.place(read, start).prepare(jnp.asarray(1e-3, jnp.float32))
+    plant = mjx.place(read, start, impl=plan.case.engine.impl)
+    plant = plant.prepare(jnp.asarray(1e-3, jnp.float32))
     rest, carried = (jnp.asarray(row, jnp.float32) for row in (start.joints(read), start.force))
 
     def step(state: Any, command: jax.Array) -> Any:
