@@ -66,9 +66,10 @@ def alternate(
     return statistics.median(seconds[0]), statistics.median(seconds[1])
 
 
-def seconds(function: Callable[[], object], repeats: int = 5) -> float:
-    """Median seconds of a call, after a first one that compiles and warms up."""
-    function()
+def seconds(function: Callable[[], object], repeats: int = 5, *, warm: bool = False) -> float:
+    """Median seconds of a call, after a first one that compiles and warms up unless it is warm."""
+    if not warm:
+        function()
     taken = []
     for _ in range(repeats):
         start = time.perf_counter()

@@ -36,8 +36,9 @@ from jaxact.simulation.growth.rate import GrowthOptions
 from jaxact.simulation.kernel import Case
 from jaxact.simulation.rollout import RolloutOptions
 
-# Control periods of the mass plant in one iteration of the compiled loop.
-_UNROLL = 4
+# Control periods of the mass plant in one iteration of the compiled loop: on a GPU, where each
+# iteration starts its kernels anew and carries all state through the memory, more.
+_UNROLL, _UNROLL_ON_GPU = 4, 10
 
 # A robot has many slow modes (contacts that creep), which only blocks of many periods tell apart; a
 # start that has settled for long holds too few of them.
@@ -191,7 +192,8 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
         substeps=count,
         differenced=specification.velocity == "differenced",
     )
-    if engine.exact and jax.default_backend() == "cpu":
+    on_cpu = jax.default_backend() == "cpu"
+    if engine.exact and on_cpu:
         options = replace(options, staged=True)
     ticks = _rollout.whole_ticks(specification.duration, 1.0 / fastest)
     varied = {base(axis.name) for axis in specification.axes}
@@ -208,7 +210,7 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
         drive=options,
         rollout=RolloutOptions(
             ticks=ticks,
-            unroll=_UNROLL if engine.exact else 1,
+            unroll=(_UNROLL if on_cpu else _UNROLL_ON_GPU) if engine.exact else 1,
             linear_plant=not engine.robot,
             stops=engine.in_jax,
         ),
