@@ -97,6 +97,6 @@ def machine() -> dict[str, str]:
         "jax": jax.__version__,
         "jaxlib": jaxlib.__version__,
         "mujoco": mujoco.__version__,
-        "devices": ", ".join(str(device) for device in jax.local_devices()),
+        "devices": ", ".join(f"{each} ({each.device_kind})" for each in jax.local_devices()),
         "XLA_FLAGS": os.environ.get("XLA_FLAGS", ""),
     }

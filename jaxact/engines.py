@@ -73,15 +73,15 @@ class Engine:
 
 MASS = Engine(
     "mass", "exact mass plant", robot=False, exact=True,
-    tiles=(128, 65536), work=6e8, memory=600 * _MIB, startup=3.0, worth=300.0,
+    tiles=(128, 262144), work=6e8, memory=600 * _MIB, startup=3.0, worth=300.0,
 )  # fmt: skip
 JOINT_IN_MJX = Engine(
     "mjx", "MuJoCo MJX", robot=False, impl="jax", step=0.25e-3,
-    tiles=(128, 4096), work=2e8, memory=900 * _MIB, startup=10.0, worth=1800.0,
+    tiles=(128, 65536), work=2e8, memory=900 * _MIB, startup=10.0, worth=1800.0,
 )  # fmt: skip
 ROBOT_IN_MJX = Engine(
     "mjx", "MuJoCo MJX", robot=True, impl="jax", large=True,
-    tiles=(32, 4096), work=5e6, memory=1500 * _MIB, startup=10.0, worth=1800.0,
+    tiles=(32, 8192), work=5e6, memory=1500 * _MIB, startup=10.0, worth=1800.0,
 )  # fmt: skip
 MUJOCO = Engine(
     "mujoco", "MuJoCo (C)", robot=True, in_jax=False, rates=(8e4, 8e4),
