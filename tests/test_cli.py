@@ -420,6 +420,41 @@ def test_openblas_gets_one_thread_unless_the_user_says_otherwise(given, expected
     assert os.environ.get(_xla.THREADS) == expected
 
 
+@pytest.mark.parametrize(
+    ("command", "given", "expected"),
+    [
+        (["margins", "--kp", "400"], {}, "cpu"),
+        (["tune", "--ms", "1.4"], {}, "cpu"),
+        (["simulate", "--model", "robot.xml"], {}, "cpu"),
+        (["sweep", "map.toml"], {}, None),
+        (["validate", "results/map"], {}, None),
+        (["simulate", "--model", "robot.xml", "--engine", "warp"], {}, None),
+        (["margins"], {"JAX_PLATFORMS": "cuda,cpu"}, "cuda,cpu"),
+        (["margins"], {"JAX_PLATFORMS": ""}, ""),
+    ],
+)
+def test_a_gpu_is_started_for_sweeps_only(command, given, expected, monkeypatch):
+    monkeypatch.setattr(os, "environ", dict(given))
+    _xla.leave_gpu_alone(command)
+    assert os.environ.get("JAX_PLATFORMS") == expected
+
+
+def test_a_command_computes_where_its_kind_is_fast(monkeypatch):
+    words = "import sys; from jaxact.cli import main, _cache; main.main = lambda: 0; "
+    words += "import os; sys.argv = ['jaxact', *sys.argv[1:]]\n"
+    words += "try: main.entry()\nexcept SystemExit: print(os.environ.get('JAX_PLATFORMS'))"
+    here = {name: value for name, value in os.environ.items() if name != "JAX_PLATFORMS"}
+    for verb, expected in (("margins", "cpu"), ("sweep", "None"), ("info", "None")):
+        done = subprocess.run(
+            [sys.executable, "-c", words, verb],
+            env=here,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert done.stdout.strip() == expected
+
+
 def test_a_sweep_gets_a_device_for_every_core(monkeypatch):
     monkeypatch.setattr(_xla, "_has_wide_vectors", lambda: False)
     monkeypatch.setenv("XLA_FLAGS", "")

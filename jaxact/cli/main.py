@@ -165,7 +165,12 @@ def entry() -> NoReturn:
     # Tracing makes hundreds of thousands of objects, few of which are garbage: looking for it after
     # every few hundred takes a tenth of a command's time.
     gc.set_threshold(50_000, 20, 100)
-    if sys.argv[1:2] and sys.argv[1] in _COMPILE:
+    verb = sys.argv[1] if len(sys.argv) > 1 else ""
+    if verb in VERBS:
+        from jaxact.cli import _xla
+
+        _xla.leave_gpu_alone(sys.argv[1:])
+    if verb in _COMPILE:
         from jaxact.cli import _cache
 
         _cache.prepare(quiet=True)
