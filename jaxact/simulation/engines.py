@@ -35,6 +35,9 @@ _HELD = 18
 # 1.1, with limits 1.0 to 1.9; six 2.9 to 4.9, with limits 13 to 25, with dry friction too 17 to 40;
 # a quadruped 5 to 9. See `benchmarks.choice`.
 _MANY_LIGHT, _MANY_WRITTEN_OUT, _MANY_HELD = 1.1e5, 4.5e5, 8e6
+# Those for each core, of any robot, from which on MJX is the faster one on a GPU: it compiles for
+# 40 s, and then a quadruped's step takes an H200 0.27 us, and one core in C MuJoCo 19.
+_MANY_ON_GPU = 3e6
 # Most iterations of a held robot's solver with which MJX is the faster one: a tile waits for the
 # slowest of its robots. With up to four a quadruped's step takes MJX .6 of C MuJoCo's time, with up
 # to a hundred the Go1's 1.7, and on a stand 1.2.
@@ -47,9 +50,9 @@ _TILE_OF_LIGHT = 128
 def resolved(specification: Specification) -> Specification:
     """The specification with an engine in place of "auto": the one expected to be faster here.
 
-    On a GPU that is MJX where MJX can simulate the robot, on a CPU C MuJoCo, which compiles
-    the drive only. So it is for a single loop; for a sweep, which may be long enough for MJX to
-    make up for its compiling, see `jaxact.sweeping.throughput.fastest`.
+    That is C MuJoCo, which compiles the drive only. So it is for a single loop; for a sweep, which
+    may be long enough for MJX to make up for its compiling, see
+    `jaxact.sweeping.throughput.fastest`.
 
     Raises:
         UserError: the engine cannot simulate the robot.
@@ -67,7 +70,7 @@ def resolved(specification: Specification) -> Specification:
             f"use '{others}'"
         )
     if chosen is None:
-        chosen = _for_robot(specification.setting)
+        chosen = MUJOCO
     elif chosen.robot:
         if specification.precision == "float64" and not chosen.double:
             doubles = "', '".join(name for name in names(robot=True) if name != asked)
@@ -94,13 +97,6 @@ def _demand(setting: Setting, engine: Engine) -> None:
         warp.demand()
     robot, model = _robot(setting)
     model.demand(robot, engine.name)
-
-
-def _for_robot(setting: Setting) -> Engine:
-    """The engine of a robot that is expected to be the faster one."""
-    robot, model = _robot(setting)
-    on_cpu = jax.default_backend() == "cpu"
-    return MUJOCO if on_cpu or not model.exact(robot, ROBOT_IN_MJX.name) else ROBOT_IN_MJX
 
 
 def _robot(setting: Setting) -> tuple[Any, Any]:
@@ -134,7 +130,8 @@ def able(specification: Specification) -> tuple[Name, ...]:
     MJX-Warp is on an NVIDIA GPU only; on a CPU it is there to be asked for by name.
     """
     robot, model = _robot(specification.setting)
-    engines = [ROBOT_IN_MJX, MUJOCO]
+    refused = _place() != 0 and _in_mjx(_scene(specification.setting)) is None
+    engines = [MUJOCO] if refused else [ROBOT_IN_MJX, MUJOCO]
     if jax.default_backend() == "gpu" and specification.precision == "float32":
         from jaxact.plants import warp  # starts MJX
 
@@ -143,20 +140,33 @@ def able(specification: Specification) -> tuple[Name, ...]:
     return tuple(engine.name for engine in engines if model.exact(robot, engine.name))
 
 
-def compiling_pays(specification: Specification, steps: float, devices: int) -> bool:
-    """Whether a sweep on a CPU is long enough for MJX, which compiles longer, to be the faster one.
+def _in_mjx(scene: Any) -> Any:
+    """The robot in MJX; None where MJX itself refuses it, for contacts that it does not have."""
+    from jaxact.plants.mjx import plant  # starts MJX
 
-    That can be so of robots whose step is written out, and of others that constraints hold, if MJX
-    computes these of many robots at once. Of a quadruped that hangs, and is at none of its limits,
-    C MuJoCo computes no constraints, and MJX all that may act: a step takes both the same time.
+    try:
+        return plant.place(scene.robot, scene.posture)
+    except UserError:
+        return None
+
+
+def compiling_pays(specification: Specification, steps: float, devices: int) -> bool:
+    """Whether a sweep is long enough for MJX, which compiles longer, to be the faster one.
+
+    On a GPU that can be so of any robot, on a CPU of those whose step is written out, and of others
+    that constraints hold, if MJX computes these of many robots at once. Of a quadruped that hangs,
+    and is at none of its limits, C MuJoCo computes no constraints, and MJX all that may act: a step
+    takes both the same time.
 
     Args:
         specification: of a robot that MJX can simulate, as far as that is known.
         steps: physics steps of all loops.
         devices: that MJX would use; C MuJoCo uses every core.
     """
+    from jaxact.plants import mujoco
+
     if _place() != 0:
-        return False
+        return steps > _MANY_ON_GPU * mujoco.cores()
     scene = _scene(specification.setting)
     model = scene.robot.model
     if light(specification.setting):
@@ -165,16 +175,13 @@ def compiling_pays(specification: Specification, steps: float, devices: int) -> 
         return False
     if steps <= min(_MANY_WRITTEN_OUT * model.nv, _MANY_HELD):
         return False
-    from jaxact.plants import mujoco
-
     if devices < mujoco.cores():
         return False
-    from jaxact.plants.mjx import plant, step  # starts MJX
-
-    try:
-        placed = plant.place(scene.robot, scene.posture)
-    except UserError:  # what MJX itself refuses, such as contacts of shapes that it does not have
+    placed = _in_mjx(scene)
+    if placed is None:
         return False
+    from jaxact.plants.mjx import step
+
     if step.is_small(placed.model, placed.data):
         return steps > _MANY_WRITTEN_OUT * model.nv * step.rows(placed.data)
     at_once = step.is_side_by_side(placed.model, placed.data)

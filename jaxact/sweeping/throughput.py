@@ -102,9 +102,9 @@ def fastest(
 ) -> str:
     """The engine that `engine = "auto"` comes to on this machine.
 
-    On a CPU the one that is expected to be it: MJX where `jaxact.simulation.engines.compiling_pays`
-    says so, else C MuJoCo. On a GPU each engine that can simulate the robot is measured on short
-    rollouts where the sweep is long, once on a machine.
+    The one that is expected to be it: MJX where `jaxact.simulation.engines.compiling_pays` says so,
+    else C MuJoCo. On a GPU, if the sweep is so long that compiling pays, each engine that can
+    simulate the robot is measured on short rollouts, once on a machine.
 
     Args:
         specification, samples: of the sweep.
@@ -116,9 +116,11 @@ def fastest(
     usual = engines.resolved(specification)
     if specification.engine != AUTO or not specification.robot:
         return usual.engine
-    able = engines.able(specification)
     first = plans.groups(usual, samples)[0]
     steps = len(samples) * first.steps
+    if _unsure() and not engines.compiling_pays(usual, steps, first.devices):
+        return usual.engine
+    able = engines.able(specification)
     if ROBOT_IN_MJX.name in able and engines.compiling_pays(usual, steps, first.devices):
         usual = replace(usual, engine=ROBOT_IN_MJX.name)
         first = plans.groups(usual, samples)[0]

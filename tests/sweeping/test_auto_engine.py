@@ -1,11 +1,12 @@
-"""Which engine `engine = "auto"` comes to on a CPU: by the robot and the length of the sweep."""
+"""Which engine `engine = "auto"` comes to: by the robot and the length of the sweep."""
 
+import jax
 import pytest
 from robots import HOPPER, PENDULUM, QUADRUPED
 
 from jaxact.loops import reading
 from jaxact.loops.samples import expand
-from jaxact.plants import mujoco
+from jaxact.plants import mujoco, warp
 from jaxact.plants.mjx import side_by_side
 from jaxact.simulation import engines
 from jaxact.sweeping import throughput
@@ -92,6 +93,22 @@ def test_it_stays_c_mujoco_for_a_robot_with_too_many_constraints(monkeypatch, tm
     assert _chosen("hopper", 1e6, tmp_path) == "mjx"
     monkeypatch.setattr(side_by_side, "_PRODUCT", 100)  # of 112 that it has
     assert _chosen("hopper", 1e6, tmp_path) == "mujoco"
+
+
+@pytest.mark.parametrize(
+    ("name", "long"),
+    [
+        ("two hinges", "mjx"),
+        ("hopper", "mjx"),
+        ("hopper on a box", "mujoco"),  # as MJX simulates it otherwise
+        ("hopper, a floor that MJX refuses", "mujoco"),
+    ],
+)
+def test_on_a_gpu_it_is_c_mujoco_until_compiling_pays(name, long, monkeypatch, tmp_path):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(warp, "lacking", lambda: "not installed")
+    assert _chosen(name, 2e3, tmp_path) == "mujoco", "two million steps on one core"
+    assert _chosen(name, 20e3, tmp_path) == long
 
 
 def test_it_stays_c_mujoco_where_mjx_would_use_fewer_cores(monkeypatch, tmp_path):

@@ -296,6 +296,8 @@ def test_auto_is_the_engine_that_was_faster_on_this_machine(folder, monkeypatch,
         throughput.keep(plan, one, rate, throughput.ROLLOUTS)
     assert throughput.fastest(asked, samples, say=None) == "mujoco", "a CPU does as expected"
     monkeypatch.setattr(throughput, "_unsure", lambda: True)
+    assert throughput.fastest(asked, samples, say=None) == "mujoco", "compiling takes longer"
+    monkeypatch.setattr(engines, "compiling_pays", lambda *_: True)
     assert throughput.fastest(asked, samples, say=None) == "mjx", "measured"
     fixed = dataclasses.replace(asked, engine="mujoco")
     assert throughput.fastest(fixed, samples, say=None) == "mujoco", "the specification says it"
