@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxact.compilation import keys
+from jaxact.compilation.processor import on_processor
 from jaxact.files import shared, writers
 
 FOLDER = "JAXACT_PROGRAMS"
@@ -59,7 +60,8 @@ class Program:
     """A function that is compiled for each shape of its inputs, when it is called or before.
 
     Arguments by position are trees of arrays, arguments by name static: hashable, and written out
-    in full in the program's key.
+    in full in the program's key. One that is not told on how many `devices` is run on the
+    processor.
     """
 
     def __init__(self, function: Callable, *, builds: bool = False) -> None:
@@ -76,7 +78,8 @@ class Program:
 
     def __call__(self, *inputs: Any, **static: Any) -> Any:
         """Run it."""
-        return self.compiled(*inputs, **static)(*inputs)
+        with _place(static):
+            return self.compiled(*inputs, **static)(*inputs)
 
     def compiled(self, *inputs: Any, **static: Any) -> Callable:
         """What runs on inputs like these; threads may compile different programs side by side.
@@ -88,7 +91,8 @@ class Program:
         key = (self, frozenset(static.items()), _shapes(inputs))
         found = _in_use.get(key)
         if found is None:
-            found = _in_use[key] = self._found(inputs, static)
+            with _place(static):
+                found = _in_use[key] = self._found(inputs, static)
             for old in list(_in_use)[:-KEPT]:
                 _in_use.pop(old, None)
         with contextlib.suppress(KeyError):  # another thread let go of it
@@ -115,6 +119,11 @@ class Program:
 def building(function: Callable) -> Program:
     """A decorator: the program of what the function gives for its static arguments."""
     return Program(function, builds=True)
+
+
+def _place(static: dict[str, Any]) -> contextlib.AbstractContextManager[Any]:
+    """Where a program is compiled and run."""
+    return contextlib.nullcontext() if "devices" in static else on_processor()
 
 
 def _shapes(inputs: Any) -> Any:

@@ -14,6 +14,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxact.compilation.processor import platform
+
 
 def single_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same function of arrays as the body of a loop that runs once.
@@ -25,7 +27,7 @@ def single_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
         function: of trees of arrays; one that multiplies matrices, sorts, scatters, or calls
             libraries is compiled in parts as usual.
     """
-    if jax.default_backend() != "cpu":
+    if platform() != "cpu":
         return function
 
     @functools.wraps(function)

@@ -228,11 +228,16 @@ def _in_jax(
     dtype = jnp.result_type(float)
     inputs = {name: jnp.asarray(value, dtype) for name, value in values.items()}
     loops = inputs, jnp.asarray(growth, dtype), np.uint32(seed), jnp.asarray(numbers, jnp.uint32)
-    return jax.tree.map(np.asarray, _all(*loops, case=case, setting=setting))
+    # A model of MJX is where JAX has put it.
+    where = {"devices": 1} if case.engine.impl else {}
+    return jax.tree.map(np.asarray, _all(*loops, case=case, setting=setting, **where))
 
 
 @building
-def _all(*, case: Case, setting: Setting) -> Callable[..., tuple[Metrics, Trajectory, Judgement]]:
+def _all(
+    *, case: Case, setting: Setting, devices: int = 1
+) -> Callable[..., tuple[Metrics, Trajectory, Judgement]]:
+    del devices
     one = functools.partial(_one, case, kernel.template_of(case, setting, "metrics"))
     return jax.vmap(one, in_axes=(0, 0, None, 0))
 
