@@ -2,7 +2,8 @@
 
 Formats: unitree_rl_lab's `deploy.yaml` (gains in the order of the motors; entry k of
 `joint_ids_map` is the motor of the policy's joint k), unitree_rl_gym's `deploy/*/configs/*.yaml`,
-rl_sar's `base.yaml` and `config.yaml` (all lists in the order of `joint_names`).
+rl_sar's `base.yaml` and `config.yaml` (all lists in the order of `joint_names`; where there is a
+`joint_mapping`, entry i of the lists is the motor of that number, and the names are the motors').
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from jaxact.gains.table import Entry, GainFile
 from jaxact.parameters import FORCE_LIMIT, KD, KP
 
 _ASSUMED = "it names no joints: its gains are taken to be in the order of the model's driven joints"
+_MOTORS = "motor i is taken to be the model's driven joint i, from 0"
 
 _MOST_MOTORS = 10_000
 
@@ -69,8 +71,8 @@ def rl_gym(path: Path, document: Mapping[str, Any]) -> GainFile | None:
         _same_length(path, {"arm_waist_joint2motor_idx": added, "arm_waist_kps": own[0],
                             "arm_waist_kds": own[1]})  # fmt: skip
         motors, kp, kd = motors + added, kp + own[0], kd + own[1]
-    said = "motor i is taken to be the model's driven joint i, from 0"
-    return _file(path, "rl-gym", list(zip(motors, kp, kd, strict=True)), "motor", (said, *notes))
+    rows = list(zip(motors, kp, kd, strict=True))
+    return _file(path, "rl-gym", rows, "motor", (_MOTORS, *notes))
 
 
 def rl_sar(path: Path, document: Mapping[str, Any]) -> GainFile | None:
@@ -86,21 +88,33 @@ def rl_sar(path: Path, document: Mapping[str, Any]) -> GainFile | None:
 def _rl_sar(path: Path, table: Mapping[str, Any], kind: str) -> GainFile:
     lists = {f"{kind}_kp": KP, f"{kind}_kd": KD, "torque_limits": FORCE_LIMIT}
     given = {key: numbers(path, key, table[key]) for key in lists if key in table}
-    if "joint_names" not in table:
-        _same_length(path, given)
-        rows = list(zip(range(len(given[f"{kind}_kp"])), *list(given.values())[:2], strict=True))
-        return _file(path, "rl-sar", rows, "place", (_ASSUMED,))
-    listed = _names(path, table["joint_names"])
-    _same_length(path, {"joint_names": listed, **given})
-    entries = tuple(
-        Entry(lists[key], name, value)
-        for key, values in given.items()
-        for name, value in zip(listed, values, strict=True)
-    )
-    notes = unused(table, ("default_dof_pos", "dt", "decimation"))
+    _same_length(path, given)
+    motors = None
+    if "joint_mapping" in table:
+        count = len(given[f"{kind}_kp"])
+        motors = _motors(path, table["joint_mapping"], count, key="joint_mapping")
+        _same_length(path, {"joint_mapping": motors, **given})
+    notes = unused(table, ("default_dof_pos", "dt", "decimation", "action_scale"))
+    joints: Sequence[Any]
+    keys: Any
+    if "joint_names" in table:
+        names = _names(path, table["joint_names"])
+        _same_length(path, {"joint_names": names, **given})
+        # Its programs take the names in the order of the motors where there is a mapping.
+        joints, keys = names if motors is None else [names[motor] for motor in motors], "name"
+    elif motors is not None:
+        joints, keys, notes = motors, "motor", (_MOTORS, *notes)
+    else:
+        joints, keys = range(len(given[f"{kind}_kp"])), "place"
+        notes = (_ASSUMED, *notes)
     if kind == "fixed":
         notes = ("its gains are those that it stands up with; it has no rl_kp", *notes)
-    return GainFile(path, "rl-sar", entries, "name", notes)
+    entries = tuple(
+        Entry(lists[key], joint, value)
+        for key, values in given.items()
+        for joint, value in zip(joints, values, strict=True)
+    )
+    return GainFile(path, "rl-sar", entries, keys, notes)
 
 
 def numbers(path: Path, key: str, value: Any) -> list[float]:
@@ -145,7 +159,7 @@ def _names(path: Path, value: Any) -> list[str]:
     return list(value)
 
 
-def _motors(path: Path, ids: Any, count: int | None) -> list[int]:
+def _motors(path: Path, ids: Any, count: int | None, key: str = "joint_ids_map") -> list[int]:
     """Numbers of the policy's joints' motors; in order where the file does not say."""
     if ids is None and count is not None:
         return list(range(count))
@@ -155,13 +169,11 @@ def _motors(path: Path, ids: Any, count: int | None) -> list[int]:
     )
     if not whole or len({int(one) for one in ids}) < len(ids):
         raise UserError(
-            f"{path}: joint_ids_map = {shown(ids)}; give the number of each joint's motor, from 0,"
+            f"{path}: {key} = {shown(ids)}; give the number of each joint's motor, from 0,"
             " each once"
         )
     if count is not None and any(one >= count for one in ids):
-        raise UserError(
-            f"{path}: joint_ids_map has motor {int(max(ids))}, and there are gains of {count}"
-        )
+        raise UserError(f"{path}: {key} has motor {int(max(ids))}, and there are gains of {count}")
     return [int(one) for one in ids]
 
 

@@ -88,7 +88,7 @@ def _of_section(path: Path, root: ElementTree.Element) -> Iterator[Entry]:
                 )
             yield Entry(parameter, name, _number(path, where, key, value) * gear**2)
         if one.get("forcelimited", "true") == "true" and one.get("forcerange"):
-            low, high = (gear * end for end in _pair(path, where, one.get("forcerange", "")))
+            low, high = sorted(gear * end for end in _pair(path, where, one.get("forcerange", "")))
             if high == -low:
                 yield Entry(FORCE_LIMIT, name, high)
 

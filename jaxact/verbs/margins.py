@@ -103,10 +103,7 @@ class LoopMargins(Reportable):
 
     def to_pandas(self) -> pd.DataFrame:
         """All metrics, one loop a row, beside what tells the loops apart."""
-        found = self.to_xarray()
-        return (
-            (found if self.loop.shape else found.expand_dims("loop")).to_dataframe().reset_index()
-        )
+        return _frame(self.to_xarray(), self.loop)
 
     def __repr__(self) -> str:
         """The table of the command line."""
@@ -145,12 +142,28 @@ class BothMargins(Reportable):
         """A JSON object for each loop, one a line, the sampled loop's metrics in it."""
         return margin_tables.json_lines(self.loop, self.found)
 
+    def to_xarray(self) -> xr.Dataset:
+        """All metrics as variables with units, those of the sampled loop as `sampled_...`."""
+        sampled = self.sampled.to_xarray()
+        return self.continuous.to_xarray().assign(
+            {f"sampled_{name}": each for name, each in sampled.data_vars.items()}
+        )
+
+    def to_pandas(self) -> pd.DataFrame:
+        """All metrics, one loop a row, beside what tells the loops apart."""
+        return _frame(self.to_xarray(), self.loop)
+
     def __repr__(self) -> str:
         """The table of the command line."""
         return margin_tables.text(self.loop, self.found)
 
     def _repr_html_(self) -> str:
         return notebook.margins(self, sampled=True)
+
+
+def _frame(found: xr.Dataset, loop: ControlLoop) -> pd.DataFrame:
+    """One loop a row."""
+    return (found if loop.shape else found.expand_dims("loop")).to_dataframe().reset_index()
 
 
 def margins(

@@ -103,6 +103,16 @@ def test_what_is_printed_names_the_loops():
 
 
 @pytest.mark.exhaustive
+def test_both_kinds_side_by_side_are_arrays_and_a_table_too():
+    found = jx.margins(jx.joint(kp=[200.0, 400.0], delay=1e-3), sampled="both")
+    data, table = found.to_xarray(), found.to_pandas()
+    np.testing.assert_array_equal(data.delay_margin, found.continuous.delay_margin)
+    np.testing.assert_array_equal(data.sampled_delay_margin, found.sampled.delay_margin)
+    assert data.sampled_delay_margin.attrs["units"] == "s"
+    assert list(table.kp) == [200.0, 400.0]
+    np.testing.assert_array_equal(table.sampled_delay_margin, found.sampled.delay_margin)
+
+
 def test_of_thousands_of_loops_both_ends_are_printed():
     text = repr(jx.margins(jx.joint(kp=np.arange(1.0, 3001.0), kd=5.0)))
     assert "delay margin [ms]" in text and "phase margin [°]" in text

@@ -1,0 +1,57 @@
+"""Files whose lists are in the order of a policy's joints, and say which motor each of them is."""
+
+import itertools
+
+import pytest
+
+from jaxact.errors import UserError
+from jaxact.gains import reading
+from jaxact.gains.table import matched
+
+NAMES = ("left_hip", "left_roll", "left_knee", "right_knee")
+KP, KD, LIMIT = (10.5, 20.5, 30.5, 40.5), (1.0, 2.0, 3.0, 4.0), (11.0, 22.0, 33.0, 44.0)
+
+
+def _rl_sar(order, names=""):
+    """As rl_sar has it: entry i of the lists is motor `joint_mapping[i]`."""
+    lists = {"rl_kp": KP, "rl_kd": KD, "torque_limits": LIMIT}
+    rows = [f"  {key}: {[values[motor] for motor in order]}" for key, values in lists.items()]
+    return "\n".join(["robot/policy:", *rows, f"  joint_mapping: {list(order)}", names])
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations(range(4)))[1::6])
+@pytest.mark.parametrize("names", ["", f"  joint_names: {list(NAMES)}"])
+def test_rl_sars_mapping_is_followed(tmp_path, order, names):
+    file = tmp_path / "config.yaml"
+    file.write_text(_rl_sar(order, names))
+    found = matched(reading.read(file), [(name, name) for name in NAMES])
+    for parameter, values in (("kp", KP), ("kd", KD), ("force_limit", LIMIT)):
+        assert found.parameters[parameter] == dict(zip(NAMES, values, strict=True))
+    assert ("motor i" in str(found.notes)) == (not names)
+
+
+def test_without_a_mapping_the_lists_are_in_the_order_of_the_joints(tmp_path):
+    file = tmp_path / "config.yaml"
+    file.write_text("\n".join(_rl_sar(range(4)).splitlines()[:-1]))
+    found = matched(reading.read(file), [(name, name) for name in NAMES])
+    assert found.parameters["force_limit"] == dict(zip(NAMES, LIMIT, strict=True))
+    assert "in the order of the model's driven joints" in str(found.notes)
+
+
+@pytest.mark.parametrize("mapping", ["[0, 1, 2]", "[0, 1, 1, 2]", "[0, 1, 2, 9]", "[0, 1, 2, a]"])
+def test_a_mapping_that_does_not_fit_is_refused(tmp_path, mapping):
+    file = tmp_path / "config.yaml"
+    file.write_text(_rl_sar(range(4)).replace("[0, 1, 2, 3]", mapping))
+    with pytest.raises(UserError, match="joint_mapping"):
+        reading.read(file)
+
+
+def test_a_gear_that_turns_the_other_way_keeps_its_limit(tmp_path):
+    file = tmp_path / "gains.xml"
+    file.write_text(
+        '<mujoco><actuator><position joint="left_hip" kp="5" kv="1" gear="-2"'
+        ' forcerange="-10 10"/></actuator></mujoco>'
+    )
+    found = matched(reading.read(file), [("left_hip", "left_hip")])
+    assert found.parameters["kp"]["left_hip"] == 20.0
+    assert found.parameters["force_limit"]["left_hip"] == 20.0
