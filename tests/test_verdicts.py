@@ -286,10 +286,11 @@ def _shaped(**rows):
     return {name: jnp.asarray(value, float) for name, value in rows.items()}
 
 
-def _of(amplitudes, growth, count=1e-3, farthest=1e-2, frequency=10.0, plant=True):
+def _of(amplitudes, growth, count=1e-3, farthest=1e-2, frequency=10.0, plant=True, leaving=True):
     motion = Motion(
         **_shaped(amplitude=amplitudes, frequency=frequency, farthest=farthest, span=1e-2),
         turning=jnp.asarray(np.isfinite(frequency)),
+        leaving=jnp.asarray(leaving),
         valid=jnp.asarray(True),
     )
     flags = {"bounded": False, "linear": False, "unlimited": False, "plant_linear": plant}
@@ -320,6 +321,8 @@ def test_what_a_motion_that_remains_means():
     assert verdict(0.1, 0.099, 0.098, plant=False, **slow) == Verdict.STABLE
     assert verdict(0.1, 0.03, 0.04, plant=False, **slow) == Verdict.STABLE  # too slow to be seen
     assert verdict(0.1, 0.2, 0.4, plant=False, **slow) == Verdict.UNSTABLE
+    # Sped up by what brings it back.
+    assert verdict(0.1, 0.2, 0.4, plant=False, leaving=False, **slow) == Verdict.STABLE
     turning = still | {"frequency": 20.0}
     assert verdict(0.192, 0.177, 0.148, plant=False, **turning) == Verdict.UNSTABLE
     assert verdict(0.3, 0.2, 0.15, plant=False, **turning) == Verdict.LIMIT_CYCLE  # slows down

@@ -218,10 +218,13 @@ def motion(
 ) -> Motion:
     """What a finished rollout did; arguments as for `finish`."""
     final = jax.tree.map(lambda leaf: leaf[-1], envelopes)
+    aim = reference.target[None]
+    reach = jnp.maximum(jnp.abs(envelopes.highest - aim), jnp.abs(envelopes.lowest - aim))
     return Motion(
         amplitude=envelopes.amplitude,
         frequency=final.frequency(period),
         turning=final.turning,
+        leaving=reach[-1] > jnp.max(reach[:-1], axis=0),
         farthest=running.farthest,
         span=jnp.abs(reference.target - reference.start),
         valid=jnp.isfinite(running.squared_error),

@@ -45,6 +45,7 @@ class Motion:
         amplitude: half ranges of the position in the segments [m or rad], (segments, joints).
         frequency: of the last segment [rad/s]; NaN where the motion does not pass its middle twice.
         turning: whether it swings in the last segment.
+        leaving: whether it goes farther from the setpoint in the last segment than before.
         farthest: largest distance from the setpoint [m or rad].
         span: height of the setpoint's step [m or rad].
         valid: whether all of it is finite.
@@ -53,6 +54,7 @@ class Motion:
     amplitude: jax.Array
     frequency: jax.Array
     turning: jax.Array
+    leaving: jax.Array
     farthest: jax.Array
     span: jax.Array
     valid: jax.Array
@@ -237,6 +239,8 @@ def of_motion(
     # Counts and noise make irregular motions, but none without bound.
     growing &= (last > _FEW * jnp.maximum(scale.count, scale.rest)) | (growth_rate >= 0.0)
     growing &= ~scale.unlimited | (growth_rate >= 0.0)
+    # A robot's slow motion is first sped up by what brings it back, where small motions decay.
+    growing &= scale.plant_linear | motion.turning | motion.leaving | (growth_rate >= 0.0)
     # A limit makes large motions of a mass so slow that a segment holds no whole turn. Halves of
     # the rollout tell then, and whether the motion went further than it began, away or on its way.
     slow = scale.plant_linear & ~scale.unlimited & ~motion.turning

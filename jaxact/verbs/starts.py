@@ -32,6 +32,8 @@ _NAMES = {
     "kick": "a small kick",
 }
 
+# By how much small motions should have decayed before what grows is said to be lost.
+_MOSTLY = 0.5
 _ON_ITS_WAY = (
     "The motion had neither turned nor ended when the duration was over: a longer one tells."
 )
@@ -88,7 +90,7 @@ def advice(run: Single) -> str:
     if verdict == Verdict.UNSTABLE and run.results["growth_rate"] < 0.0 and lost:
         return (
             f"Small perturbations decay, but the motion after {_listed(lost)} grew: large ones do, "
-            "where limits are reached, or where a robot loses its footing and falls."
+            f"where limits are reached, or where a robot loses its footing and falls.{_short(run)}"
         )
     held = _rubs(run) and not any(start.moving for start in run.starts)
     if verdict == Verdict.UNSTABLE and held:
@@ -99,6 +101,18 @@ def advice(run: Single) -> str:
     if verdict == Verdict.UNSTABLE and run.trajectory.configuration is None:  # of a joint
         return _of_unstable_joint(run.values) or verdict.advice
     return verdict.advice
+
+
+def _short(run: Single) -> str:
+    """Where small motions hardly decay while a loop is simulated, that it was not for long."""
+    duration = float(run.trajectory.time[-1])
+    decayed = -np.expm1(float(run.results["growth_rate"]) * duration)
+    if decayed > _MOSTLY:
+        return ""
+    return (
+        f" Or {duration:.2g} s are too short to tell: the slowest small motion decays by "
+        f"{decayed:.0%} in them."
+    )
 
 
 def _of_unstable_joint(values: Mapping[str, float]) -> str | None:

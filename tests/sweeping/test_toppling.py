@@ -7,6 +7,7 @@ import quickly
 import scipy.linalg
 import xarray as xr
 
+import jaxact as jx
 from jaxact.loops import reading
 from jaxact.loops.samples import expand
 from jaxact.plotting import field, panels, stability_map
@@ -131,3 +132,28 @@ def test_what_has_fallen_and_does_not_swing_is_no_limit_cycle():
     found = execute.with_rates(rows, rates)
     assert found["verdict"].tolist() == [Verdict.TOPPLES, Verdict.LIMIT_CYCLE, Verdict.LIMIT_CYCLE]
     assert np.isnan(found["limit_cycle_amplitude"]).tolist() == [True, False, False]
+
+
+ARM = """
+<mujoco><option timestep="0.001"><flag contact="disable"/></option><worldbody>
+<body><joint name="j1" axis="0 1 0" damping="0.1"/><geom size="0.05" mass="2" pos="0 0 -0.3"/>
+<body pos="0 0 -0.5"><joint name="j2" axis="0 1 0" armature="0.01"/>
+<geom size="0.04" mass="1" pos="0.05 0 -0.25"/></body></body></worldbody>
+<actuator><motor joint="j1"/><motor joint="j2"/></actuator>
+<keyframe><key name="k" qpos="0.4 0.3"/></keyframe></mujoco>
+"""
+
+
+@pytest.mark.parametrize("moved", [{"setpoint": 0.1}, {"initial_velocity": 0.7, "setpoint": 0.1}])
+def test_what_swings_back_slowly_is_not_lost(tmp_path, moved):
+    """Soft arms speed up on their way back, and are not back when a short run ends."""
+    (tmp_path / "arm.xml").write_text(ARM)
+    loop = jx.robot(
+        tmp_path / "arm.xml", keyframe="k", wn=110, zeta=0.9, delay=2e-3, control_rate=500, **moved
+    )
+    gains = {"kp": jx.log(2, 60, 6), "kd": jx.log(0.2, 2, 4)}
+    found = jx.sweep(loop, **gains, duration=0.5, engine="mujoco", progress=False)
+    calm = (found.growth_rate < 0.0).values
+    assert 6 <= calm.sum() < calm.size
+    assert not (found.verdict.values[calm] == Verdict.UNSTABLE).any()
+    assert not (found.verdict.values[~calm] == Verdict.STABLE).any()

@@ -10,10 +10,10 @@ from jaxact.status import Verdict
 from jaxact.verbs import starts
 
 
-def _run(verdict, growth_rate, *starts):
+def _run(verdict, growth_rate, *starts, duration=2.0):
     made = tuple(Start(name, end, moving, not moving, 0.0, 0.0) for name, end, moving in starts)
     results = {"verdict": float(verdict), "growth_rate": growth_rate}
-    of_robot = SimpleNamespace(configuration=np.zeros((1, 1)))
+    of_robot = SimpleNamespace(configuration=np.zeros((1, 1)), time=np.array([0.0, duration]))
     return Single(of_robot, results, {}, (Joint("hip", True),), made)
 
 
@@ -30,6 +30,13 @@ def test_advice_is_that_of_what_happened(verdict, growth_rate, slide, moving, sa
     own = Verdict.STABLE if growth_rate < 0.0 else Verdict.UNSTABLE
     run = _run(verdict, growth_rate, ("", own, False), ("slide", slide, moving))
     assert said in starts.advice(run)
+
+
+def test_a_run_that_was_too_short_to_tell_is_said_to_be():
+    lost = ("", Verdict.UNSTABLE, True)
+    assert "too short" not in starts.advice(_run(Verdict.UNSTABLE, -1.0, lost))
+    said = starts.advice(_run(Verdict.UNSTABLE, -1.0, lost, duration=0.1))
+    assert "Or 0.1 s are too short to tell" in said and "decays by 10% in them" in said
 
 
 def test_what_is_still_under_way_at_the_end_is_said():
