@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal
@@ -90,8 +90,8 @@ def robot(
     velocity: Velocity = "sampled",
     physics_step: float | None = None,
     integrator_correction: bool = False,
-    motion: Motion | None = None,
-    push: Push | None = None,
+    motion: Motion | Mapping[str, Any] | None = None,
+    push: Push | Mapping[str, Any] | None = None,
     drive: Any = None,
     **parameters: Any,
 ) -> ControlLoop:
@@ -119,7 +119,8 @@ def robot(
         physics_step: [s], None for the longest that divides the control period and is no longer
             than the model's own.
         integrator_correction: take back MuJoCo's half step of lead.
-        motion, push: of the setpoint, and on a body, in simulations.
+        motion, push: of the setpoint, and on a body, in simulations; tables as in a specification,
+            `push={"body": "trunk", "impulse": [0, 20, 0]}`.
         drive: an identified drive of every joint, as for `jaxact.joint`; its dynamics, delay,
             friction, limit, resolution and rate say what is not given here.
         parameters: as for `jaxact.joint`; gains, limits and delays that are not given are those of
@@ -152,7 +153,8 @@ def robot(
         )  # fmt: skip
     except ValidationError as error:
         raise UserError(explained(error)) from None
-    kind = Kind(plant, _velocity(velocity), physics_step, integrator_correction, motion, push)
+    moved: Any = motion, push
+    kind = Kind(plant, _velocity(velocity), physics_step, integrator_correction, *moved)
     given = read({"actuator": actuator, **parameters}, robot=True)
     own = {} if drive is None else drives.taken(drive).parameters(robot=True)
     return made(drives.filled(own, given), kind)

@@ -14,6 +14,7 @@ import dataclasses
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -21,6 +22,7 @@ import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops.checks import JOINT_ONLY, OF_VELOCITY, check_velocity
+from jaxact.loops.reading import TABLE_READERS
 from jaxact.loops.specification import Motion, Plant, Push, Specification
 from jaxact.parameters import (
     INERTIA,
@@ -68,6 +70,13 @@ class Kind:
     push: Push | None = None
     unit: str | None = None
     names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Take tables as a specification has them, too."""
+        for name in ("motion", "push"):
+            table: Any = getattr(self, name)
+            if table is not None and not dataclasses.is_dataclass(table):
+                object.__setattr__(self, name, TABLE_READERS[name](table, Path()))
 
     @property
     def specified(self) -> dict[str, Any]:

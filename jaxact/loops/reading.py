@@ -240,7 +240,7 @@ def _build(document: Mapping[str, Any], folder: Path) -> Specification:
     options = {key: document[key] for key in OPTIONS if key in document}
     for table in TABLES:
         if table in document:
-            options[table] = _TABLE_READERS[table](document[table], folder)
+            options[table] = TABLE_READERS[table](document[table], folder)
     if "plant" in options:
         options.setdefault("engine", "auto")
     drawn = document.get("sampling")
@@ -342,14 +342,14 @@ def _push(table: Any, folder: Path) -> Push:
     changed: dict[str, Any] = {}
     if "impulse" in _keys(table):
         given = table["impulse"]
-        numbers = [as_number(item) for item in given] if isinstance(given, list) else []
+        numbers = [as_number(item) for item in given] if isinstance(given, list | tuple) else []
         if len(numbers) != 3 or not all(item is not None and abs(item) <= 1e9 for item in numbers):
             raise UserError(f"push.impulse = {shown(given)}; allowed: three numbers [N s]")
         changed["impulse"] = tuple(numbers)
     return _filled(Push, "push", table, **changed)
 
 
-_TABLE_READERS = {"plant": _plant, "motion": _motion, "push": _push}
+TABLE_READERS = {"plant": _plant, "motion": _motion, "push": _push}
 
 
 def _file(given: Any, folder: Path, key: str, kind: str) -> Path:

@@ -179,7 +179,8 @@ def test_a_robots_margins_are_arrays_over_loops_and_joints(standing):
 
 def test_what_moves_a_robot_does_not_change_its_margins(standing):
     loop, found = standing
-    pushed = loop[0].replace(push=Push(body="trunk", impulse=(0.0, 1.0, 0.0)))
+    pushed = loop[0].replace(push={"body": "trunk", "impulse": [0, 1.0, 0.0]})
+    assert pushed.kind.push == Push(body="trunk", impulse=(0.0, 1.0, 0.0))
     # Alone and in a batch the same but for rounding.
     assert jx.margins(pushed).delay_margin == pytest.approx(found.delay_margin[0], rel=1e-9)
 
