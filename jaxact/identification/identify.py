@@ -139,7 +139,8 @@ def with_gains(log: Log) -> Log:
     return replace(
         log,
         gains=(found.kp, found.kd),
-        difference_ticks=log.difference_ticks if "velocity" in log else 1,
+        # The differences that the gains were just found with.
+        difference_ticks=log.difference_ticks or (0 if "velocity" in log else 1),
         notes=(*log.notes, note),
     )
 

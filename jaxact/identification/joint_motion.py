@@ -53,7 +53,8 @@ class Structure:
     Attributes:
         closed: the controller is simulated; otherwise the log's command is given to the drive.
         history: commands that are remembered for the longest delay.
-        difference_ticks: rows over which the controller differences the position; 0 for the speed.
+        difference_ticks: periods of the controller over which it differences the position; 0 for
+            the speed.
         gravity: the joint carries a pendulum.
     """
 
@@ -137,8 +138,7 @@ def _begin(values: Mapping[str, Any], recording: Recording, structure: Structure
         )
     )
     zero = jnp.zeros((), dtype)
-    period = (recording.time[-1] - recording.time[0]) / (recording.time.shape[0] - 1)
-    number = structure.difference_ticks
+    period, number = recording.control_period, structure.difference_ticks
     seen = tuple(position - velocity * period * (late + 1) for late in range(number))
     # The force that holds the joint where it is, where it stood before the log began.
     force = values["gravity"] * jnp.sin(position - values["zero"]) if structure.gravity else zero
@@ -170,8 +170,8 @@ def _control(
     kd = values.get(KD, recording.kd)
     speed = carry.velocity
     if structure.difference_ticks:
-        period = (recording.time[-1] - recording.time[0]) / (recording.time.shape[0] - 1)
-        speed = (carry.position - carry.seen[-1]) / (structure.difference_ticks * period)
+        over = structure.difference_ticks * recording.control_period
+        speed = (carry.position - carry.seen[-1]) / over
     asked = _controller.step(
         Controller(kp=kp, kd=kd),
         Setpoint(now[SETPOINT], force=now[FEEDFORWARD]),

@@ -60,6 +60,11 @@ class Recording:
     velocity: jax.Array
     links: Links | None = None
 
+    @property
+    def control_period(self) -> jax.Array:
+        """Mean time between two ticks at which the controller runs [s]; it does so at the ends."""
+        return (self.time[-1] - self.time[0]) / (jnp.sum(self.controls) - 1)
+
 
 jax.tree_util.register_dataclass(Recording)
 
