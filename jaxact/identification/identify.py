@@ -79,7 +79,7 @@ def identify(
     if isinstance(columns, str | os.PathLike):
         columns = read_columns(Path(columns))
     fitted, held = (
-        usable(logs_of(each, columns, joint), moves=plant != "none") for each in (logs, validate)
+        prepared(logs_of(each, columns, joint), moves=plant != "none") for each in (logs, validate)
     )
     if not fitted:
         raise UserError("`logs` is empty; give at least one log")
@@ -88,7 +88,6 @@ def identify(
         if plant == "none":
             family = forces.family(fitted)
         else:
-            fitted, held = ([with_gains(log) for log in each] for each in (fitted, held))
             family = motion.family(fitted, plant, control_rate)
             _demand_motion(fitted)
         ladder = climb(
@@ -101,10 +100,12 @@ def identify(
         return Identified(plant, ladder, inspected(ladder), verdict, control_rate)
 
 
-def usable(logs: Sequence[Log], *, moves: bool = True) -> list[Log]:
-    """Logs cut where time is missing, with what was measured less often interpolated.
+def prepared(logs: Sequence[Log], *, moves: bool = True) -> list[Log]:
+    """Logs as they are fitted, or replayed: what was done to them is in their notes.
 
-    Columns that their controller shows to be some rows apart are brought together.
+    They are cut where time is missing, and what was measured less often is interpolated; columns
+    that their controller shows to be some rows apart are brought together; and of a joint that
+    moves gains that the map does not state are taken from the command.
 
     Args:
         logs: as they are read.
@@ -113,7 +114,8 @@ def usable(logs: Sequence[Log], *, moves: bool = True) -> list[Log]:
     Raises:
         UserError: of a log nothing is left.
     """
-    return [aligned(renewed(part), moves=moves) for log in logs for part in stretches(log)]
+    found = [aligned(renewed(part), moves=moves) for log in logs for part in stretches(log)]
+    return [with_gains(log) for log in found] if moves else found
 
 
 def _demand_motion(logs: Sequence[Log]) -> None:

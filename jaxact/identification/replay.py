@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxact.errors import UserError, nearest
 from jaxact.identification import forces, motion
-from jaxact.identification.identify import Source, logs_of
+from jaxact.identification.identify import Source, logs_of, prepared
 from jaxact.identification.links import constant_forces, joint_of, levelled, with_links
 from jaxact.identification.log import LINKS, Log
 from jaxact.identification.model import Family, predicted
@@ -51,7 +51,7 @@ class Replay:
 
     Attributes:
         drive: name of its file.
-        log: that is replayed.
+        log: that is replayed, as it was prepared: what was done to it is in its notes.
         stimulus, measured, simulated: shape (rows,); what moved it is in the unit of its signal.
         driven_by: name of the stimulus, "setpoint" or "command".
         signal, unit: what is measured and simulated, "position" or "force", and in which unit.
@@ -92,6 +92,7 @@ class Replay:
             "drive": self.drive, "log": self.log.title, "rows": len(self.log),
             "duration": self.log.duration, "driven_by": self.driven_by, "signal": self.signal,
             "unit": self.unit, "rms": self.rms, "max": self.largest, "nrmse": self.nrmse,
+            "notes": list(self.log.notes),
         }  # fmt: skip
 
     def columns(self) -> dict[str, np.ndarray]:
@@ -110,11 +111,12 @@ class Replay:
         return "N m" if self.log.unit == "rad" else "N"
 
     def __str__(self) -> str:
-        """The errors, a line each."""
+        """What was done to the log, and the errors, a line each."""
         unit = self.unit
         return "\n".join([
             f"{self.log.title} by {self.drive}: {self.signal} for the log's {self.driven_by},"
             f" {len(self.log):,} rows, {self.log.duration:.3g} s",
+            *(f"  {note}" for note in self.log.notes),
             f"rms error    {self.rms:.4g} {unit}",
             f"largest      {self.largest:.4g} {unit}",
             f"rms error    {100.0 * self.nrmse:.3g} % of the standard deviation",
@@ -135,8 +137,10 @@ def replay(
         print(jaxact.replay("drive.toml", "log.csv", columns="map.toml"))
 
     A drive whose force was measured is given the log's command; one that moves a joint the log's
-    setpoint, under the gains of the map (or of the drive's own log), or else its command. Where a
-    joint begins, its first position and velocity, is fitted to the log, and nothing else.
+    setpoint, under the gains of the map (or else those that its command is made of, or of the
+    drive's own log), or else its command. The log is prepared as `jaxact.identify` does it: cut
+    where time is missing, say. Where a joint begins, its first position and velocity, is fitted to
+    each of its parts, and nothing else.
 
     Args:
         drive: a file of `jaxact identify`, or what `jaxact.identify` gave.
@@ -171,16 +175,44 @@ def replay(
     for name in asked:
         if name not in possible:
             raise UserError(f"`{name}`: changes nothing in this replay; {nearest(name, possible)}")
-    own = _with_gains(known, own, asked)
+    parts = prepared([own], moves=known.plant != "none")
+    return _joined(own, [_replayed(known, _with_gains(known, part, asked), asked)
+                         for part in parts])  # fmt: skip
+
+
+def _replayed(drive: IdentifiedDrive, log: Log, asked: Mapping[str, Any]) -> Replay:
+    """What a drive makes of a log in which no time is missing."""
     with jax.enable_x64(True):
-        family, numbers = _model(known, own, asked)
-        simulated = predicted(family, own, numbers)
-        stimulus, measured = family.stimulus(own), family.measured(own)
-    closed = family.signal == "position" and stimulus is own.signals.get(SETPOINT)
+        family, numbers = _model(drive, log, asked)
+        simulated = predicted(family, log, numbers)
+        stimulus, measured = family.stimulus(log), family.measured(log)
+    closed = family.signal == "position" and stimulus is log.signals.get(SETPOINT)
     return Replay(
-        known.name, own, stimulus, measured, simulated, SETPOINT if closed else "command",
+        drive.name, log, stimulus, measured, simulated, SETPOINT if closed else "command",
         family.signal, family.unit,
     )  # fmt: skip
+
+
+def _joined(log: Log, parts: Sequence[Replay]) -> Replay:
+    """The replays of a log's parts, between which time is missing, one after the other."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    own = [part.log for part in parts]
+    rows = "; ".join(f"{one.row} to {one.row + len(one) - 1}" for one in own)
+    notes = dict.fromkeys(note for one in own for note in one.notes)
+    whole = replace(
+        first.log,
+        name=log.name,
+        time=np.concatenate([one.time for one in own]),
+        signals={name: np.concatenate([one[name] for one in own]) for name in first.log.signals},
+        notes=(f"time is missing: its rows {rows} are replayed each by themselves", *notes),
+    )
+    stimulus, measured, simulated = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("stimulus", "measured", "simulated")
+    )
+    return replace(first, log=whole, stimulus=stimulus, measured=measured, simulated=simulated)
 
 
 def _of_robot(

@@ -44,6 +44,22 @@ def test_the_velocity_is_over_the_period_of_the_controller(rate, over):
     assert found.driven_by == "setpoint" and found.largest < 1e-6 * np.ptp(log["position"])
 
 
+def test_a_replay_takes_gains_and_differences_from_the_command():
+    log = replace(_slide(500, 1, (200.0, 12.0)), gains=(None, None), difference_ticks=0)
+    found = jx.replay(DRIVE, log)
+    assert found.driven_by == "setpoint" and found.log.difference_ticks == 1
+    assert found.largest < 1e-6 * np.ptp(log["position"])
+    assert "kp 200 and kd 12 are taken from the command" in str(found)
+
+
+def test_a_replay_moves_a_position_that_is_written_late():
+    log = _slide(500, 1, (200.0, 12.0))
+    late = np.append(log["position"][0], log["position"][:-1])
+    found = jx.replay(DRIVE, replace(log, signals={**log.signals, "position": late}))
+    assert "position is logged 1 row later than the setpoint; it is moved" in str(found)
+    assert found.largest < 1e-6 * np.ptp(late)
+
+
 @pytest.mark.parametrize("over", [1, 2])
 def test_gains_are_found_with_the_differences_that_are_stated(over):
     log = replace(_slide(1000, over, (400.0, 20.0)), gains=(None, None))

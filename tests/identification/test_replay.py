@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -162,6 +163,26 @@ def test_what_does_not_fit_is_one_line_and_writes_nothing(folder, capsys, option
     error = capsys.readouterr().err
     assert said in error and error.count("\n") == 1
     assert not list(folder.glob("*.png"))
+
+
+def test_a_log_with_time_missing_is_replayed_in_parts():
+    log = _force()
+    kept = np.r_[0:230, 270:500]
+    gap = replace(log, time=log.time[kept], signals={n: v[kept] for n, v in log.signals.items()})
+    found = jx.replay("bench.toml", gap)
+    # Until the first commands after the gap have arrived, those before it are not known.
+    assert len(found.rest) == len(found.log) == 460
+    assert np.max(np.abs(np.delete(found.rest, np.r_[230:330]))) < 1e-3
+    assert found.log.notes[0].startswith("time is missing: its rows 2 to 231; 232 to 461 are")
+    assert found.log.notes[0] in str(found) and found.document()["notes"] == list(found.log.notes)
+
+
+def test_a_force_that_is_new_once_in_five_rows_lies_on_lines_between():
+    log = _force()
+    held = log["force"][np.arange(500) // 5 * 5]
+    found = jx.replay("bench.toml", replace(log, signals={**log.signals, "force": held}))
+    assert "force is new once in 5 rows" in str(found)
+    assert found.rms < 0.3 * np.sqrt(np.mean((held - log["force"]) ** 2))
 
 
 def test_a_log_without_gains_or_command_says_what_is_missing():
