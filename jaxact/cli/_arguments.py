@@ -54,11 +54,12 @@ DriveFile = Annotated[
     ),
 ]
 Velocity = Annotated[
-    str,
+    str | None,
     option(
         "sampled|differenced",
         "Velocity that the controller sees: sensed, or positions differenced, which"
         " --velocity-filter filters.",
+        "sampled, or that of --drive or of a file",
     ),
 ]
 Title = Annotated[str, option("TEXT", "Above the picture.", "none")]

@@ -46,13 +46,13 @@ _NO_MATTER = (
 )  # fmt: skip
 
 
-def joints(chosen: Any, file: Path | None, velocity: str) -> ControlLoop:
+def joints(chosen: Any, file: Path | None, velocity: str | None) -> ControlLoop:
     """Every combination of the values of the options, or the loops of a file.
 
     Args:
         chosen: options of parameters with several values each.
         file: of loops, None for none; then the options say what its loops do not say themselves.
-        velocity: "sampled", or "differenced".
+        velocity: "sampled", or "differenced"; None for that of the drive or of the file.
 
     Raises:
         UserError: values that make no sense, or several where a file lists the loops.
@@ -119,7 +119,7 @@ def identified(
     return found
 
 
-def linear(chosen: Any, file: Path | None, velocity: str) -> ControlLoop:
+def linear(chosen: Any, file: Path | None, velocity: str | None) -> ControlLoop:
     """As `joints`, of loops that are looked at as linear ones.
 
     Raises:
@@ -217,12 +217,16 @@ def specified(
 
 
 def of_robot(
-    robot: _arguments.Robot, given: Mapping[str, Any], velocity: str, *, engine: str | None = None
+    robot: _arguments.Robot,
+    given: Mapping[str, Any],
+    velocity: str | None,
+    *,
+    engine: str | None = None,
 ) -> Specification:
     """As `specified`, of a robot that is linearised.
 
     Args:
-        velocity: "sampled" leaves a file its own.
+        velocity: None leaves a file, or a drive, its own.
 
     Raises:
         UserError: without a robot, and as `specified`.
@@ -233,8 +237,7 @@ def of_robot(
                 f"--{name}: a robot's masses and units are its model's; change the masses with"
                 " --set payload="
             )
-    own = None if velocity == "sampled" else velocity
-    found = specified(robot, given, {"engine": engine, "velocity": own})
+    found = specified(robot, given, {"engine": engine, "velocity": velocity})
     if found.plant is None:
         raise UserError(f"{robot.spec}: has no [plant] model; give a robot with --model")
     return found

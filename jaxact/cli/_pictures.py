@@ -14,7 +14,7 @@ def draw(
     picture: Callable[..., Any],
     parameters: Any,
     file: Path | None,
-    velocity: str,
+    velocity: str | None,
     title: str,
     out: Path,
 ) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from jaxact.cli import _arguments, _loops, _options
+from jaxact.cli import _arguments, _loops, _options, _warnings
 from jaxact.parameters import CONTROL_RATE
 
 REFUSED = 1
@@ -73,6 +73,11 @@ def main(
     if control_rate is not None:
         mounted[CONTROL_RATE] = control_rate
     identified = _loops.identified(drive, (), robot=True)
+    if identified is not None and identified.velocity is not None:
+        _warnings.warn(
+            f"{identified.name}: its controller differenced positions; the delay that gains bear is"
+            " that with a sensed velocity here, and margins have it with differences"
+        )
     found = check(
         robot(model, keyframe=keyframe, joints=joints, gains=gains, drive=identified, **mounted)  # type: ignore[arg-type]
     )

@@ -43,7 +43,7 @@ def main(
     robot: Robot,
     *,
     loops: LoopsFile = None,
-    velocity: Velocity = "sampled",
+    velocity: Velocity = None,
     json: Annotated[bool, arg(help="Print one JSON object a loop, one a line.")] = False,
     csv: _arguments.Csv = None,
     store: Annotated[Path | None, option("DIR", "Write a Zarr v3 store.", "no")] = None,
@@ -121,7 +121,7 @@ def main(
         print("wrote " + ", ".join(str(path) for path in (csv, store) if path is not None))
 
 
-def _of_robot(robot: Robot, given: dict[str, Any], velocity: str, *, json: bool) -> None:
+def _of_robot(robot: Robot, given: dict[str, Any], velocity: str | None, *, json: bool) -> None:
     """Print the margins of a robot with all combinations of the values given, and draw them."""
     if robot.out is not None:
         from jaxact.plotting.theme import check_output

@@ -28,7 +28,7 @@ def main(
     ] = "",
     robot: _arguments.Robot = _arguments.Robot(),  # noqa: B008
     *,
-    velocity: Velocity = "sampled",
+    velocity: Velocity = None,
     title: Title = "",
     out: Annotated[
         Path, option("FILE", "HTML file to write; one that is there is replaced.")

@@ -12,7 +12,7 @@ def main(
     parameters: _loops.Linear,  # type: ignore[valid-type]
     *,
     loops: LoopsFile = None,
-    velocity: Velocity = "sampled",
+    velocity: Velocity = None,
     title: Title = "",
     out: Picture = Path("sensitivity.png"),
 ) -> None:

@@ -41,7 +41,7 @@ class Rollout:
         option(
             "sampled|differenced",
             "Velocity that the controller sees: sensed, or positions differenced.",
-            "sampled",
+            "sampled, or that of --drive or of a file",
         ),
     ] = None
     duration: Annotated[float, option("SECONDS", "Simulated time [s].", "1")] = UNSET

@@ -24,7 +24,7 @@ def main(
     engine: Annotated[
         str, option(ENGINES, "Plant: an exact mass, or MuJoCo in JAX.")
     ] = ENGINES.split("|")[0],
-    velocity: Velocity = "sampled",
+    velocity: Velocity = None,
     duration: Annotated[float, option("SECONDS", "Simulated time [s].")] = 0.5,
     seed: Annotated[int, arg(metavar="NUMBER", help="Of the noise.")] = 0,
     title: Title = "",

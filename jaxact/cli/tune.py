@@ -202,7 +202,7 @@ def main(
     search: Search,
     robot: Robot,
     *,
-    velocity: _arguments.Velocity = "sampled",
+    velocity: _arguments.Velocity = None,
     out: Annotated[
         Path | None,
         option("FOLDER", "Write gains.toml, gains.xml (MJCF), pictures, motion.csv there.", "no"),
@@ -355,7 +355,7 @@ def _tuned(
     )  # fmt: skip
 
 
-def _joint(given: dict[str, Any], velocity: str) -> ControlLoop:
+def _joint(given: dict[str, Any], velocity: str | None) -> ControlLoop:
     from jaxact.loops.building import joint
 
     loop = joint(velocity=velocity, **given)  # type: ignore[arg-type]
@@ -364,7 +364,7 @@ def _joint(given: dict[str, Any], velocity: str) -> ControlLoop:
     return loop
 
 
-def _postures(robot: Robot, given: dict[str, Any], velocity: str) -> list[ControlLoop]:
+def _postures(robot: Robot, given: dict[str, Any], velocity: str | None) -> list[ControlLoop]:
     """The loop of the robot in every posture, each with its name."""
     if len(set(robot.keyframe)) < len(robot.keyframe):
         raise UserError("--keyframe: the same one is given twice")

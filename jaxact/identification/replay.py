@@ -253,11 +253,12 @@ def _with_gains(drive: IdentifiedDrive, log: Log, asked: Mapping[str, Any]) -> L
     log = replace(log, details=details)
     if KP in drive.numbers:  # all is known per unit of inertia: so are the gains, the force is not
         signals = {name: rows for name, rows in log.signals.items() if name != "command"}
-        return replace(log, gains=(None, None), signals=signals)
+        return replace(_differencing(drive, log), gains=(None, None), signals=signals)
     kp, kd = log.gains
     if kp is None and KP in drive.joint and SETPOINT in log:
         gain = abs(drive.numbers.get("gain", 1.0))
         kp, kd = drive.joint[KP] / gain, drive.joint.get(KD, 0.0) / gain
+        log = _differencing(drive, log)
     kp, kd = asked.get(KP, kp), asked.get(KD, kd)
     if kp is None and "command" not in log:
         raise UserError(
@@ -265,6 +266,12 @@ def _with_gains(drive: IdentifiedDrive, log: Log, asked: Mapping[str, Any]) -> L
             " state them in the map"
         )
     return replace(log, gains=(kp, kd))
+
+
+def _differencing(drive: IdentifiedDrive, log: Log) -> Log:
+    """A log under the drive's own controller, which saw the velocity as where it was identified."""
+    own = int(drive.document.get(drives.DIFFERENCE_TICKS, 0))
+    return replace(log, difference_ticks=log.difference_ticks or own)
 
 
 def _model(

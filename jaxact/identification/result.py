@@ -19,7 +19,7 @@ from jaxact.loops import drives
 from jaxact.loops.building import joint
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.loops.drives import IdentifiedDrive
-from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, POSITION_RESOLUTION
+from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, POSITION_RESOLUTION, SETPOINT
 from jaxact.reportable import Reportable
 
 # Of a loop only one controller's gains can be.
@@ -92,6 +92,11 @@ class Identified(Reportable):
         values[CONTROL_RATE] = self.control_rate or float(f"{1.0 / log.period:.4g}")
         return values
 
+    def _difference_ticks(self) -> int:
+        """Rows over which the controller differenced positions, 0 where it did not."""
+        log = self.ladder.fitted[0]
+        return log.difference_ticks if self.plant != "none" and SETPOINT in log else 0
+
     def _numbers(self) -> dict[str, float]:
         """The model's numbers by name, without those that change nothing."""
         chosen, neutral = self.chosen, self.ladder.family.neutral
@@ -117,10 +122,26 @@ class Identified(Reportable):
             "rows": known.covariance[np.ix_(kept, kept)].tolist(),
         }
 
+    def _tried(self) -> list[dict[str, Any]]:
+        """The models of the ladder that could be fitted."""
+        return [
+            {
+                "name": one.rung.name,
+                "unknowns": one.size,
+                "error": one.error,
+                "score": min(one.scores),
+                "identified": one.knowledge.identified,
+                "chosen": one is self.chosen,
+            }
+            for one in self.ladder.candidates
+            if math.isfinite(one.error)
+        ]
+
     def document(self) -> dict[str, Any]:
         """Everything as plain numbers and words, for TOML and JSON."""
         chosen, known = self.chosen, self.chosen.knowledge
         logs = self.ladder.fitted
+        ticks = self._difference_ticks()
         models = {u.name: u.model_name for u in chosen.fit.problem.unknowns}
         estimates = {
             e.name: {
@@ -132,9 +153,16 @@ class Identified(Reportable):
         }  # fmt: skip
         return {
             # A list of one, as files of loops have it: `jaxact margins --loops` reads it.
-            "loop": [{"name": "identified", **self._loop_values()}],
+            "loop": [
+                {
+                    "name": "identified",
+                    **self._loop_values(),
+                    **({"velocity": "differenced"} if ticks else {}),
+                }
+            ],
             "model": chosen.rung.name,
             "plant": self.plant,
+            **({drives.DIFFERENCE_TICKS: ticks} if ticks else {}),
             **({} if self.control_rate is None else {"control_rate": self.control_rate}),
             **({"usual_supply": motion.usual_supply(logs)} if "supply" in logs[0] else {}),
             "unit": logs[0].unit,
@@ -152,18 +180,7 @@ class Identified(Reportable):
             },
             "numbers": self._numbers(),
             "covariance": self._spread(),
-            "ladder": [
-                {
-                    "name": one.rung.name,
-                    "unknowns": one.size,
-                    "error": one.error,
-                    "score": min(one.scores),
-                    "identified": one.knowledge.identified,
-                    "chosen": one is chosen,
-                }
-                for one in self.ladder.candidates
-                if math.isfinite(one.error)
-            ],
+            "ladder": self._tried(),
             "signal": self.ladder.family.signal,
             "signal_unit": self.ladder.family.unit,
             "logs": {

@@ -106,6 +106,8 @@ class IdentifiedRobot(Reportable):
     def document(self) -> dict[str, Any]:
         """Everything as plain numbers and words, for TOML and JSON."""
         values, unsure, less = self._parameters()
+        each = [part.found.document() for part in self.parts]
+        ticks = max(one.get(drives.DIFFERENCE_TICKS, 0) for one in each)
         levels = [part.found.verdict.level for part in self.parts]
         return {
             "plant": ROBOT,
@@ -115,16 +117,17 @@ class IdentifiedRobot(Reportable):
                 "level": max(levels, key=list(Level).index).value, "sentence": self.sentence,
             },
             ROBOT: values,
+            **({drives.DIFFERENCE_TICKS: ticks} if ticks else {}),
             "uncertainty": unsure,
             "left_out": less,
             "estimates": {},
             "joints": {
                 part.name: {
-                    **part.found.document(), "joints": [joint.name for joint in part.joints],
+                    **document, "joints": [joint.name for joint in part.joints],
                     DELAY: {"value": part.delay.value, "low": part.delay.low,
                               "high": part.delay.high, "identified": part.delay.identified},
                 }
-                for part in self.parts
+                for part, document in zip(self.parts, each, strict=True)
             },
         }  # fmt: skip
 

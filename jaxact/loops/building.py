@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from pydantic import ValidationError
 
@@ -26,7 +26,7 @@ _VELOCITIES = ("sampled", "differenced")
 
 
 def joint(
-    *, actuator: str | Sequence[str] | None = None, velocity: Velocity = "sampled",
+    *, actuator: str | Sequence[str] | None = None, velocity: Velocity | None = None,
     physics_step: float | None = None, unit: Literal["m", "rad"] | None = None,
     names: Sequence[str] = (), drive: Any = None, samples: int | None = None, seed: int = 0,
     **parameters: Any,
@@ -37,7 +37,8 @@ def joint(
 
     Args:
         actuator: preset that sets wn and zeta, "ideal", "hyq" or "starleth"; or several.
-        velocity: that the controller sees, "sampled" or the "differenced" position.
+        velocity: that the controller sees, "sampled" or the "differenced" position; None for what
+            the drive says of the controller of its log, else "sampled".
         physics_step: of the plant [s]; None for the control period.
         unit: of its position: "rad" of a rotary joint, whose numbers are in N m, N m/rad, kg m^2,
             as everything that is said of it; None for m, or for rad where `inertia` is given
@@ -67,7 +68,7 @@ def joint(
         raise UserError("`samples`: are those of a `drive`; give one")
     own = {} if known is None else known.draws(samples, seed) if samples else known.parameters()
     kind = Kind(
-        velocity=_velocity(velocity), physics_step=physics_step,
+        velocity=_velocity(velocity, known), physics_step=physics_step,
         unit=_unit(unit, parameters) or (None if known is None else known.unit),
         names=tuple(map(str, names)),
     )  # fmt: skip
@@ -87,7 +88,7 @@ def robot(
     gains: str | os.PathLike[str] | None = None,
     payload_body: str | None = None,
     actuator: str | Sequence[str] | None = None,
-    velocity: Velocity = "sampled",
+    velocity: Velocity | None = None,
     physics_step: float | None = None,
     integrator_correction: bool = False,
     motion: Motion | Mapping[str, Any] | None = None,
@@ -115,7 +116,7 @@ def robot(
             by name; what does not match is said by `jaxact.check`.
         payload_body: that carries the payload, None for the heaviest.
         actuator: preset of all joints that sets wn and zeta.
-        velocity: that the controllers see.
+        velocity: that the controllers see; None for that of the drive, as for `jaxact.joint`.
         physics_step: [s], None for the longest that divides the control period and is no longer
             than the model's own.
         integrator_correction: take back MuJoCo's half step of lead.
@@ -153,15 +154,16 @@ def robot(
         )  # fmt: skip
     except ValidationError as error:
         raise UserError(explained(error)) from None
-    moved: Any = motion, push
-    kind = Kind(plant, _velocity(velocity), physics_step, integrator_correction, *moved)
+    known = None if drive is None else drives.taken(drive)
+    seen, moved = _velocity(velocity, known), (motion, push)
+    kind = Kind(plant, seen, physics_step, integrator_correction, *cast(Any, moved))
     given = read({"actuator": actuator, **parameters}, robot=True)
-    own = {} if drive is None else drives.taken(drive).parameters(robot=True)
+    own = {} if known is None else known.parameters(robot=True)
     return made(drives.filled(own, given), kind)
 
 
 def loop_of(
-    specification: Specification | str | os.PathLike[str], *, velocity: Velocity = "sampled",
+    specification: Specification | str | os.PathLike[str], *, velocity: Velocity | None = None,
     **parameters: Any,
 ) -> ControlLoop:  # fmt: skip
     """The loops that a specification describes, or that a file lists.
@@ -171,7 +173,7 @@ def loop_of(
     Args:
         specification: read, or a TOML file: of a sweep, what it varies is a batch over its axes; or
             of `[[loop]]` tables, each with its parameters and perhaps a `name` and a `drive`.
-        velocity: as for `jaxact.joint`; "sampled" leaves a specification its own.
+        velocity: as for `jaxact.joint`; None leaves a file its own.
         parameters: of listed loops, what they do not say themselves, as for `jaxact.joint`; a
             `drive` among them.
 
@@ -188,7 +190,8 @@ def loop_of(
             unit = _unit(parameters.pop("unit", None), {*parameters, *itertools.chain(*rows)})
             names, own, of_drives = listed.values(path, rows, parameters)
             unit = unit or of_drives
-            kind = Kind(velocity=_velocity(velocity), unit=unit, names=tuple(names))
+            seen = _velocity(velocity or listed.velocity(path, rows, parameters))
+            kind = Kind(velocity=seen, unit=unit, names=tuple(names))
             return made(own, kind)
         if parameters:
             name = next(iter(parameters))
@@ -207,8 +210,8 @@ def loop_of(
         if name in given
     }
     parts = {f.name: getattr(specification, f.name) for f in fields(Kind) if f.name != "names"}
-    if _velocity(velocity) != "sampled":
-        parts["velocity"] = velocity
+    if velocity is not None:
+        parts["velocity"] = _velocity(velocity)
     return made(values, Kind(**parts))
 
 
@@ -219,7 +222,9 @@ def _unit(unit: str | None, given: Iterable[str]) -> str | None:
     return rotary(given, unit) if INERTIA in given else unit
 
 
-def _velocity(name: str) -> str:
+def _velocity(name: str | None, drive: drives.IdentifiedDrive | None = None) -> str:
+    if name is None:
+        return (None if drive is None else drive.velocity) or _VELOCITIES[0]
     if name not in _VELOCITIES:
         raise UserError(f"`velocity` = {shown(name)}; {nearest(name, _VELOCITIES)}")
     return name

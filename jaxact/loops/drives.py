@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from jaxact.errors import UserError
+from jaxact.loops.spread import Spread
 from jaxact.parameters import (
     DELAY,
     FORCE_LIMIT,
@@ -43,13 +44,14 @@ DRIVE = "drive"
 """The key of a specification, and the argument of a loop, that names an identified drive."""
 ROBOT = "robot"
 """The plant of drives that were identified on the joints of a robot."""
+DIFFERENCE_TICKS = "difference_ticks"
+"""The key of a drive's file, and of a map: over how many rows positions were differenced."""
 NOT_ENOUGH = "not good enough"
 """The verdict on a drive that should not be used."""
 # What a joint of a robot has from its model, and not from the bench on which its drive was.
 _OF_BENCH = (MASS, KP, KD, JOINT_STIFFNESS)
 # A bound that is larger than this is none.
 _NO_LIMIT = 1e12
-_MOST_TRIES = 50
 _FRICTION = {
     "viscous_asymmetry": "viscous friction that differs by direction",
     "coulomb_asymmetry": "dry friction that differs by direction",
@@ -58,52 +60,6 @@ _FRICTION = {
     "offset": "a constant force",
     "command_limit": "a limit of its command",
 }
-
-
-@dataclass(frozen=True)
-class Spread:
-    """What is known of some numbers together: a normal distribution within bounds.
-
-    Attributes:
-        names: of the numbers.
-        logarithms: whether each is distributed as its logarithm.
-        low, high: bounds of each.
-        rows: covariance of the numbers or their logarithms, shape (numbers, numbers).
-    """
-
-    names: tuple[str, ...]
-    logarithms: tuple[bool, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    rows: tuple[tuple[float, ...], ...]
-
-    def draw(self, centre: Mapping[str, float], number: int, seed: int) -> dict[str, np.ndarray]:
-        """Draws around a centre, those out of bounds drawn anew, shape (number,) each."""
-
-        def inner(values: Any) -> np.ndarray:
-            values = np.asarray(values, float)
-            logs = np.log(np.where(self.logarithms, np.maximum(values, 1e-300), 1.0))
-            return np.where(self.logarithms, logs, values)
-
-        middle = inner([centre[name] for name in self.names])
-        low, high = inner(self.low), inner(self.high)
-        covariance = np.array(self.rows).reshape((len(self.names),) * 2)
-        values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-        spread = vectors * np.sqrt(np.maximum(values, 0.0))
-        generator = np.random.default_rng(seed)
-        kept = np.empty((0, len(middle)))
-        for _ in range(_MOST_TRIES):
-            points = middle + generator.standard_normal((number, len(middle))) @ spread.T
-            inside = np.all((points >= low) & (points <= high), axis=1)
-            kept = np.concatenate([kept, points[inside]])
-            if len(kept) >= number:
-                break
-        else:
-            # So wide that most draws leave the range: kept within it instead.
-            kept = np.concatenate([kept, np.clip(points, low, high)])
-        drawn = kept[:number]
-        each = np.where(self.logarithms, np.exp(np.where(self.logarithms, drawn, 0.0)), drawn)
-        return dict(zip(self.names, each.T, strict=True))
 
 
 @dataclass(frozen=True)
@@ -132,6 +88,11 @@ class IdentifiedDrive:
     spread: Spread | None = None
     document: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
+    @property
+    def velocity(self) -> str | None:
+        """That its log's controller saw, if of "differenced" positions; None where not said."""
+        return "differenced" if self.document.get(DIFFERENCE_TICKS) else None
+
     def parameters(self, *, robot: bool = False) -> dict[str, float]:
         """What the drive says of a loop, by short name.
 
@@ -155,8 +116,11 @@ class IdentifiedDrive:
     def left_out(self, *, robot: bool = False) -> list[str]:
         """What the drive has and such a loop does not take, in words."""
         own = list(self.document.get("left_out", ()))
+        number = self.document.get(DIFFERENCE_TICKS, 0)
+        over = [f"that its positions were differenced over {number} rows, here over one"]
+        over = over if number > 1 else []
         if self.plant == ROBOT:
-            return own
+            return own + over
         force = "N m" if self.unit == "rad" else "N"
         force = f"{self.unit}/s^2" if KP in self.numbers else force  # per unit of inertia
         dry = self.numbers.get("coulomb", 0.0)
@@ -168,8 +132,8 @@ class IdentifiedDrive:
         if robot:
             moved = {MASS: INERTIA if self.unit == "rad" else MASS, JOINT_STIFFNESS: "gravity"}
             said += [f"its joint's {words}" for name, words in moved.items() if name in self.joint]
-            return said + (["the gains of its log"] if KP in self.joint else [])
-        return said + own
+            return said + (["the gains of its log"] if KP in self.joint else []) + over
+        return said + own + over
 
     @property
     def uncertainty(self) -> dict[str, tuple[float, float] | str]:
@@ -359,6 +323,8 @@ def written_out(document: Mapping[str, Any], drive: IdentifiedDrive) -> dict[str
     robot = "plant" in rest
     if drive.unit == "rad" and not robot:
         rest.setdefault("unit", drive.unit)
+    if drive.velocity is not None:
+        rest.setdefault("velocity", drive.velocity)
     said = drive.parameters(robot=robot)
     own = filled(said, {**rest["axes"], **rest["parameters"]})
     # What is varied keeps the drive's number as its nominal one.
@@ -384,7 +350,7 @@ def _checked(name: str, table: Mapping[str, Any]) -> dict[str, float]:
     """The parameters of the loop in a file."""
     found = {}
     for key, value in table.items():
-        if key == "name":
+        if key in ("name", "velocity"):  # that of a list of loops
             continue
         if base(key) not in PARAMETERS or not known(key):
             raise UserError(f"{name}: {key} is not a parameter")

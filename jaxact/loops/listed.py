@@ -20,6 +20,8 @@ from jaxact.loops.drives import DRIVE
 from jaxact.parameters import CONTROL_RATE, PARAMETERS
 
 _RATE = CONTROL_RATE
+_VELOCITY = "velocity"
+_NO_NUMBERS = ("name", _VELOCITY, DRIVE)
 
 
 def rows(path: Path) -> list[dict[str, Any]] | None:
@@ -67,7 +69,7 @@ def values(
         name = table.get("name", f"loop {index}")
         if not isinstance(name, str):
             raise UserError(f"{key}.name = {shown(name)} is not text")
-        own = common | _read(key, {k: v for k, v in table.items() if k not in ("name", DRIVE)})
+        own = common | _read(key, {k: v for k, v in table.items() if k not in _NO_NUMBERS})
         drive = _drive(key, path, table) or given.get(DRIVE)
         if drive is not None:
             units.add(drives.taken(drive).unit)
@@ -84,6 +86,30 @@ def values(
         name: np.array([own.get(name, PARAMETERS[name].default) for own in filled]) for name in kept
     }
     return names, rows, next(iter(units), None)
+
+
+def velocity(
+    path: Path, tables: Sequence[Mapping[str, Any]], given: Mapping[str, Any]
+) -> str | None:
+    """The velocity that the controllers see by their tables, or by their drives; None for unsaid.
+
+    Args:
+        path, tables, given: as for `values`.
+
+    Raises:
+        UserError: it is not the same of all.
+    """
+    found = set()
+    for index, table in enumerate(tables):
+        drive = _drive(f"{path}: loop[{index}]", path, table) or given.get(DRIVE)
+        by_drive = None if drive is None else drives.taken(drive).velocity
+        found.add(str(table.get(_VELOCITY, by_drive or "sampled")))
+    if len(found) > 1:
+        raise UserError(
+            f"{path}: the controllers of some loops difference positions, of others not; give one"
+            ' `velocity`, "sampled" or "differenced"'
+        )
+    return next(iter(found), None)
 
 
 def _drive(key: str, path: Path, table: Mapping[str, Any]) -> Path | None:

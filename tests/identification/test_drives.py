@@ -134,6 +134,62 @@ def test_listed_loops_have_drives_of_their_own(folder):
     np.testing.assert_array_equal(loops.mass, [0.7, 0.03])
 
 
+def _differenced(folder, ticks=1):
+    """The servo, whose controller differences its positions, as `identify` writes it."""
+    text = SERVO.replace('plant = "pend', f'difference_ticks = {ticks}\nplant = "pend')
+    text = text.replace('name = "identified"', 'name = "identified"\nvelocity = "differenced"')
+    (folder / "differenced.toml").write_text(text)
+    return "differenced.toml"
+
+
+def test_a_controller_that_differenced_positions_goes_on_doing_so(folder):
+    file = _differenced(folder)
+    loop = jx.joint(drive=file)
+    assert loop.kind.velocity == "differenced"
+    assert jx.joint(drive=file, velocity="sampled").kind.velocity == "sampled"
+    assert jx.joint(drive="servo.toml").kind.velocity == "sampled"
+    told = jx.joint(drive="servo.toml", velocity="differenced")
+    sampled = [float(jx.margins(one, sampled=True).gain_margin) for one in (loop, told)]
+    assert sampled[0] == pytest.approx(sampled[1], rel=1e-12)
+    assert sampled[0] < float(jx.margins(jx.joint(drive="servo.toml"), sampled=True).gain_margin)
+    model = ROOT / "experiments" / "quadruped" / "quadruped.xml"
+    assert jx.robot(model, drive=file).kind.velocity == "differenced"
+
+
+def test_files_that_name_such_a_drive_have_its_velocity(folder):
+    file = _differenced(folder)
+    (folder / "sweep.toml").write_text(f'drive = "{file}"\n[axes]\nkp = [1.0, 20.0]\n')
+    assert jx.loop_of("sweep.toml").kind.velocity == "differenced"
+    assert jx.loop_of("sweep.toml", velocity="sampled").kind.velocity == "sampled"
+    told = reading.load(folder / "sweep.toml", ["velocity=sampled"])
+    assert told.velocity == "sampled"
+    (folder / "loops.toml").write_text(f'[[loop]]\ndrive = "{file}"\n')
+    assert jx.loop_of("loops.toml").kind.velocity == "differenced"
+    assert jx.loop_of(file).kind.velocity == "differenced"  # as a list of one
+    (folder / "loops.toml").write_text(f'[[loop]]\ndrive = "{file}"\n[[loop]]\nkp = 3.0\n')
+    with pytest.raises(UserError, match="of some loops difference positions, of others not"):
+        jx.loop_of("loops.toml")
+    assert jx.loop_of("loops.toml", velocity="sampled").kind.velocity == "sampled"
+
+
+def test_commands_take_the_velocity_of_the_drive(folder, capsys):
+    file, found = _differenced(folder), {}
+    for how in ((), ("--velocity", "differenced"), ("--velocity", "sampled")):
+        assert main(["margins", "--drive", file, "--json", *how]) == 0
+        found[how] = json.loads(capsys.readouterr().out)
+    unsaid, differenced, sampled = found.values()
+    assert unsaid == differenced != sampled
+
+
+def test_a_difference_over_several_rows_is_over_one_in_a_loop_and_said(folder, capsys):
+    file = _differenced(folder, ticks=3)
+    assert jx.joint(drive=file).kind.velocity == "differenced"
+    for robot in (False, True):
+        identified(Path(file), (), robot=robot)
+        said = capsys.readouterr().err
+        assert "that its positions were differenced over 3 rows, here over one" in said
+
+
 def test_draws_have_the_covariance_of_the_file():
     many = jx.joint(drive="bench.toml", samples=4000, seed=3)
     logs = np.log(np.stack([many.wn, many.zeta]))
