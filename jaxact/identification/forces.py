@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,14 @@ import numpy as np
 from jaxact.errors import UserError
 from jaxact.identification import inspection, torque_loop
 from jaxact.identification.log import Log, filled
-from jaxact.identification.model import DYNAMICS, NEUTRAL_DRIVE, Family, Rung, drive_unknowns
+from jaxact.identification.model import (
+    DYNAMICS,
+    LONG_DELAYS,
+    NEUTRAL_DRIVE,
+    Family,
+    Rung,
+    drive_unknowns,
+)
 from jaxact.identification.problem import Unknown
 from jaxact.parameters import FORCE_LIMIT, WN, ZETA
 
@@ -21,8 +29,12 @@ _MOST_TICKS_OF_DELAY = 12
 _NEUTRAL = {"gain": 1.0, "offset": 0.0, FORCE_LIMIT: math.inf, **NEUTRAL_DRIVE}
 
 
-def family(logs: Sequence[Log]) -> Family:
+def family(logs: Sequence[Log], *, longest: float = LONG_DELAYS[0]) -> Family:
     """The ladder for logs of commanded and measured force.
+
+    Args:
+        logs: to be fitted.
+        longest: delay that is tried [s].
 
     Raises:
         UserError: a log lacks one of the two.
@@ -41,7 +53,7 @@ def family(logs: Sequence[Log]) -> Family:
     )
     return Family(
         rungs=rungs,
-        unknowns=_unknowns,
+        unknowns=partial(_unknowns, longest=longest),
         neutral=_NEUTRAL,
         positive=frozenset((WN, ZETA, FORCE_LIMIT)),
         inputs=_inputs,
@@ -54,7 +66,7 @@ def family(logs: Sequence[Log]) -> Family:
     )
 
 
-def _unknowns(logs: Sequence[Log]) -> dict[str, Unknown]:
+def _unknowns(logs: Sequence[Log], longest: float) -> dict[str, Unknown]:
     force = np.concatenate([log["force"] for log in logs])
     command = np.concatenate([log["command"] for log in logs])
     unit = "N m" if logs[0].unit == "rad" else "N"
@@ -64,7 +76,7 @@ def _unknowns(logs: Sequence[Log]) -> dict[str, Unknown]:
         Unknown("gain", "1", -100.0 * ratio, 100.0 * ratio, (ratio,)),
         Unknown("offset", unit, -size, size, (0.0,)),
         Unknown(FORCE_LIMIT, unit, 0.3 * size, 3.0 * size, (0.99 * size,), positive=True),
-        *drive_unknowns(logs, _MOST_TICKS_OF_DELAY),
+        *drive_unknowns(logs, _MOST_TICKS_OF_DELAY, longest),
     )
     return {unknown.name: unknown for unknown in sought}
 

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -14,8 +15,9 @@ from jaxact.errors import UserError, nearest, shown
 from jaxact.identification import between_rows, forces, inspection, motion, rivals
 from jaxact.identification.alignment import aligned
 from jaxact.identification.fitting import ADAM, LEAST_SQUARES, METHODS
-from jaxact.identification.ladder import climb
+from jaxact.identification.ladder import Ladder, climb, too_long
 from jaxact.identification.log import Log, check, renewed, stretches
+from jaxact.identification.model import LONG_DELAYS
 from jaxact.identification.reading import ColumnMap, Columns, read, read_columns
 from jaxact.identification.result import Identified, check_gains, inspected
 from jaxact.identification.verdict import judge, withdrawn
@@ -84,20 +86,41 @@ def identify(
     if not fitted:
         raise UserError("`logs` is empty; give at least one log")
     check_gains((*fitted, *held))
+    way = {"loss": loss, "method": method, "bootstrap": bootstrap, "report": progress}
     with jax.enable_x64(True):
-        if plant == "none":
-            family = forces.family(fitted)
-        else:
-            family = motion.family(fitted, plant, control_rate)
-            _demand_motion(fitted)
-        ladder = climb(
-            family, fitted, held, loss=loss, method=method, bootstrap=bootstrap, report=progress
-        )
+        ladder = _climbed(plant, control_rate, fitted, held, way)
         if plant != "none":
             ladder = between_rows.doubted(ladder, plant, control_rate)
         verdict = judge(ladder)
         ladder = withdrawn(rivals.heard(ladder), verdict)
         return Identified(plant, ladder, inspected(ladder), verdict, control_rate)
+
+
+def _climbed(
+    plant: str,
+    control_rate: float | None,
+    fitted: Sequence[Log],
+    held: Sequence[Log],
+    way: Mapping[str, Any],
+) -> Ladder:
+    """The ladder, anew with longer delays where those of its best models end at the longest."""
+
+    def to(longest: float) -> Ladder:
+        if plant == "none":
+            return climb(forces.family(fitted, longest=longest), fitted, held, **way)
+        family = motion.family(fitted, plant, control_rate, longest=longest)
+        _demand_motion(fitted)
+        return climb(family, fitted, held, **way)
+
+    ladder = to(LONG_DELAYS[0])
+    for longest in LONG_DELAYS[1:]:
+        ended = too_long(ladder)
+        if ended is None:
+            break
+        # Slow logs, and short ones, have a range of their own.
+        if ended.value < 0.9 * longest:
+            ladder = to(longest)
+    return ladder
 
 
 def prepared(logs: Sequence[Log], *, moves: bool = True) -> list[Log]:

@@ -133,6 +133,11 @@ def of_fit(fit: Fit, *, bootstrap: bool = False, profile: bool = True) -> Knowle
     )
 
 
+def beyond(longest: float) -> str:
+    """Why a delay is not known that ended at the longest that was tried [s]."""
+    return f"may be longer than the {1e3 * longest:.3g} ms that were tried"
+
+
 def is_wide(fit: Fit, index: int, low: float, high: float) -> bool:
     """Whether an interval is too wide for its unknown to be identified.
 
@@ -171,7 +176,7 @@ def _estimate(
         others = " and ".join(name for name in together[0] if name != unknown.name)
         reason = f"cannot be told from {others}"
     elif at_bound:
-        reason = "lies at a bound of its range"
+        reason = beyond(unknown.high) if unknown.name == DELAY else "lies at a bound of its range"
     elif unknown.name == WN and value > math.pi / (fit.problem.period or math.inf):
         # What happens between rows may be anything that was fitted badly.
         reason = "is faster than the rows of the log can show"

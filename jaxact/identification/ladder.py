@@ -19,7 +19,7 @@ from jaxact.identification.choice import (
 )
 from jaxact.identification.fitting import LEAST_SQUARES, Fit, solve
 from jaxact.identification.growing import grown
-from jaxact.identification.knowledge import Knowledge
+from jaxact.identification.knowledge import Estimate, Knowledge
 from jaxact.identification.log import Log
 from jaxact.identification.model import Family, Rung, of_rung, predicted
 from jaxact.identification.settling import settled
@@ -62,6 +62,23 @@ class Ladder:
     validation: tuple[Log, ...]
     kept_apart: bool
     shown: float | None = None
+
+
+def too_long(ladder: Ladder) -> Estimate | None:
+    """The delay that ended at the longest that was tried, of the best models; None where none did.
+
+    With too short a delay the model that has one is no longer identified, and may not be chosen.
+    """
+    return next(
+        (
+            each
+            for one in (ladder.chosen, *ladder.candidates)
+            if one.error <= ladder.chosen.error
+            for each in one.knowledge.estimates
+            if each.name == DELAY and each.at_bound
+        ),
+        None,
+    )
 
 
 def split(logs: Sequence[Log], validation: Sequence[Log]) -> tuple[list[Log], list[Log], bool]:

@@ -83,8 +83,10 @@ DYNAMICS: dict[str, tuple[tuple[str, ...], tuple[tuple[str, float], ...]]] = {
     "second order with delay": ((WN, ZETA, DELAY), ()),
 }
 _STARTS_OF_A_DELAY = (0, 1, 2, 3, 4, 5, 7, 9, 12, 16)
-# A drive's delay may be so long, whatever the rate of the log [s].
-_LONG_DELAY = 0.015
+_STARTS_OF_A_LONG_DELAY = (24, 36, 52)
+LONG_DELAYS = (0.015, 0.03, 0.06)
+"""A drive's delay may be so long, whatever the rate of the log [s]; the longer ones are tried where
+a fit ends at a shorter one."""
 # The beginning of a log enters almost linearly.
 _STEPS_OF_A_BEGINNING = 2
 # A step that promises to lower the sum of squares by less than this share of it is not taken.
@@ -92,26 +94,34 @@ _NO_FALL = 1e-6
 NEUTRAL_DRIVE = {WN: math.inf, ZETA: 1.0, DELAY: 0.0}
 
 
-def ticks_of_delay(period: float, least: int) -> int:
-    """Rows by which a drive may be late, at least so many."""
-    return max(least, round(_LONG_DELAY / period))
+def ticks_of_delay(period: float, least: int, longest: float = LONG_DELAYS[0]) -> int:
+    """Rows by which a drive may be late, at least so many, and as many as a delay has [s]."""
+    return max(least, round(longest / period))
 
 
-def drive_unknowns(logs: Sequence[Log], most_ticks: int) -> tuple[Unknown, ...]:
+def drive_unknowns(
+    logs: Sequence[Log], most_ticks: int, longest: float = LONG_DELAYS[0]
+) -> tuple[Unknown, ...]:
     """Delay, lag, wn and zeta in the range that logs of this rate and length can tell of.
 
     A search crosses control ticks by itself: delays of many of them are begun from a few.
+
+    Args:
+        logs: to be fitted.
+        most_ticks: rows by which the drive may be late in any case.
+        longest: delay that is tried [s].
     """
+    more = _STARTS_OF_A_LONG_DELAY if longest > LONG_DELAYS[0] else ()
     period = float(np.median([log.period for log in logs]))
     shortest = min(log.duration for log in logs)
-    most = ticks_of_delay(period, most_ticks)
+    most = ticks_of_delay(period, most_ticks, longest)
     ticks = max(int(min(most * period, 0.1 * shortest) / period), 1)
     fast, slow = 30.0 / period, 0.3 * math.pi / shortest
     middle = [math.pi / period * share for share in (0.05, 0.2, 0.8)]
     both = 2.0 * FIRST_ORDER_ZETA
     return (
         Unknown(DELAY, "s", 0.0, ticks * period,
-                tuple((at + 0.5) * period for at in _STARTS_OF_A_DELAY if at < ticks)),
+                tuple((at + 0.5) * period for at in (*_STARTS_OF_A_DELAY, *more) if at < ticks)),
         Unknown("lag", "s", 1.0 / fast, 1.0 / slow, tuple(1.0 / w for w in middle),
                 positive=True, inverse_of=(WN, both)),
         Unknown(WN, "rad/s", slow, fast, tuple(middle), positive=True),

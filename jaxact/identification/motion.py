@@ -20,6 +20,7 @@ from jaxact.identification.joint_motion import COMMAND_LIMIT, INITIAL_FORCE, Str
 from jaxact.identification.log import LINKS, Log, filled
 from jaxact.identification.model import (
     DYNAMICS,
+    LONG_DELAYS,
     NEUTRAL_DRIVE,
     Family,
     Rung,
@@ -113,8 +114,9 @@ class Simulate:
 
 
 def family(
-    logs: Sequence[Log], plant: str, control_rate: float | None = None, *, lines: bool = False
-) -> Family:
+    logs: Sequence[Log], plant: str, control_rate: float | None = None, *, lines: bool = False,
+    longest: float = LONG_DELAYS[0],
+) -> Family:  # fmt: skip
     """The ladder for logs of a joint's motion.
 
     Args:
@@ -123,6 +125,7 @@ def family(
         control_rate: at which the controller ran [Hz]; None for once a row.
         lines: what is asked for lies on lines between the rows instead of being held from one
             to the next.
+        longest: delay that is tried [s].
 
     Raises:
         UserError: a log lacks the position, or both setpoint and command.
@@ -137,9 +140,9 @@ def family(
     closed = SETPOINT in first and (known_gains or "command" not in first)
     sought = closed and not known_gains
     ticks, _ = cut(first, control_rate)
-    longest = ticks_of_delay(first.period, _MOST_TICKS_OF_DELAY) * ticks + 2
-    structure = Structure(closed, longest, first.difference_ticks, plant == "pendulum")
-    context = Context(logs, plant, structure, sought, control_rate, lines)
+    history = ticks_of_delay(first.period, _MOST_TICKS_OF_DELAY, longest) * ticks + 2
+    structure = Structure(closed, history, first.difference_ticks, plant == "pendulum")
+    context = Context(logs, plant, structure, sought, control_rate, lines, longest)
     perhaps = not sought and all(math.isinf(starts.command_limit(log)) for log in logs)
     limited = perhaps and starts.guess(logs, context, perhaps_limited=True)["limited"]
     context = replace(context, perhaps_limited=perhaps, limited=limited)
@@ -190,6 +193,7 @@ class Context:
         sought_gains: whether the controller's gains are sought.
         control_rate: of the controller [Hz]; None for once a row.
         lines: what is asked for lies on lines between the rows.
+        longest: delay that is tried [s].
         perhaps_limited: whether the drive may follow commands up to a limit that no log says.
         limited: whether it clearly does.
     """
@@ -200,6 +204,7 @@ class Context:
     sought_gains: bool
     control_rate: float | None
     lines: bool = False
+    longest: float = LONG_DELAYS[0]
     perhaps_limited: bool = False
     limited: bool = False
 
@@ -298,7 +303,7 @@ class Context:
             Unknown("zero", "rad", -0.5, 0.5, (0.0,)),
             Unknown(KP, "1/s^2", 1.0, 1e7, guess[KP], positive=True),
             Unknown(KD, "1/s", 0.0, 1e5, (guess[KD],)),
-            *drive_unknowns(logs, _MOST_TICKS_OF_DELAY),
+            *drive_unknowns(logs, _MOST_TICKS_OF_DELAY, self.longest),
         )  # fmt: skip
         return {unknown.name: unknown for unknown in sought}
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from jaxact.identification.choice import Candidate
 from jaxact.identification.inspection import Inspection
-from jaxact.identification.knowledge import Estimate
-from jaxact.identification.ladder import FAR_FROM_A_DELAY
+from jaxact.identification.knowledge import Estimate, beyond
+from jaxact.identification.ladder import FAR_FROM_A_DELAY, Ladder, too_long
 from jaxact.identification.log import Log
 from jaxact.identification.problem import effective_lag
 from jaxact.parameters import DELAY, WN, ZETA
@@ -39,7 +39,7 @@ def text(identified: Identified) -> str:
     chosen = ladder.chosen
     lines.append(f"chosen: {chosen.rung.name}")
     lines += [f"  {estimate(one)}" for one in chosen.knowledge.estimates]
-    lines += [f"  {said}" for said in combined(chosen, ladder.fitted[0])]
+    lines += [f"  {said}" for said in combined(ladder)]
     lines += [f"  {said}" for said in left_out(identified)]
     lines += [f"  {said}" for said in unstable_delay(identified)]
     lines += [f"  {said}" for said in alignment(chosen, ladder.fitted[0])]
@@ -158,10 +158,14 @@ def milliseconds(time: float) -> str:
     return "0" if abs(time) < 5e-7 else f"{1e3 * time:.3g}"
 
 
-def combined(chosen: Candidate, log: Log) -> list[str]:
+def combined(ladder: Ladder) -> list[str]:
     """Which combinations are known where single numbers are not."""
+    chosen, log = ladder.chosen, ladder.fitted[0]
     known = chosen.knowledge
     said = [f"{' and '.join(names)} cannot be told apart by these logs" for names in _sets(chosen)]
+    longest = too_long(ladder)
+    if longest is not None:  # nor is their sum what it seems
+        return [*said, f"the delay {beyond(longest.value)}"]
     unsure = [e for e in known.estimates if e.name in (DELAY, WN, ZETA, "lag") and not e.identified]
     if unsure and known.lag is not None:
         value, deviation = known.lag

@@ -14,7 +14,8 @@ from jaxact.identification import signs, skew
 from jaxact.identification.choice import Candidate
 from jaxact.identification.inspection import excited_band
 from jaxact.identification.joint_motion import COMMAND_LIMIT
-from jaxact.identification.ladder import Ladder
+from jaxact.identification.knowledge import beyond
+from jaxact.identification.ladder import Ladder, too_long
 from jaxact.identification.log import Log
 from jaxact.identification.model import Family, predicted
 from jaxact.loops import drives
@@ -98,7 +99,10 @@ def judge(ladder: Ladder) -> Verdict:
         reasons.append(f"it does not carry over: {own:.1f} % of the fitted logs is predicted")
     if correlated > MOST_CORRELATED:
         reasons.append(f"its error follows the stimulus (correlation {correlated:.2f})")
-    bounds = [e.name for e in chosen.knowledge.estimates if e.at_bound]
+    longest = too_long(ladder)
+    if longest is not None:
+        reasons.append(f"the delay {beyond(longest.value)}")
+    bounds = [e.name for e in chosen.knowledge.estimates if e.at_bound and e.name != DELAY]
     if bounds:
         reasons.append(f"{' and '.join(bounds)} at a bound")
     if chosen.numbers.get("gain", 1.0) < 0.0:
@@ -109,7 +113,8 @@ def judge(ladder: Ladder) -> Verdict:
     if ladder.kept_apart:
         reasons += _narrow(ladder)
     reasons += [f"{e.name} is not identified ({e.reason})" for e in chosen.knowledge.estimates
-                if not e.identified and e.name in (DELAY, WN, ZETA, "lag")]  # fmt: skip
+                if not e.identified and e.name in (DELAY, WN, ZETA, "lag")
+                and not (e.at_bound and e.name == DELAY)]  # fmt: skip
     if ladder.shown is not None:
         below = None if below is None else min(below, ladder.shown)
         reasons.append(

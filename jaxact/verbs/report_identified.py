@@ -155,7 +155,7 @@ def _drive(
     ]
     unseen = compared(found)
     response = pictures.response(unseen)
-    said = [*words.combined(chosen, logs[0]), *words.left_out(found), *words.unstable_delay(found)]
+    said = [*words.combined(found.ladder), *words.left_out(found), *words.unstable_delay(found)]
     return _read(name, found.document()) | {
         "logs": each,
         "profiles": [
