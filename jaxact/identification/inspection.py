@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import signal as _signal
 
-from jaxact.identification.log import LINKS, Log
+from jaxact.identification.log import LINKS, Log, missing
 from jaxact.parameters import FEEDFORWARD, SETPOINT
 
 # Where more than this share of the samples is at the extreme, it is a limit and no peak; where most
@@ -79,7 +79,6 @@ def inspect(log: Log) -> Inspection:
     """Everything that is looked at before a log is used; see `Inspection`."""
     steps = np.diff(log.time)
     period = log.period
-    gaps = np.flatnonzero(steps > 1.7 * period)
     usual = steps[steps <= 1.7 * period]
     own = {name: values for name, values in log.signals.items() if name not in LINKS}
     together = np.stack(list(own.values()), axis=1)
@@ -95,7 +94,7 @@ def inspect(log: Log) -> Inspection:
     found = Inspection(
         rate=1.0 / period,
         jitter=float(np.std(usual)),
-        gaps=tuple((gaps + log.row + 1).tolist()),
+        gaps=tuple((missing(log) + log.row).tolist()),
         repeated=repeated,
         quanta=quanta,
         saturated={name: limit for name, limit in limits.items() if limit is not None},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,6 +18,10 @@ FEWEST_ROWS = 200
 _LONGEST_PERIOD, _SHORTEST_PERIOD = 0.25, 1e-5
 # Where so many periods and more lie between two rows, what happened then is not known.
 _GAP = 3.5
+# From so many periods on a row is missing, where the rows about it do not make up for the time.
+_LONG_STEP, _ABOUT, _NOT_MADE_UP = 1.7, 5, 0.85
+# Where rows are missing at a larger share of them, numbers are off by more than their intervals.
+_FEW_MISSING = 0.003
 # A signal that is measured once in several rows does so regularly, and not once in more than these.
 _FEWEST_CHANGES, _MOST_ROWS_HELD = 20, 20
 
@@ -135,8 +139,8 @@ def check(log: Log) -> None:
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise UserError(
-                f"{where}: {name} is not a number in {_rows(bad)}; take these rows out, or repair"
-                " them"
+                f"{where}: {name} is not a number in {_rows(bad)}; put in what lies between their"
+                " neighbours, or split the log there: rows that are merely taken out are missing"
             )
     late = np.flatnonzero(np.diff(log.time) <= 0.0)
     if late.size:
@@ -169,12 +173,43 @@ def _tells(log: Log) -> bool:
     return all(set(names) & set(moving) for names in (("command", SETPOINT), ("force", "position")))
 
 
+def missing(log: Log) -> np.ndarray:
+    """Rows before which rows are missing, by their numbers in this log.
+
+    Where stamps jitter, what one is late by is made up for by the others about it.
+    """
+    steps = np.diff(log.time) / log.period - 1.0
+    about = np.convolve(steps, np.ones(_ABOUT), "same")
+    return np.flatnonzero((steps > _LONG_STEP - 1.0) & (about > _NOT_MADE_UP)) + 1
+
+
+def too_many_missing(logs: Sequence[Log]) -> str:
+    """That rows are missing at so many places of these logs that it matters, in words; "" if not.
+
+    A few do less to the numbers than their intervals allow for. Cutting a log at many would leave
+    pieces that are too short.
+    """
+    number = sum(len(missing(log)) for log in logs)
+    if number <= _FEW_MISSING * sum(map(len, logs)):
+        return ""
+    return f"rows are missing at {number:,} places, where what was commanded is not known"
+
+
 def stretches(log: Log) -> list[Log]:
     """The parts of a log between which no time is missing, as what was commanded then is not known.
+
+    Rows that are missing one or two at a time, and often, are said in the notes.
 
     Raises:
         UserError: none is long enough.
     """
+    return [
+        replace(part, notes=(*part.notes, said)) if (said := too_many_missing([part])) else part
+        for part in _parts(log)
+    ]
+
+
+def _parts(log: Log) -> list[Log]:
     ends = np.flatnonzero(np.diff(log.time) > _GAP * log.period) + 1
     if not ends.size:
         return [log]

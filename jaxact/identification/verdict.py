@@ -16,7 +16,7 @@ from jaxact.identification.inspection import excited_band
 from jaxact.identification.joint_motion import COMMAND_LIMIT
 from jaxact.identification.knowledge import beyond
 from jaxact.identification.ladder import Ladder, too_long
-from jaxact.identification.log import Log
+from jaxact.identification.log import Log, too_many_missing
 from jaxact.identification.model import Family, predicted
 from jaxact.loops import drives
 from jaxact.parameters import DELAY, WN, ZETA
@@ -112,6 +112,8 @@ def judge(ladder: Ladder) -> Verdict:
         )
     if ladder.kept_apart:
         reasons += _narrow(ladder)
+    if gaps := too_many_missing(ladder.fitted):
+        reasons.append(f"{gaps}: numbers may be off by more than their intervals")
     reasons += [f"{e.name} is not identified ({e.reason})" for e in chosen.knowledge.estimates
                 if not e.identified and e.name in (DELAY, WN, ZETA, "lag")
                 and not (e.at_bound and e.name == DELAY)]  # fmt: skip
