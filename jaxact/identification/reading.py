@@ -18,12 +18,13 @@ from __future__ import annotations
 import csv
 import fnmatch
 import math
+import re
 import tomllib
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TextIO
 
 import numpy as np
 from pydantic import ConfigDict, ValidationError
@@ -240,14 +241,16 @@ def _npz(path: Path) -> dict[str, np.ndarray]:
 def _csv(path: Path) -> dict[str, np.ndarray]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            first = file.readline()
+            first, more = _head(file)
             separator = max(",;\t", key=first.count)
             head = [name.strip() for name in next(csv.reader([first], delimiter=separator), [])]
-            rows = [row for row in csv.reader(file, delimiter=separator) if row]
+            rows = [row for row in csv.reader([*more, *file], delimiter=separator) if row]
     except (UnicodeDecodeError, csv.Error):
         raise UserError(f"{path}: is not text; give a CSV or NPZ log") from None
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
+    if len(head) == 1 and len(first.split()) > 1:
+        raise UserError(f"{path}: columns are separated by ',', ';' or a tab; its head has none")
     twice = next((name for name in head if name and head.count(name) > 1), None)
     if twice:
         raise UserError(f"{path}: has several columns {shown(twice)}; give each a name of its own")
@@ -260,6 +263,21 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
             )
     texts = dict(zip(head, zip(*rows, strict=True), strict=True))
     return {name: _numbers(values, separator != ",") for name, values in texts.items()}
+
+
+def _head(file: TextIO) -> tuple[str, list[str]]:
+    """The line of names, behind lines of comment, and a line of numbers that was read with it.
+
+    Where no names follow the comment, its last line has them, as numpy.savetxt writes them.
+    """
+    comment, first = "", file.readline()
+    while first.lstrip().startswith("#"):
+        comment, first = first.lstrip(" \t#"), file.readline()
+    texts = [text.strip() for text in re.split(r"[,;\t]", first)]
+    numbers = (
+        bool(comment.strip()) and not np.isnan([_number(t.replace(",", ".")) for t in texts]).all()
+    )
+    return (comment, [first]) if numbers else (first, [])
 
 
 def _numbers(texts: Sequence[str], comma: bool) -> np.ndarray:

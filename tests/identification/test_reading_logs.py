@@ -7,7 +7,7 @@ import pytest
 
 from jaxact.errors import UserError
 from jaxact.identification.identify import with_gains
-from jaxact.identification.log import Log, renewed, stretches
+from jaxact.identification.log import Log, missing, renewed, stretches
 from jaxact.identification.reading import read, read_columns
 from jaxact.identification.report import units
 
@@ -152,6 +152,24 @@ def test_a_spreadsheet_writes_semicolons_decimal_commas_and_a_mark(tmp_path):
     np.testing.assert_array_equal(log["force"], 0.9 * COMMAND)
 
 
+@pytest.mark.parametrize(
+    "head", ["# run 7\n#\ntime,command,force\n", "# run 7\n# time,command,force\n"]
+)
+def test_lines_of_comment_before_the_names_are_skipped(tmp_path, head):
+    path = _good(tmp_path / "log.csv")
+    path.write_text(head + path.read_text().partition("\n")[2])
+    (log,) = read(path)
+    np.testing.assert_array_equal(log.time, TIME)
+    np.testing.assert_array_equal(log["force"], 0.9 * COMMAND)
+
+
+def test_columns_between_spaces_are_said_to_need_a_separator(tmp_path):
+    path = _good(tmp_path / "log.csv")
+    path.write_text(path.read_text().replace(",", " "))
+    with pytest.raises(UserError, match="columns are separated by ',', ';' or a tab"):
+        read(path)
+
+
 @pytest.mark.parametrize("factor", [1e3, 1e6, 1e-6])
 def test_stamps_in_another_unit_are_refused(tmp_path, factor):
     with pytest.raises(UserError, match="s apart, which tells nothing.*time_unit"):
@@ -173,6 +191,21 @@ def test_a_log_is_cut_where_time_is_missing():
     assert stretches(log) == [log]
     with pytest.raises(UserError, match="missing in 9 places, as before row"):
         stretches(replace(log, time=log.time + 0.1 * (np.arange(1000) // 100)))
+
+
+def test_rows_that_are_missing_one_at_a_time_are_said_where_they_are_many():
+    log = _swings()
+    kept = np.ones(1000, bool)
+    kept[[100, 300]] = False
+    few = replace(log, time=log.time[kept], signals={n: v[kept] for n, v in log.signals.items()})
+    assert missing(few).tolist() == [100, 299] and stretches(few) == [few]
+    kept[np.arange(20, 1000, 97)] = False
+    many = replace(log, time=log.time[kept], signals={n: v[kept] for n, v in log.signals.items()})
+    (found,) = stretches(many)
+    assert found.notes[0].startswith("rows are missing at 13 places, where what was commanded")
+    # Stamps that are up to 0.45 of a row early or late miss nothing.
+    shaken = log.time + 2e-3 * np.random.default_rng(1).uniform(-0.45, 0.45, 1000)
+    assert np.max(np.diff(shaken)) > 1.7 * 2e-3 and not missing(replace(log, time=shaken)).size
 
 
 def test_a_position_that_is_new_in_every_third_row_lies_on_lines_between():
