@@ -14,18 +14,17 @@ from jaxact.parameters import FORCE_LIMIT, KD, KP
 # What a group of joints calls its patterns: whose configuration it is.
 PATTERNS = {"joint_names_expr": "isaaclab", "target_names_expr": "mjlab"}
 # Names of the drive's parameters; of several for one the first that is given counts.
-_FIELDS = {
-    KP: ("stiffness",),
-    KD: ("damping",),
-    FORCE_LIMIT: ("actuator_effort_limit", "effort_limit", "effort_limit_sim",
-                  "joint_effort_limit"),
-}  # fmt: skip
+LIMITS = ("actuator_effort_limit", "effort_limit", "effort_limit_sim", "joint_effort_limit")
+_FIELDS = {KP: ("stiffness",), KD: ("damping",), FORCE_LIMIT: LIMITS}
 # What is not a parameter of the drive, or is the model's own.
-_NOT_TAKEN = (
+NOT_TAKEN = (
     "armature", "friction", "frictionloss", "viscous_damping", "velocity_limit",
     "velocity_limit_sim", "saturation_effort", "min_delay", "max_delay", "delay_min_lag",
     "delay_max_lag",
 )  # fmt: skip
+# Stands for a value that only running the file would tell.
+WORKED_OUT = "worked out"
+_OF_CONTROL = ("action_scale", "decimation", "control_type")
 
 
 def legged_gym(path: Path, document: Mapping[str, Any]) -> GainFile | None:
@@ -48,7 +47,13 @@ def legged_gym(path: Path, document: Mapping[str, Any]) -> GainFile | None:
         for parameter, name, table in ((KP, "stiffness", stiffness), (KD, "damping", damping))
         for key, value in table.items()  # type: ignore[union-attr]
     ]
-    return GainFile(path, "legged-gym", tuple(entries), "part")
+    known = control if "control" in document else _OF_CONTROL  # a document has much else
+    left = [
+        str(key) for key in known
+        if key not in ("stiffness", "damping") and control.get(key) not in (None, {}, 0, "P")
+    ]  # fmt: skip
+    notes = (f"not taken from it: {', '.join(left)}",) if left else ()
+    return GainFile(path, "legged-gym", tuple(entries), "part", notes)
 
 
 def groups(path: Path, found: Sequence[tuple[str, Mapping[str, Any]]]) -> GainFile:
@@ -64,8 +69,12 @@ def groups(path: Path, found: Sequence[tuple[str, Mapping[str, Any]]]) -> GainFi
     kinds = {PATTERNS[key] for _, fields in found for key in PATTERNS if key in fields}
     entries = tuple(entry for name, fields in found for entry in _entries(path, name, fields))
     left = dict.fromkeys(
-        key for key in _NOT_TAKEN for _, fields in found if fields.get(key) not in (None, {}, 0)
+        key for key in NOT_TAKEN for _, fields in found if fields.get(key) not in (None, {}, 0)
     )
+    left |= dict.fromkeys(
+        f"{key} ({WORKED_OUT} when the file runs)"
+        for _, fields in found for key in LIMITS if fields.get(key) == WORKED_OUT
+    )  # fmt: skip
     notes = (f"not taken from it: {', '.join(left)}",) if left else ()
     return GainFile(
         path, "mjlab" if kinds == {"mjlab"} else "isaaclab", entries, "pattern", notes,
@@ -80,7 +89,7 @@ def _entries(path: Path, group: str, fields: Mapping[str, Any]) -> Iterator[Entr
     if not isinstance(within, list | tuple) or not all(isinstance(one, str) for one in within):
         raise UserError(f"{path}: {group}: {key} = {shown(within)}; give a list of patterns")
     for parameter, names in _FIELDS.items():
-        given = [name for name in names if fields.get(name) is not None]
+        given = [name for name in names if fields.get(name) not in (None, WORKED_OUT)]
         if not given:
             if parameter == FORCE_LIMIT:
                 continue
