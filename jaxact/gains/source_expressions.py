@@ -61,9 +61,9 @@ class Expressions:
             before = before.before
         names[name] = replace(unknown, before=before)
 
-    def doubt(self, value: Any, unknown: Unknown) -> None:
-        """Something may change a value and all that belongs to it."""
-        for one in reachable(value):
+    def doubt(self, value: Any, unknown: Unknown, named: bool = True) -> None:
+        """Something may change a value and all that belongs to it; `named` as for `reachable`."""
+        for one in list(reachable(value, named)):
             one.doubt = one.doubt or unknown
             if one.kind == "function":
                 self._run(one)
@@ -102,7 +102,7 @@ class Expressions:
         for name, line in found.calls.items():
             for one in reachable(self.look_up(name, line)):
                 if one.kind == "function":
-                    self.doubt(one, Unknown(line))
+                    self.doubt(one, Unknown(line), named=False)
 
     def lose_all(self, line: int) -> None:
         """Something may set any name."""
@@ -129,7 +129,7 @@ class Expressions:
         return self.look_up(node.id, node.lineno)
 
     def _lambda(self, node: ast.Lambda) -> Any:
-        return self.unknown(node)
+        return Thing("function", node.lineno, node=node, scope=self.names)
 
     def _namedexpr(self, node: ast.NamedExpr) -> Any:
         value = self.value(node.value)
@@ -158,7 +158,7 @@ class Expressions:
         if node.attr in value.content:
             return value.content[node.attr]
         # a default of its class, which another file has: none of the things of this one
-        default = not value.others and "actuator" not in node.attr
+        default = not value.others and "actuator" not in node.attr and node.attr[:2] != "__"
         return Unknown(node.lineno, outside=True) if default else within
 
     def _subscript(self, node: ast.Subscript) -> Any:
@@ -267,7 +267,7 @@ class Expressions:
         known = self._known(node, name, receiver, given)
         if known is not None:
             return known
-        if isinstance(receiver, Thing):
+        if isinstance(receiver, Thing | Unknown):
             given.others.append(receiver)
         if not harmless(name):
             words = ast.unparse(node.func)[:40]
@@ -298,8 +298,8 @@ class Expressions:
             return given
         said = f"calls `{given.name}`, which this file defines"
         unknown = Unknown(node.lineno, said)
-        self.doubt(receiver, unknown)
-        self.doubt(given, unknown)
+        self.doubt(receiver, unknown, named=False)
+        self.doubt(given, unknown, named=False)
         return given
 
     def _known(self, node: ast.Call, name: str, receiver: Any, given: Thing) -> Any:
@@ -332,13 +332,17 @@ class Expressions:
                     one.held = receiver.held or one.held
                 return Unknown(line)
             return None
-        if not method and name == "dict" and (first is None or isinstance(first, Thing)):
+        if (
+            isinstance(node.func, ast.Name)
+            and name == "dict"
+            and (first is None or isinstance(first, Thing))
+        ):
             if given.others and (first is None or first.kind != "table"):
                 return None
             before = first.content if first is not None else {}
             return Thing("table", line, before | words, doubt=first.doubt if first else None)
-        if not method and name in ("list", "tuple") and isinstance(first, Thing) and not words:
-            if first.kind == "list":
+        if isinstance(node.func, ast.Name) and name in ("list", "tuple") and not words:
+            if isinstance(first, Thing) and first.kind == "list":
                 return Thing("list", line, dict(first.content), doubt=first.doubt)
         return None
 

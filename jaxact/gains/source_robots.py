@@ -117,11 +117,10 @@ def control(robot: Robot) -> dict[str, Any]:
 
 def _of_class(of: Thing) -> Robot | None:
     """legged_gym's: it reads `control` and no other class inside."""
-    if of.doubt is not None:
-        return Robot(problem=of.doubt) if _inner(of) or _has(of) else None
     own = inherited(of, "control")
     if isinstance(own, Unknown) and not own.outside:
-        return Robot(problem=own)
+        may = any("control" in one.content or _inner(one) for one in _chain(of)) or _has(of)
+        return Robot(problem=own) if may else None
     if isinstance(own, Thing) and own.kind == "class" and _has(own):
         return Robot(control=own, init=inherited(of, "init_state"))
     if _has(of):

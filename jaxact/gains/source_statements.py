@@ -15,7 +15,7 @@ from typing import Any
 from jaxact.gains import source_effects
 from jaxact.gains.source_effects import root
 from jaxact.gains.source_expressions import Expressions
-from jaxact.gains.source_values import Thing, Unknown, reachable
+from jaxact.gains.source_values import Thing, Unknown, inherited, reachable
 
 
 class Statements(Expressions):
@@ -68,7 +68,8 @@ class Statements(Expressions):
         pass
 
     def _on_global(self, node: ast.Global) -> None:
-        pass  # at the module's own level it says nothing
+        for name in node.names if self.own is not None else ():
+            self.forget(name, Unknown(node.lineno, f"sets `{name}` in a class"), self.names)
 
     def _on_delete(self, node: ast.Delete) -> None:
         names = self.names if self.own is None else self.own
@@ -117,7 +118,7 @@ class Statements(Expressions):
         defaults = [one for one in (*node.args.defaults, *node.args.kw_defaults) if one is not None]
         for one in (*node.decorator_list, *defaults):
             self.value(one)
-        function = Thing("function", node.lineno, name=node.name, node=node)
+        function = Thing("function", node.lineno, name=node.name, node=node, scope=self.names)
         self.functions.append(function)
         self.bind(node.name, function)
 
@@ -129,18 +130,18 @@ class Statements(Expressions):
             for one in node.bases
             if not isinstance(one, ast.Name) or one.id != "object"
         ]
-        for word in node.keywords:
-            self.value(word.value)
-        decorators = [self.value(one) for one in node.decorator_list]
+        makers = [self.value(one) for one in node.decorator_list]
+        makers += [self.value(word.value) for word in node.keywords]
+        makers += [inherited(one, "__init_subclass__") for one in bases if isinstance(one, Thing)]
         # a class's body sees its own names and the module's, not those of the class around it
         around, self.own = self.own, {}
         self.follow(node.body)
         made = Thing("class", node.lineno, self.own, node.name, bases)
         self.own = around
-        if any(isinstance(one, Thing) and one.kind == "function" for one in decorators):
-            said = f"gives `{node.name}` to a function of this file"
-            for one in (made, *decorators):
-                self.doubt(one, Unknown(node.lineno, said))
+        if any(isinstance(one, Thing) for one in makers):
+            said = f"gives `{node.name}` to what this file defines, which may change it"
+            for one in (made, *makers):
+                self.doubt(one, Unknown(node.lineno, said), named=False)
         self.bind(node.name, made)
 
     def _put(self, target: ast.expr, value: Any) -> None:

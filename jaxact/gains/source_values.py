@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from jaxact.gains.source_effects import of_function
+
 WORKED_OUT = "is worked out when the file runs"
 _DEEPEST, _MOST = 60, 20_000
 
@@ -45,6 +47,7 @@ class Thing:
         name: of the class that is called, or of the class itself.
         others: what belongs to it without a name: positional arguments, bases, what is called.
         node: of a function.
+        scope: of a function, the names that it sees.
         doubt: what may have changed it in a way that is not followed.
         held: a name or another thing holds it.
         shared: it was given to a call, which keeps it or a copy of it: which one is not known here.
@@ -56,6 +59,7 @@ class Thing:
     name: str = ""
     others: list[Any] = field(default_factory=list)
     node: ast.AST | None = None
+    scope: dict[str, Any] | None = None
     doubt: Unknown | None = None
     held: bool = False
     shared: bool = False
@@ -69,8 +73,13 @@ class UnknownError(Exception):
         self.unknown = unknown
 
 
-def reachable(value: Any) -> Iterator[Thing]:
-    """All things that belong to a value, or may, itself among them, each once."""
+def reachable(value: Any, named: bool = False) -> Iterator[Thing]:
+    """All things that belong to a value, or may, itself among them, each once.
+
+    Args:
+        value: where to begin.
+        named: those too that its functions name, which may return them.
+    """
     seen: set[int] = set()
     waiting = [value]
     while waiting:
@@ -83,6 +92,8 @@ def reachable(value: Any) -> Iterator[Thing]:
         else:
             yield one
             waiting += [*one.content.values(), *one.others]
+            if named and one.node is not None and one.scope is not None:
+                waiting += [one.scope.get(name) for name in of_function(one.node).loaded]
 
 
 def copied(value: Any) -> Any:

@@ -157,6 +157,15 @@ REFUSED = {
     "shared": (LEGS + "A_CFG = RobotCfg(actuators={'l': LEGS})\nLEGS.stiffness = 4.0\n", "line 3"),
     "choice": (PLAIN + B % "1.0" + "(A_CFG if X else B_CFG).actuators['legs'].damping = 4.0\n",
                "line 3"),
+    "its __dict__": (PLAIN + "A_CFG.actuators['legs'].__dict__['damping'] = 4.0\n", "line 2"),
+    "returned": (PLAIN + "def f():\n    return A_CFG\nf().actuators['legs'].damping = 4.0\n",
+                 "line 4"),
+    "lambda": (PLAIN + "f = lambda: A_CFG.actuators.clear()\nf()\n", "line 2"),
+    "property": ("K = {'hip': 1.0}\nclass P:\n    @property\n    def k(self):\n        return K\n"
+                 "P().k['hip'] = 4.0\n" + A % "K", "line 6"),
+    "subclass hook": ("class B:\n    def __init_subclass__(cls):\n        cls.k = 1.0\n"
+                      "class C(B):\n    k = 2.0\n" + A % "C.k", "line 4"),
+    "global in a class": ("K = 1.0\nclass B:\n    global K\n    K = 2.0\n" + A % "K", "line 3"),
     "pop": (PLAIN + 'A_CFG.actuators.pop("legs")\n', "line 2"),
     "conditional change": (PLAIN + "if X:\n    A_CFG.actuators['legs'].damping = 4.0\n", "line 3"),
     "replaced under a condition": (PLAIN + "if X:\n    A_CFG = OTHER_CFG\n", "line 3"),
