@@ -182,11 +182,13 @@ def test_a_limit_that_no_log_says_is_found_behind_commands_that_end_in_a_crest()
 
 
 @pytest.mark.exhaustive
-def test_nothing_is_known_of_a_joint_whose_delay_is_longer_than_any_that_is_tried():
+def test_a_delay_much_longer_than_usual_is_found():
     logs = [_delayed(seed, hold, 40, delay=40e-3) for seed, hold in ((1, 30), (2, 17))]
     found = jx.identify(logs[0], "pendulum", validate=logs[1])
-    assert found.verdict.level.value != "good"
-    assert not any(e.identified for e in found.chosen.knowledge.estimates)
+    assert found.verdict.level.value == "good"
+    for name, value in (("inertia", 0.02), ("gravity", 0.5), ("viscous", 0.01), ("coulomb", 0.05)):
+        assert found.chosen.numbers[name] == pytest.approx(value, rel=5e-3)
+    assert found.chosen.numbers["delay"] == pytest.approx(40e-3, abs=1e-4)
 
 
 @pytest.mark.exhaustive
