@@ -11,7 +11,7 @@ from typing import Any
 
 from jaxact.gains import source_effects
 from jaxact.gains.source_effects import EVERYTHING, called, constructs, harmless
-from jaxact.gains.source_values import Thing, Unknown, copied, inherited, listed, reachable
+from jaxact.gains.source_values import Thing, Unknown, copied, inherited, lineage, listed, reachable
 
 _BINARY = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
@@ -290,7 +290,7 @@ class Expressions:
         """A call of what the file itself defines: what a function returns is not followed."""
         given.others.append(what)
         own = what.kind == "class" and not any(
-            name in one.content for one in reachable(what) if one.kind == "class" for name in _MADE
+            name in one.content for one in lineage(what) for name in _MADE
         )
         if own:
             for one in reachable(given):

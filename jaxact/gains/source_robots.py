@@ -12,6 +12,7 @@ from jaxact.gains.source_values import (
     Unknown,
     UnknownError,
     inherited,
+    lineage,
     names_of,
     plain,
     reachable,
@@ -119,7 +120,7 @@ def _of_class(of: Thing) -> Robot | None:
     """legged_gym's: it reads `control` and no other class inside."""
     own = inherited(of, "control")
     if isinstance(own, Unknown) and not own.outside:
-        may = any("control" in one.content or _inner(one) for one in _chain(of)) or _has(of)
+        may = any("control" in one.content or _inner(one) for one in lineage(of)) or _has(of)
         return Robot(problem=own) if may else None
     if isinstance(own, Thing) and own.kind == "class" and _has(own):
         return Robot(control=own, init=inherited(of, "init_state"))
@@ -135,15 +136,8 @@ def _of_class(of: Thing) -> Robot | None:
 
 def _has(of: Thing) -> bool:
     """Whether a class sets tables of gains, or in a way that is not followed."""
-    own = [one.content.get(key) for key in _GAINS for one in _chain(of)]
+    own = [one.content.get(key) for key in _GAINS for one in lineage(of)]
     return any(isinstance(one, Unknown | Thing) for one in own)
-
-
-def _chain(of: Thing) -> Iterator[Thing]:
-    yield of
-    for base in of.others:
-        if isinstance(base, Thing) and base.kind == "class":
-            yield from _chain(base)
 
 
 def _inner(of: Thing) -> list[Thing]:

@@ -134,6 +134,14 @@ def inherited(of: Thing, name: str) -> Any:
     return found[0] if len(found) < 2 and found else Unknown(of.line) if found else None
 
 
+def lineage(of: Thing) -> Iterator[Thing]:
+    """A class of the file and those that it inherits from, as far as the file has them."""
+    yield of
+    for base in of.others:
+        if isinstance(base, Thing) and base.kind == "class":
+            yield from lineage(base)
+
+
 def names_of(of: Thing) -> list[str]:
     """Names that a class of the file sets, its bases' first."""
     found: dict[str, None] = {}

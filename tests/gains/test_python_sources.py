@@ -115,6 +115,9 @@ FOLLOWED = {
                      "    for one in n:\n        SCALE[one] = 0.25 / s\n", "A_CFG"),
     "function that reads": (PLAIN + "def get():\n    c = A_CFG.copy()\n    c.actuators = {}\n"
                             "    return c\n", "A_CFG"),
+    "own class": ("class Motor:\n    def __init__(self, cfg):\n        self.cfg = cfg\n"
+                  "class MotorCfg(LegCfg):\n    class_type = Motor\n"
+                  + PLAIN.replace("LegCfg", "MotorCfg"), "A_CFG"),
     "gym": (GYM, "A1Cfg"),
     "gym inherits": (GYM + FLAT, "FlatCfg"),
     "gym base": (GYM + FLAT, "A1Cfg"),
