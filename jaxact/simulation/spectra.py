@@ -21,6 +21,7 @@ import jax
 import numpy as np
 
 from jaxact.analysis.robot.modes import swinging
+from jaxact.analysis.robot.stability import MARGINAL
 from jaxact.drive.step import DriveOptions
 from jaxact.engines import MASS, MUJOCO
 from jaxact.loops.samples import SAMPLE, Samples
@@ -70,7 +71,8 @@ class Rates:
     """Growth rates of samples in float64 [1/s].
 
     Attributes:
-        growth: of the fastest-growing motion, shape (batch,).
+        growth: of the fastest-growing motion, shape (batch,); of a robot 0 where it neither grows
+            nor decays, beyond rounding.
         shaking: of a robot, of the fastest-growing one that swings faster than it grows or decays,
             likewise; minus the control rate where no slow one swings, and the growth rate beyond
             30 1/s, at which nothing falls; None without a robot.
@@ -124,7 +126,9 @@ def _of_robots(
     modes = jax.tree.map(np.asarray, tiles.run(*inputs, **static))
     modes = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), modes)
     rate = samples.take(numbers, {CONTROL_RATE})[CONTROL_RATE]
-    return Rates(modes.growth * rate, _shaking(modes, rate) * rate)
+    # A joint without stiffness stays where it is: rounding alone would say whether it grows.
+    growth = np.where(np.abs(modes.growth) <= MARGINAL, 0.0, modes.growth)
+    return Rates(growth * rate, _shaking(modes, rate) * rate)
 
 
 def _shaking(modes: SlowModes, rate: np.ndarray) -> np.ndarray:

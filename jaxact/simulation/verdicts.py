@@ -231,6 +231,9 @@ def of_motion(
         segment: how long one lasts [s].
     """
     before, previous, last = motion.amplitude[-3], motion.amplitude[-2], motion.amplitude[-1]
+    # A robot's joint that no stiffness holds stays where it is put, as a wheel: nothing grows.
+    neutral = ~scale.plant_linear & (growth_rate == 0.0)
+    growth_rate = jnp.where(neutral, -jnp.finfo(last.dtype).tiny, growth_rate)
     # Of a robot at rest, the first motion is rounding, and no scale for what follows.
     size = jnp.where(motion.span > 0.0, motion.span, motion.amplitude[0])
     size = jnp.maximum(size, jnp.maximum(scale.limit, jnp.maximum(scale.count, scale.floor)))
