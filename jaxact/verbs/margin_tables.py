@@ -71,7 +71,9 @@ def text(loop: ControlLoop, found: Mapping[str, Metrics]) -> str:
         found: by the prefix of their names, "" or "sampled_".
     """
     loops = naming.named(loop)
-    shown = {prefix: _of_factors(loops.values, own) for prefix, own in found.items()}
+    shown = {
+        prefix: own if prefix else _of_factors(loops.values, own) for prefix, own in found.items()
+    }
     return tables(loops.labels, loops.values[CONTROL_RATE], shown)
 
 

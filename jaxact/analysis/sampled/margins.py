@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from jaxact.analysis.joint.distance import counted_distance, static_factor
 from jaxact.analysis.joint.margins import Margins
+from jaxact.analysis.sampled.delay import added_delay, delay_limit
 from jaxact.analysis.sampled.period_map import SampledLoop
 from jaxact.analysis.sampled.pulse import PulseTransfer, plant_response, pulse_transfer
 from jaxact.analysis.sampled.roots import count_unstable, dominant_modulus, sampled_roots
@@ -32,7 +33,6 @@ from jaxact.analysis.sampled.search import (
 from jaxact.compilation.filling import filled
 from jaxact.parameters import JOINT_DAMPING, JOINT_STIFFNESS
 
-_TURN = 2.0 * math.pi
 _TILE = 64
 
 
@@ -96,7 +96,10 @@ def _margins_of_one(loop: SampledLoop, max_delay_steps: int) -> SampledMargins:
     found = search(*constant, max_delay_steps)
     roots = sampled_roots(constant[0], max_delay_steps)
     count = count_unstable(constant[0], roots)
-    return _assemble(loop, transfer, found, dominant_modulus(loop, transfer, roots), count)
+    radius = dominant_modulus(loop, transfer, roots)
+    limit = delay_limit(constant[0], found.extremes)
+    found = replace(found, overflow=found.overflow | limit.overflow)
+    return _assemble(loop, transfer, found, radius, count, added_delay(loop, limit))
 
 
 def _newton(theta: jax.Array, residual: jax.Array, slope: jax.Array) -> jax.Array:
@@ -136,6 +139,7 @@ def _assemble(
     found: Found,
     radius: jax.Array,
     count: jax.Array,
+    delay_margin: jax.Array,
 ) -> SampledMargins:
     """Margins from the frequencies found; the only part that is differentiated."""
     period = loop.control_period
@@ -148,20 +152,19 @@ def _assemble(
     present = jnp.concatenate([found.phase_present, at_phase[-1:].real < 0])
     log_factor = -jnp.log(jnp.abs(at_phase))
     stable = (radius < 1.0) & (count == 0)
+    # A pair of roots crosses the circle, and a single one at z = -1.
+    moved = -direction * jnp.where(jnp.arange(PHASE_SLOTS + 1) < PHASE_SLOTS, 2.0, 1.0)
     if loop.sprung:
-        log_factor, moved, present = _with_rest(loop, transfer, log_factor, direction, present)
-        theta_phase = jnp.append(theta_phase, 0.0)
+        at_rest, moved_at_rest, there = _at_rest(loop, transfer)
+        log_factor, moved = jnp.append(log_factor, at_rest), jnp.append(moved, moved_at_rest)
+        present, theta_phase = jnp.append(present, there), jnp.append(theta_phase, 0.0)
     up = jnp.where(present & (log_factor > 0), log_factor, jnp.inf)
     down = jnp.where(present & (log_factor < 0), log_factor, -jnp.inf)
-    if loop.sprung:
-        distance = counted_distance(count[None], log_factor, moved, present)[0]
-    else:
-        distance = _signed_distance(stable, log_factor, direction, present, found.lead)
+    distance = counted_distance(count[None], log_factor, moved, present)[0]
     bounded = jnp.isfinite(jnp.min(up))
     angle = jnp.arctan2(-at_gain.imag, -at_gain.real)
     nearest = jnp.argmin(jnp.where(found.gain_present, jnp.abs(angle), jnp.inf))
     some = jnp.any(found.gain_present)
-    delays = jnp.where(angle < 0, angle + _TURN, angle) * period / theta_gain
     heights = peak_heights(at_peak[:, None])[:, 0]
     if loop.sprung:
         heights, theta_peak = _or_at_rest(loop, heights, theta_peak)
@@ -182,7 +185,7 @@ def _assemble(
         phase_crossover=where_some(theta_phase[jnp.argmin(up)] / period, bounded),
         phase_margin=where_some(angle[nearest], some),
         gain_crossover=where_some(theta_gain[nearest] / period, some),
-        delay_margin=only_stable(jnp.min(jnp.where(found.gain_present, delays, jnp.inf))),
+        delay_margin=only_stable(delay_margin),
         sensitivity_peak=only_stable(heights[0]),
         sensitivity_peak_frequency=only_stable(theta_peak[0] / period),
         complementary_peak=only_stable(heights[1]),
@@ -190,25 +193,6 @@ def _assemble(
         modulus_margin=only_stable(1.0 / heights[0]),
         disk_margin=only_stable(1.0 / heights[2]),
         more_crossovers=found.overflow,
-    )
-
-
-def _with_rest(
-    loop: SampledLoop,
-    transfer: PulseTransfer,
-    log_factor: jax.Array,
-    direction: jax.Array,
-    present: jax.Array,
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Crossings of a sprung loop, the one at rest last: ln of the factor, roots that it moves out
-    of the unit circle, and whether it is there.
-    """
-    moved = -direction * jnp.where(jnp.arange(PHASE_SLOTS + 1) < PHASE_SLOTS, 2.0, 1.0)
-    at_rest, moved_at_rest, there = _at_rest(loop, transfer)
-    return (
-        jnp.append(log_factor, at_rest),
-        jnp.append(moved, moved_at_rest),
-        jnp.append(present, there),
     )
 
 
@@ -238,25 +222,3 @@ def _or_at_rest(
     whole = jnp.where(kp + k == 0, 1.0, kp + k)
     still = jnp.abs(jnp.stack([k / whole, kp / whole, 0.5 * (k - kp) / whole]))
     return jnp.maximum(heights, still), jnp.where(still > heights, 0.0, theta)
-
-
-def _signed_distance(
-    stable: jax.Array,
-    log_factor: jax.Array,
-    direction: jax.Array,
-    present: jax.Array,
-    lead: jax.Array,
-) -> jax.Array:
-    """ln of the common factor on the gains to the nearest edge of the stable set, signed.
-
-    Raising the gains through a crossing moves roots out of the unit circle where the phase
-    falls and into it where it rises; counting from zero gain tells the edges. `lead`: whether
-    small gains are stable.
-    """
-    constant = jax.lax.stop_gradient(log_factor)
-    earlier = present[None] & (constant[None] < constant[:, None])
-    outside = jnp.where(lead, 0.0, 1.0)
-    passed = jnp.sum(jnp.where(earlier, -direction[None], 0.0), axis=1) + outside
-    edge = present & ((passed == 0) | (passed - direction == 0))
-    nearest = jnp.min(jnp.where(edge, jnp.abs(log_factor), jnp.inf))
-    return jnp.where(stable, nearest, -nearest)

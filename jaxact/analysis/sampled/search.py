@@ -41,7 +41,7 @@ class Found:
             (PHASE_SLOTS,).
         peaks: of |S|, |T|, |S - 1/2|, shape (3,).
         overflow: bool, there were more than the slots hold.
-        lead: bool, the phase is above -180 degrees at low frequency: small gains are stable.
+        extremes: of |L|, shape (8,).
     """
 
     gain: jax.Array
@@ -50,7 +50,7 @@ class Found:
     phase_present: jax.Array
     peaks: jax.Array
     overflow: jax.Array
-    lead: jax.Array
+    extremes: jax.Array
 
 
 def sampled_response(loop: SampledLoop, w: jax.Array) -> jax.Array:
@@ -134,11 +134,13 @@ def search(loop: SampledLoop, transfer: PulseTransfer, max_delay_steps: int) -> 
         transfer: the loop's `pulse_transfer`.
     """
     response = partial(response_at, loop, transfer)
-    grid = _with_gain_extremes(response, _grid(loop, max_delay_steps))
+    grid = bracketing_grid(loop, max_delay_steps)
+    extremes = _gain_extremes(response, grid)
+    grid = jnp.sort(jnp.concatenate([grid, extremes]))
     value = response(grid)
     gain = jnp.log(jnp.abs(value))
     changes = (gain[:-1] > 0) != (gain[1:] > 0)
-    gain_cells, gain_present = _first_cells(changes, GAIN_SLOTS)
+    gain_cells, gain_present = first_cells(changes, GAIN_SLOTS)
 
     # The negative real axis is crossed where Im changes sign with Re < 0 in between.
     crosses = (value.imag[:-1] > 0) != (value.imag[1:] > 0)
@@ -157,11 +159,11 @@ def search(loop: SampledLoop, transfer: PulseTransfer, max_delay_steps: int) -> 
         phase_present=jnp.isfinite(top),
         peaks=_locate_peaks(response, grid, value, theta),
         overflow=(jnp.sum(changes) > GAIN_SLOTS) | (jnp.sum(crosses) > PHASE_SLOTS),
-        lead=jnp.angle(-value[0]) > 0,
+        extremes=extremes,
     )
 
 
-def _grid(loop: SampledLoop, max_delay_steps: int) -> jax.Array:
+def bracketing_grid(loop: SampledLoop, max_delay_steps: int) -> jax.Array:
     """theta in (0, pi], ascending: logarithmic from below every corner, and linear."""
     rigid = jnp.sqrt(jnp.abs(loop.kp) / loop.mass)
     corner = jnp.where(loop.kd != 0, jnp.abs(loop.kp / jnp.where(loop.kd != 0, loop.kd, 1)), rigid)
@@ -177,15 +179,17 @@ def _grid(loop: SampledLoop, max_delay_steps: int) -> jax.Array:
     return jnp.sort(jnp.concatenate([logarithmic, linear]))
 
 
-def _with_gain_extremes(response: Response, grid: jax.Array) -> jax.Array:
-    """The grid with the extremes of |L| inserted, so that |L| is monotone in every cell."""
+def _gain_extremes(response: Response, grid: jax.Array) -> jax.Array:
+    """Extremes of |L|, between which it is monotone, and points of the grid's first cells where
+    there are fewer; shape (_EXTREMES,).
+    """
 
     def slope(theta: jax.Array) -> jax.Array:
         value, first = with_slope(response, theta)
         return (first / value).real
 
     slopes = slope(grid)
-    cells, present = _first_cells((slopes[:-1] > 0) != (slopes[1:] > 0), _EXTREMES)
+    cells, present = first_cells((slopes[:-1] > 0) != (slopes[1:] > 0), _EXTREMES)
     rising = slopes[cells] > 0
 
     def halve(_: int, bracket: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
@@ -196,10 +200,10 @@ def _with_gain_extremes(response: Response, grid: jax.Array) -> jax.Array:
 
     low, high = jax.lax.fori_loop(0, 2 * _BISECTIONS, halve, (grid[cells], grid[cells + 1]))
     unused = 0.5 * (grid[:_EXTREMES] + grid[1 : _EXTREMES + 1])
-    return jnp.sort(jnp.concatenate([grid, jnp.where(present, 0.5 * (low + high), unused)]))
+    return jnp.where(present, 0.5 * (low + high), unused)
 
 
-def _first_cells(mask: jax.Array, slots: int) -> tuple[jax.Array, jax.Array]:
+def first_cells(mask: jax.Array, slots: int) -> tuple[jax.Array, jax.Array]:
     """Indices of the first true entries and which of the slots are filled."""
     order = jnp.where(mask, -jnp.arange(mask.shape[0]), -mask.shape[0])
     key, index = jax.lax.top_k(order, slots)

@@ -1,0 +1,210 @@
+"""The smallest added delay that destabilises a sampled loop, exact between control periods too.
+
+A delay of whole periods turns the phase and nothing else. A part of one also changes |L|, as the
+held command then reaches the servo within a period, and the gain crossovers move: what the phase
+leaves at the loop's own crossovers is exact for whole periods only, and near the Nyquist frequency
+off by as much as half. Here L of each of some parts m of a period gives its own crossovers theta
+and the delay there, in periods,
+
+    h = m + (arg(-L) mod 2 pi) / theta,
+
+which is right where h - m is whole. From the nearest ones Newton finds L(theta, delay) = -1 in both
+unknowns. At z = -1 a single root passes: L is real there, and the delay is the only unknown.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+
+from jaxact.analysis.sampled.period_map import SampledLoop
+from jaxact.analysis.sampled.pulse import pulse_transfer
+from jaxact.analysis.sampled.search import (
+    GAIN_SLOTS,
+    bracketing_grid,
+    first_cells,
+    response_at,
+    with_slope,
+)
+
+_TURN = 2.0 * math.pi
+# Parts of a period at which crossovers are looked for, and how far off in those a start may be.
+_PARTS, _OFF = 16, 2.0
+# Starts that are followed, of those that mean the shortest delays.
+_STARTS, _AT_NYQUIST = 12, 2
+_REFINEMENTS, _STEPS = 3, 10
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class DelayLimit:
+    """Where a loop first loses its stability as its delay grows; constant.
+
+    Attributes:
+        theta: [rad].
+        delay: the whole delay there [periods], inf if there is none.
+        by_theta, by_delay: derivatives of ln(-L) there, by the delay in periods.
+        overflow: bool, there were more crossovers than slots.
+    """
+
+    theta: jax.Array
+    delay: jax.Array
+    by_theta: jax.Array
+    by_delay: jax.Array
+    overflow: jax.Array
+
+
+def delay_limit(loop: SampledLoop, extremes: jax.Array) -> DelayLimit:
+    """How long the delay of a stable loop may become.
+
+    Args:
+        loop: fields scalar and constant.
+        extremes: of |L| [rad], such as resonances, which a part of a period hardly moves.
+    """
+    own = loop.delay / loop.control_period
+    grid = jnp.sort(jnp.concatenate([bracketing_grid(loop, 0), extremes]))
+    theta, start, overflow = _starts(loop, own, grid)
+    theta, delay, by_theta, by_delay = _solved(loop, theta, start)
+    delay = jnp.where(delay > own, delay, jnp.inf)
+    first = jnp.argmin(delay)
+    return DelayLimit(theta[first], delay[first], by_theta[first], by_delay[first], overflow)
+
+
+def added_delay(loop: SampledLoop, limit: DelayLimit) -> jax.Array:
+    """The delay that is left [s], with the derivative of the implicit function.
+
+    Args:
+        loop: live, fields scalar.
+        limit: of it.
+    """
+    found, period = jnp.isfinite(limit.delay), loop.control_period
+    constant = jax.lax.stop_gradient(period)
+    whole = jnp.where(found, limit.delay, 1.0) * constant
+    residual = jnp.log(-_response(loop, jnp.where(found, limit.theta, 1.0), whole))
+    between = (residual / limit.by_theta).imag / (limit.by_delay / limit.by_theta).imag
+    step = jnp.where(limit.theta < math.pi, between, residual.real / limit.by_delay.real)
+    small = jnp.abs(jax.lax.stop_gradient(step)) < 0.1
+    step = jnp.where(small, step, 0.0) * constant
+    return jnp.where(found, whole - step - loop.delay, jnp.inf)
+
+
+def _response(loop: SampledLoop, theta: jax.Array, delay: jax.Array) -> jax.Array:
+    """L(exp(j theta)) with another delay [s]; all scalar."""
+    late = replace(loop, delay=delay)
+    return response_at(late, pulse_transfer(late), theta)
+
+
+def _starts(
+    loop: SampledLoop, own: jax.Array, grid: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """(theta, delay [periods]) to begin from, shape (starts,), theta NaN where there are fewer.
+
+    Args:
+        own: delay of the loop [periods].
+        grid: [rad], ascending to pi, between whose points |L| is monotone.
+
+    Returns:
+        Both, pi being of a root at -1, and whether a part had more crossovers than slots.
+    """
+    parts = jnp.arange(_PARTS, dtype=own.dtype) / _PARTS
+
+    def of_part(part: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        late = replace(loop, delay=part * loop.control_period)
+        transfer = pulse_transfer(late)
+        value = response_at(late, transfer, grid)
+        height = jnp.log(jnp.abs(value))
+        changes = (height[:-1] > 0) != (height[1:] > 0)
+        cells, present = first_cells(changes, GAIN_SLOTS)
+        low, high, begin, end = grid[cells], grid[cells + 1], height[cells], height[cells + 1]
+
+        def newton(_: int, theta: jax.Array) -> jax.Array:
+            value, slope = with_slope(lambda x: response_at(late, transfer, x), theta)
+            step = jnp.log(jnp.abs(value)) / _nonzero((slope / value).real)
+            return jnp.clip(theta - step, low, high)
+
+        theta = low + (high - low) * begin / _nonzero(begin - end)
+        theta = jax.lax.fori_loop(0, _REFINEMENTS, newton, theta)
+        there = response_at(late, transfer, theta)
+        angle = jnp.arctan2(-there.imag, -there.real)
+        overflow = jnp.sum(changes) > GAIN_SLOTS
+        return jnp.where(present, theta, jnp.nan), angle, value[-1].real, overflow
+
+    theta, angle, end, overflow = jax.vmap(of_part)(parts)
+    turns = _TURN / theta
+    # The first turn that may still mean a longer delay than the loop has, and the one after it.
+    first = angle / theta
+    first = first + turns * jnp.ceil((own - 1.0 - parts[:, None] - first) / turns)
+    whole = jnp.stack([first, first + turns])
+    near = jnp.abs(whole - jnp.round(whole)) * _PARTS <= _OFF
+    start = jnp.round(whole) + parts[:, None]
+    near &= (start >= own - _OFF / _PARTS) & (start >= 0.0)
+    best, chosen = jax.lax.top_k(-jnp.where(near, start, jnp.inf).reshape(-1), _STARTS)
+    theta = jnp.broadcast_to(theta, whole.shape).reshape(-1)[chosen]
+    at_end = _at_nyquist(own, parts, end)
+    start = jnp.concatenate([-best, at_end])
+    theta = jnp.concatenate([theta, jnp.full_like(at_end, math.pi)])
+    return jnp.where(jnp.isfinite(start), theta, jnp.nan), start, jnp.any(overflow)
+
+
+def _at_nyquist(own: jax.Array, parts: jax.Array, height: jax.Array) -> jax.Array:
+    """Delays [periods] near which a root is at -1, shape (2,); inf where there are none.
+
+    Args:
+        own: delay of the loop [periods].
+        parts, height: parts of a period, and L there for these delays; minus itself a period later.
+    """
+    height = jnp.append(height, -height[:1])
+    least = jnp.floor(own)
+    starts = []
+    for parity in (0.0, 1.0):
+        before, after = (1.0 + (1.0 - 2.0 * parity) * part for part in (height[:-1], height[1:]))
+        passes = (before > 0) != (after > 0)
+        within = parts + before / _nonzero(before - after) / _PARTS
+        for more in (0.0, 2.0):
+            late = least + jnp.mod(least + parity, 2.0) + more + within
+            starts.append(jnp.where(passes & (late > own - 1.0 / _PARTS), late, jnp.inf))
+    return -jax.lax.top_k(-jnp.concatenate(starts), _AT_NYQUIST)[0]
+
+
+def _solved(
+    loop: SampledLoop, theta: jax.Array, delay: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Newton in both unknowns from every start, in the delay alone where theta is pi.
+
+    Returns:
+        theta, the delay [periods], inf where it does not arrive, and the derivatives of ln(-L).
+    """
+    period, end = loop.control_period, jnp.asarray(math.pi, theta.dtype)
+    wanted, fixed = jnp.isfinite(theta), theta == end
+
+    @jax.vmap
+    def residual(theta: jax.Array, delay: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        value, along = jax.linearize(lambda a, b: _response(loop, a, b * period), theta, delay)
+        one, none = jnp.ones_like(theta), jnp.zeros_like(theta)
+        return jnp.log(-value), along(one, none) / value, along(none, one) / value
+
+    def step(_: int, at: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        theta, delay = at[-2:]
+        value, by_theta, by_delay = residual(theta, delay)
+        area = _nonzero(by_theta.real * by_delay.imag - by_theta.imag * by_delay.real)
+        turn = (value.imag * by_delay.real - value.real * by_delay.imag) / area
+        wait = (value.real * by_theta.imag - value.imag * by_theta.real) / area
+        turn = jnp.where(fixed, 0.0, jnp.clip(turn, -0.1 * theta, 0.1 * theta))
+        wait = jnp.where(fixed, -value.real / _nonzero(by_delay.real), wait)
+        later = jnp.maximum(delay + jnp.clip(wait, -0.2, 0.2), 0.0)
+        left = jnp.where(fixed, jnp.abs(value.real), jnp.abs(value))
+        return left, theta, delay, by_theta, by_delay, jnp.minimum(theta + turn, end), later
+
+    begin = jnp.where(wanted, theta, 1.0), jnp.where(wanted, delay, 1.0)
+    slope = jax.lax.complex(*begin)
+    state = (jnp.full_like(begin[0], jnp.inf), *begin, slope, slope, *begin)
+    left, theta, delay, by_theta, by_delay = jax.lax.fori_loop(0, _STEPS, step, state)[:5]
+    arrived = wanted & (left < jnp.sqrt(jnp.finfo(theta.dtype).eps)) & (fixed | (theta < end))
+    return theta, jnp.where(arrived, delay, jnp.inf), by_theta, by_delay
+
+
+def _nonzero(value: jax.Array) -> jax.Array:
+    return jnp.where(value == 0, 1.0, value)
