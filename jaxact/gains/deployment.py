@@ -50,7 +50,8 @@ def rl_gym(path: Path, document: Mapping[str, Any]) -> GainFile | None:
         return None
     kp, kd = (numbers(path, key, document[key]) for key in ("kps", "kds"))
     _same_length(path, {"kps": kp, "kds": kd})
-    notes = unused(document, ("default_angles", "simulation_dt", "control_dt"))
+    keys = ("default_angles", "simulation_dt", "control_dt", "control_decimation", "action_scale")
+    notes = unused(document, keys)
     if "joint_names" in document:
         return named_file(path, "rl-gym", document["joint_names"], {"kps": kp, "kds": kd}, notes)
     ids = document.get("leg_joint2motor_idx", document.get("joint2motor_idx"))
