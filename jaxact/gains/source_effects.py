@@ -15,7 +15,7 @@ _READING = frozenset(
     " error getLogger warn Path".split()
 )
 # Those that change the thing whose methods they are, or their first argument, and nothing else.
-_WRITING = frozenset(
+WRITING = frozenset(
     "update append extend insert pop popitem clear remove setdefault sort reverse setattr"
     " delattr __setattr__ __setitem__".split()
 )
@@ -159,7 +159,7 @@ def _call(node: ast.Call, found: Changes) -> None:
         for one in (node.func, *node.args, *(word.value for word in node.keywords)):
             if not isinstance(one, ast.Name) or one is not node.func:
                 found.changed.update(_names(one, node.lineno))
-    if name in _WRITING:
+    if name in WRITING:
         whose = node.func.value if isinstance(node.func, ast.Attribute) else [*node.args, None][0]
         if whose is not None:
             _write(whose, found, node.lineno)

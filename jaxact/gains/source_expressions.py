@@ -296,7 +296,8 @@ class Expressions:
             for one in reachable(given):
                 one.shared = one.held and one.kind != "class"
             return given
-        said = f"calls `{given.name}`, which this file defines"
+        words = given.name or " ".join(ast.unparse(node.func).split())[:40]
+        said = f"calls `{words}`, which this file defines"
         unknown = Unknown(node.lineno, said)
         self.doubt(receiver, unknown, named=False)
         self.doubt(given, unknown, named=False)
