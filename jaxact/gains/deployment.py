@@ -28,7 +28,7 @@ def unitree(path: Path, document: Mapping[str, Any]) -> GainFile | None:
         return None
     kp, kd = (numbers(path, key, document[key]) for key in ("stiffness", "damping"))
     _same_length(path, {"stiffness": kp, "damping": kd})
-    notes = unused(document, ("default_joint_pos", "step_dt"))
+    notes = unused(document, ("default_joint_pos", "step_dt", "actions"))
     ids = document.get("joint_ids_map")
     names = document.get("joint_names")
     if isinstance(ids, list) and ids and all(isinstance(one, str) for one in ids):

@@ -111,15 +111,14 @@ def _only(path: Path, found: dict[str, Robot]) -> GainFile:
             said.append(_gains(path, one))
         except UserError as error:
             said.append(str(error))
-    kinds = {one if isinstance(one, str) else repr(one.entries) for one in said}
-    if len(kinds) > 1:
+    if all(isinstance(one, str) for one in said):
+        raise UserError(str(said[0]))
+    if len({one if isinstance(one, str) else repr(one.entries) for one in said}) > 1:
         raise UserError(
             f"{path}: has several configurations; name one: {path}:{next(iter(found))}"
             f" (of {', '.join(found)})" + _refused(path, found)
         )
-    if isinstance(said[0], str):
-        raise UserError(said[0])
-    return said[0]
+    return next(one for one in said if isinstance(one, GainFile))
 
 
 def _refused(path: Path, found: dict[str, Robot]) -> str:

@@ -16,7 +16,7 @@ from jaxact.gains import source_effects
 from jaxact.gains.source_effects import root
 from jaxact.gains.source_expressions import Expressions
 from jaxact.gains.source_groups import has_groups
-from jaxact.gains.source_methods import Touch, indexed, touch
+from jaxact.gains.source_methods import Methods, Touch
 from jaxact.gains.source_values import Thing, Unknown, inherited, reachable
 
 
@@ -38,9 +38,9 @@ class Statements(Expressions):
                     said = f"changes `{name}` in a function"
                     self.doubt(self.names.get(name), Unknown(line, said))
         robots = {name for name, value in self.names.items() if has_groups(value)}
-        index = indexed(self.functions)
+        methods = Methods(self.functions, robots)
         for one in self.classes:
-            self.touches[id(one)] = found = touch(one, index, robots)
+            self.touches[id(one)] = found = methods.touch(one)
             if found.anything is not None:
                 self._touched(one, found, found.anything)
 

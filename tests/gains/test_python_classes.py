@@ -12,7 +12,7 @@ from jaxact.gains.table import matched
 
 JOINTS = [("hip", "hip"), ("knee", "knee")]
 A = 'A_CFG = RobotCfg(actuators={"legs": LegCfg(joint_names_expr=[".*"], stiffness=%s, '
-A += "damping=0.5)})\n"
+A += "damping=0.5)}, init_state=SceneCfg(pos=(0.0, 0.0, 0.4)))\n"
 PLAIN = A % "25.0"
 LEGS = '{"legs": LegCfg(joint_names_expr=[".*"], stiffness=60.0, damping=6.0)}'
 STIFF = (
@@ -110,12 +110,17 @@ FOLLOWED = {
                                         "        robot.actuators['legs'].damping = 3.0\n", "A_CFG"),
     "method that sets other fields": (
         PLAIN + START + USE + "        self.decimation = 4\n"
+        "        self.start = A_CFG.init_state.pos\n"
         "        self.scale = 0.25 / A_CFG.actuators['legs'].stiffness\n"
         "        self.scene.robot.soft_limit = 0.9\n"
         "        self.scene.robot.actuators['legs'].min_delay = 4\n", None, "GoEnvCfg"),
     "field that a method changes": (PLAIN + STIFF.replace(f", actuators={LEGS}", "")
                                     + START[START.index("    def"):]
                                     + CHANGE.replace(".scene", ""), "A_CFG"),
+    "object of a class that uses": (PLAIN + START + USE + "ENV = GoEnvCfg(n=3)\n", "A_CFG"),
+    "object that a method leaves": (
+        PLAIN + STIFF + "    def __post_init__(self):\n        self.decimation = 4\n"
+        "ENV = StiffEnvCfg(n=3)\n", "ENV"),
     "actuator's class": (PLAIN + "class Motor:\n    def __init__(self, cfg):\n"
                          "        self.stiffness = cfg.stiffness\n", None, "A_CFG"),
 }  # fmt: skip
@@ -184,11 +189,46 @@ def test_a_configuration_that_a_method_may_change_itself_is_refused(tmp_path, ca
             gains(tmp_path, text, name)
 
 
+@pytest.mark.parametrize("text", (
+    f"@dataclass\nclass E:\n    robot: RobotCfg = field(default_factory=lambda: RobotCfg("
+    f"actuators={LEGS}))\n",
+    f"if FAST:\n    B_CFG = RobotCfg(actuators={LEGS})\n",
+    f"class E:\n    if FAST:\n        robot = RobotCfg(actuators={LEGS})\n",
+    "@configclass\nclass E(EnvCfg):\n    def __post_init__(self):\n"
+    "        self.scene.robot = A_CFG.replace(**FIELDS)\n",
+    "@configclass\nclass E(EnvCfg):\n    def __post_init__(self):\n"
+    "        self.scene.robot.actuators['legs'].__setattr__('stiffness', 3.0)\n",
+))  # fmt: skip
+def test_no_configuration_is_left_out_without_a_word(tmp_path, text):
+    with pytest.raises(UserError, match="A_CFG.* cannot be read: line [3-6]: "):
+        gains(tmp_path, PLAIN + text)
+    assert gains(tmp_path, PLAIN + text, "A_CFG")["hip"] == (25.0, 0.5)
+
+
+def test_all_that_is_refused_for_the_same_reason_is_said_once(tmp_path):
+    text = START + CHANGE + "class Play(GoEnvCfg):\n    n = 3\n"
+    with pytest.raises(UserError, match="robots.py line 4: sets gains in `GoEnvCfg.__post_init__`"):
+        gains(tmp_path, text)
+
+
 def test_a_helper_that_changes_a_copy_leaves_the_configuration(tmp_path):
     text = HELPER + PLAIN + START + USE + "        stiffen(self.scene.robot)\n"
     assert gains(tmp_path, text, "A_CFG") == ran(text, "A_CFG")
     with pytest.raises(UserError, match="line 2"):
         gains(tmp_path, text)
+
+
+def test_an_object_whose_class_changes_other_things_is_refused(tmp_path):
+    """Here a table that gains come from, and a field that is another configuration later."""
+    table = "K = {'hip': 1.0}\nclass P:\n    def __init__(self):\n        k = K\n"
+    for text, words in (
+        (table + "        k['hip'] = 4.0\nP()\n" + A % "K", "line [56]"),
+        (table + "        K['hip'] = 4.0\nP()\n" + A % "K", "line [56]"),
+        (PLAIN + STIFF + "    def __post_init__(self):\n        self.robot = A_CFG\n"
+         "ENV = StiffEnvCfg()\n", "line 6"),
+    ):  # fmt: skip
+        with pytest.raises(UserError, match=words):
+            gains(tmp_path, text, "ENV" if "ENV" in text else "A_CFG")
 
 
 def test_a_field_that_a_method_changes_is_refused(tmp_path):
@@ -206,6 +246,8 @@ GYM_METHODS = {
     "inner": "        def __init__(self):\n            self.stiffness = {'hip': 9.0}\n",
     "inner entry": "        def __init__(self):\n            self.stiffness['hip'] = 9.0\n",
     "inner setattr": "        def __init__(self):\n            setattr(self, NAME, 9.0)\n",
+    "inner dict": "        def __init__(self):\n            self.__dict__.update(MORE)\n",
+    "inner entries": "        def __init__(self):\n            vars(self)[NAME] = 9.0\n",
     "property": "    @property\n    def x(self):\n        self.control.stiffness['hip'] = 9.0\n",
     "inheriting": "    def __init__(self):\n        self.control.stiffness = {'hip': 9.0}\n"
     "class FlatCfg(A1Cfg):\n    n = 3\n",
