@@ -28,7 +28,7 @@ def unitree(path: Path, document: Mapping[str, Any]) -> GainFile | None:
         return None
     kp, kd = (numbers(path, key, document[key]) for key in ("stiffness", "damping"))
     _same_length(path, {"stiffness": kp, "damping": kd})
-    notes = unused(document, ("default_joint_pos", "step_dt"))
+    notes = unused(document, ("default_joint_pos", "step_dt", "actions"))
     ids = document.get("joint_ids_map")
     names = document.get("joint_names")
     if isinstance(ids, list) and ids and all(isinstance(one, str) for one in ids):
@@ -50,7 +50,8 @@ def rl_gym(path: Path, document: Mapping[str, Any]) -> GainFile | None:
         return None
     kp, kd = (numbers(path, key, document[key]) for key in ("kps", "kds"))
     _same_length(path, {"kps": kp, "kds": kd})
-    notes = unused(document, ("default_angles", "simulation_dt", "control_dt"))
+    keys = ("default_angles", "simulation_dt", "control_dt", "control_decimation", "action_scale")
+    notes = unused(document, keys)
     if "joint_names" in document:
         return named_file(path, "rl-gym", document["joint_names"], {"kps": kp, "kds": kd}, notes)
     ids = document.get("leg_joint2motor_idx", document.get("joint2motor_idx"))

@@ -41,8 +41,8 @@ def read(file: str | Path) -> GainFile:
     """The gains that a file has.
 
     Args:
-        file: its path; of a Python source with several configurations followed by `:` and the name
-            of one, such as `unitree.py:UNITREE_GO2_CFG`.
+        file: its path; of a Python source with several configurations, or an env.yaml with several
+            robots, followed by `:` and the name of one, such as `unitree.py:UNITREE_GO2_CFG`.
 
     Raises:
         UserError: there is no such file, it is of no known format, or what it says makes no sense.
@@ -66,26 +66,31 @@ def read(file: str | Path) -> GainFile:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise UserError(f"{path}: is not UTF-8 text; save it as UTF-8") from None
-    if name is not None and path.suffix != ".py":
-        raise UserError(f"{path}:{name}: only a Python source has named configurations")
+    if name is not None and path.suffix not in (".py", ".yaml", ".yml"):
+        raise UserError(
+            f"{path}:{name}: only a Python source and an env.yaml have named configurations"
+        )
     if text.lstrip().startswith("<"):
         return own.mjcf(path, text)
     if path.suffix == ".py":
         return python_source.read(path, text, name)
-    return own.toml(path, text) if path.suffix == ".toml" else _from_yaml(path, text)
+    return own.toml(path, text) if path.suffix == ".toml" else _from_yaml(path, text, name)
 
 
 def _split(file: str | Path) -> tuple[Path, str | None]:
     """The path, and the name behind a colon where the whole is not a file."""
     text = str(file)
     before, colon, after = text.rpartition(":")
-    if colon and after.isidentifier() and not Path(text).exists():
+    dotted = all(one.isidentifier() for one in after.split("."))
+    if colon and dotted and not Path(text).exists():
         return Path(before), after
     return Path(text), None
 
 
-def _from_yaml(path: Path, text: str) -> GainFile:
+def _from_yaml(path: Path, text: str, name: str | None) -> GainFile:
     document = simulator_dump.load(path, text)
+    if name is not None:
+        return simulator_dump.named(path, document, name)
     if isinstance(document, Mapping):
         for known in _YAML:
             found = known(path, document)

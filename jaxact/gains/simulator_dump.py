@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from jaxact.errors import UserError
+from jaxact.errors import UserError, nearest
 from jaxact.gains import configurations
 from jaxact.gains.table import GainFile
 
@@ -48,19 +49,74 @@ def load(path: Path, text: str) -> Any:
 
 def read(path: Path, document: Mapping[str, Any]) -> GainFile | None:
     """Of all groups of actuators anywhere in the document; None where there are none."""
-    found = list(_groups(document, "", 0))
-    return configurations.groups(path, found) if found else None
+    return _read(path, document, list(_groups(document, (), {}, 0)))
 
 
-def _groups(part: Any, name: str, depth: int) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def named(path: Path, document: Any, name: str) -> GainFile:
+    """Of the groups of one of its robots.
+
+    Args:
+        path: of the file.
+        document: that it has.
+        name: of the robot, in full or its last parts, such as `robot` of `scene.robot`.
+
+    Raises:
+        UserError: it has no such robot, or several.
+    """
+    found = list(_groups(document, (), {}, 0))
+    robots = list(dict.fromkeys(one.robot for one in found))
+    fits = [one for one in robots if f".{one}".endswith(f".{name}")]
+    exact = [name] if name in fits else fits
+    if not robots:
+        raise UserError(f"{path}: has no robots with names; leave {name!r} away")
+    if len(exact) != 1:
+        raise UserError(f"{path}: has no single robot {name!r}; {nearest(name, robots)}")
+    read_ = _read(path, document, [one for one in found if one.robot == exact[0]])
+    assert read_ is not None
+    return read_
+
+
+@dataclass(frozen=True)
+class _Group:
+    """A group of actuators, and the dotted name of the robot that has it."""
+
+    name: str
+    fields: Mapping[str, Any]
+    robot: str
+
+
+def _read(path: Path, document: Mapping[str, Any], found: list[_Group]) -> GainFile | None:
+    if not found:
+        return None
+    groups = [(one.name, one.fields) for one in found]
+    more = configurations.beside(document)
+    return configurations.groups(path, groups, [one.robot for one in found], more)
+
+
+def _groups(
+    part: Any, place: tuple[str, ...], around: Mapping[str, Any], depth: int
+) -> Iterator[_Group]:
+    """Groups below a part of the document; `around` is what gains do not carry of those above."""
     if depth > _DEEPEST:
         return
     if isinstance(part, Mapping):
         if any(key in part for key in configurations.PATTERNS) and "stiffness" in part:
-            yield name, part
+            yield _Group(place[-1] if place else "", {**around, **part}, _robot(place))
             return
+        init = part.get("init_state")
+        if isinstance(init, Mapping) and init.get("joint_pos"):
+            around = {configurations.AT_REST: configurations.WORKED_OUT}
         for key, value in part.items():
-            yield from _groups(value, str(key), depth + 1)
+            yield from _groups(value, (*place, str(key)), around, depth + 1)
     elif isinstance(part, list | tuple):
         for value in part:
-            yield from _groups(value, name, depth + 1)
+            yield from _groups(value, place, around, depth + 1)
+
+
+def _robot(place: tuple[str, ...]) -> str:
+    """Name of what has the `actuators` that a group stands in."""
+    if "actuators" in place:
+        place = place[: len(place) - 1 - place[::-1].index("actuators")]
+    if place and place[-1] == "articulation":  # mjlab's, a part of each robot
+        place = place[:-1]
+    return ".".join(place)

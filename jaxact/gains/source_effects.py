@@ -6,16 +6,18 @@ import ast
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from jaxact.gains.configurations import PATTERNS
+
 # Functions and methods that change none of their arguments.
 _READING = frozenset(
     "print len isinstance issubclass float int str bool list tuple dict set frozenset sorted"
     " reversed enumerate zip range sum min max abs round any all type repr hash id getattr hasattr"
     " iter copy deepcopy replace items keys values get index count exists format join split"
     " startswith endswith to_dict asdict array asarray tensor field partial info debug warning"
-    " error getLogger warn Path".split()
+    " error getLogger warn Path clone item tolist".split()
 )
 # Those that change the thing whose methods they are, or their first argument, and nothing else.
-_WRITING = frozenset(
+WRITING = frozenset(
     "update append extend insert pop popitem clear remove setdefault sort reverse setattr"
     " delattr __setattr__ __setitem__".split()
 )
@@ -38,6 +40,18 @@ def constructs(name: str) -> bool:
 def harmless(name: str) -> bool:
     """Whether a call of a function or method of this name changes nothing that it is given."""
     return name in _READING or constructs(name) or "register" in name
+
+
+def configured(nodes: Sequence[ast.AST]) -> set[str]:
+    """Names that statements set to what they give actuators in the same line."""
+    found = set()
+    for one in (part for node in nodes for part in ast.walk(node)):
+        if isinstance(one, ast.Assign | ast.AnnAssign) and one.value is not None:
+            words = {word.arg for word in ast.walk(one.value) if isinstance(word, ast.keyword)}
+            targets = one.targets if isinstance(one, ast.Assign) else [one.target]
+            if words & {*PATTERNS, "actuators"}:
+                found |= {target.id for target in targets if isinstance(target, ast.Name)}
+    return found
 
 
 def root(node: ast.AST) -> str | None:
@@ -159,7 +173,7 @@ def _call(node: ast.Call, found: Changes) -> None:
         for one in (node.func, *node.args, *(word.value for word in node.keywords)):
             if not isinstance(one, ast.Name) or one is not node.func:
                 found.changed.update(_names(one, node.lineno))
-    if name in _WRITING:
+    if name in WRITING:
         whose = node.func.value if isinstance(node.func, ast.Attribute) else [*node.args, None][0]
         if whose is not None:
             _write(whose, found, node.lineno)

@@ -11,6 +11,7 @@ from typing import Any
 
 from jaxact.gains import source_effects
 from jaxact.gains.source_effects import EVERYTHING, called, constructs, harmless
+from jaxact.gains.source_methods import MADE, only_uses
 from jaxact.gains.source_values import Thing, Unknown, copied, inherited, lineage, listed, reachable
 
 _BINARY = {
@@ -19,7 +20,6 @@ _BINARY = {
 }  # fmt: skip
 _LARGEST_POWER, _LARGEST, _LONGEST = 16, 1e300, 5_000
 _PI = ("math.pi", "np.pi", "numpy.pi", "torch.pi")
-_MADE = ("__init__", "__post_init__", "__new__")
 
 
 class Expressions:
@@ -59,7 +59,7 @@ class Expressions:
         before = names.get(name)
         if isinstance(before, Unknown):
             before = before.before
-        names[name] = replace(unknown, before=before)
+        names[name] = replace(unknown, before=unknown.before if before is None else before)
 
     def doubt(self, value: Any, unknown: Unknown, named: bool = True) -> None:
         """Something may change a value and all that belongs to it; `named` as for `reachable`."""
@@ -73,9 +73,12 @@ class Expressions:
         found = source_effects.changes(nodes)
         self._apply(found)
         links = tuple(self.look_up(name, line) for name, line in found.loaded.items())
+        robots = source_effects.configured(nodes)
         for name, line in found.stored.items():
             said = f"sets `{name}` where it is not followed"
-            self.forget(name, Unknown(line, said, links=links))
+            # what it may be is not known; that it may be a configuration is
+            may = Thing("made", line, {"actuators": Unknown(line)}) if name in robots else None
+            self.forget(name, Unknown(line, said, links=links, before=may))
 
     def unknown(self, node: ast.AST) -> Unknown:
         """What cannot be told, and may be any of the things that the expression names."""
@@ -289,14 +292,13 @@ class Expressions:
     def _of_the_file(self, node: ast.Call, what: Thing, receiver: Any, given: Thing) -> Thing:
         """A call of what the file itself defines: what a function returns is not followed."""
         given.others.append(what)
-        own = what.kind == "class" and not any(
-            name in one.content for one in lineage(what) for name in _MADE
-        )
-        if own:
+        made = any(name in one.content for one in lineage(what) for name in MADE)
+        if what.kind == "class" and (not made or only_uses(what, self.functions, self.names)):
             for one in reachable(given):
                 one.shared = one.held and one.kind != "class"
             return given
-        said = f"calls `{given.name}`, which this file defines"
+        words = given.name or " ".join(ast.unparse(node.func).split())[:40]
+        said = f"calls `{words}`, which this file defines"
         unknown = Unknown(node.lineno, said)
         self.doubt(receiver, unknown, named=False)
         self.doubt(given, unknown, named=False)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any
 
 from jaxact.gains import configurations
+from jaxact.gains.source_groups import GAINS, Group, groups
+from jaxact.gains.source_methods import ANY, Touch
 from jaxact.gains.source_values import (
     Thing,
     Unknown,
@@ -15,28 +17,9 @@ from jaxact.gains.source_values import (
     lineage,
     names_of,
     plain,
-    reachable,
 )
 
-_GAINS = ("stiffness", "damping")
-_SET = frozenset((*_GAINS, *configurations.LIMITS))
-
-
-@dataclass(frozen=True)
-class Group:
-    """Actuators that are alike.
-
-    Attributes:
-        label: what the source calls them.
-        thing: that has their fields.
-        around: fields of those that it stands in, such as the delay of a wrapper.
-        listed: it stands in a list or table, so it is part of a robot's configuration.
-    """
-
-    label: str
-    thing: Thing
-    around: Mapping[str, Any] = field(default_factory=dict)
-    listed: bool = False
+_DEEPEST = 8
 
 
 @dataclass(frozen=True)
@@ -49,43 +32,96 @@ class Robot:
     problem: Unknown | None = None
 
 
-def robots(names: Mapping[str, Any]) -> tuple[dict[str, Robot], dict[str, Robot]]:
-    """Configurations of the names of a module, and single groups of actuators beside them."""
-    whole: dict[str, Robot] = {}
-    single: dict[str, Robot] = {}
-    for label, value in names.items():
-        if isinstance(value, Unknown):
-            if robots({label: value.before})[0]:
-                whole[label] = Robot(problem=value)
-        elif isinstance(value, Thing) and value.kind == "class":
-            found = _of_class(value)
-            if found is not None:
-                whole[label] = found
-        elif isinstance(value, Thing):
-            parts = list(_groups(value, Group(label, value), set()))
-            problem = next((one for one in parts if isinstance(one, Unknown)), None)
-            groups = tuple(one for one in parts if isinstance(one, Group))
-            listed = problem is not None and not groups or any(one.listed for one in groups)
-            if parts:
-                (whole if listed else single)[label] = Robot(groups, problem=problem)
-    return whole, single
+Found = Iterator[tuple[str, Robot, bool]]  # with its name, and whether it is a robot's as a whole
 
 
-def fields(group: Group) -> dict[str, Any]:
-    """The fields of a group; of those that are not gains it may only be known that they are there.
+def robots(
+    names: Mapping[str, Any], touches: Mapping[int, Touch]
+) -> tuple[dict[str, Robot], dict[str, Robot]]:
+    """Configurations of a module, and single groups of actuators beside them.
 
-    Raises:
-        UnknownError: a pattern or a gain is worked out.
+    Args:
+        names: of the module.
+        touches: what methods of its classes do, by the class's id.
+
+    Returns:
+        Both by their names; what a class holds is called `Class.field`.
     """
-    found: dict[str, Any] = {}
-    for key, value in {**group.around, **group.thing.content}.items():
-        try:
-            found[key] = plain(value)
-        except UnknownError:
-            if key in (*configurations.PATTERNS, *_GAINS):
-                raise
-            found[key] = configurations.WORKED_OUT
-    return found
+    parts: tuple[dict[str, Robot], dict[str, Robot]] = {}, {}
+    for label, value in names.items():
+        for name, robot, whole in _Finder(touches).find(label, value):
+            parts[0 if whole else 1][name] = robot
+    return parts
+
+
+class _Finder:
+    """Of one name of the module."""
+
+    def __init__(self, touches: Mapping[int, Touch]) -> None:
+        self.touches = touches
+
+    def find(self, label: str, value: Any, around: tuple[Thing, ...] = ()) -> Found:
+        """What stands behind a name; `around` are the classes that it is a field of."""
+        if isinstance(value, Unknown):
+            yield from self._unknown(label, value, [value.before], around)
+        elif isinstance(value, Thing) and value.kind == "class":
+            yield from self._class(label, value, around)
+        elif isinstance(value, Thing):
+            fields = _noted(around[-1]) if around else {}
+            parts = list(groups(value, Group(label, value, fields), set()))
+            problem = next((one for one in parts if isinstance(one, Unknown)), None)
+            own = tuple(one for one in parts if isinstance(one, Group))
+            whole = problem is not None and not own or any(one.listed for one in own)
+            if parts:
+                yield label, Robot(own, problem=problem), whole
+            for one in value.others:  # an object of a class of the file has the class's fields
+                if isinstance(one, Thing) and one.kind == "class" and value.kind == "made":
+                    yield from self._made(label, value, one, around)
+
+    def _made(self, label: str, value: Thing, of: Thing, around: tuple[Thing, ...]) -> Found:
+        for name, robot, whole in self._class(label, of, around):
+            if name[len(label) + 1 :].split(".")[0] not in value.content:
+                yield name, replace(robot, problem=robot.problem or value.doubt), whole
+
+    def _class(self, label: str, of: Thing, around: tuple[Thing, ...]) -> Found:
+        if of in around or len(around) > _DEEPEST:
+            return
+        touch = self.touches.get(id(of), Touch())
+        own = _of_class(of, self.touches) if not around else None
+        if own is not None:
+            yield label, own, True
+        problem, some = touch.gains or of.doubt, own is not None
+        for key in names_of(of):
+            if key.startswith("__") or key == "class_type":
+                continue
+            unknown = problem or touch.own.get(key)
+            for name, robot, whole in self._field(f"{label}.{key}", of, key, around):
+                some = some or whole
+                yield name, replace(robot, problem=unknown or robot.problem), whole
+        if touch.gains is not None and not some:
+            yield label, Robot(problem=touch.gains), True
+
+    def _field(self, label: str, of: Thing, key: str, around: tuple[Thing, ...]) -> Found:
+        value, around = inherited(of, key), (*around, of)
+        if not isinstance(value, Unknown):
+            return self.find(label, value, around)
+        may = [one.content[key] for one in lineage(of) if key in one.content]
+        may = [one.before if isinstance(one, Unknown) else one for one in may]
+        return self._unknown(label, value, may, around)
+
+    def _unknown(
+        self, label: str, value: Unknown, may: list[Any], around: tuple[Thing, ...]
+    ) -> Found:
+        """What may be any of some values is a problem where one of them is a configuration."""
+        if any(whole for one in may for _, _, whole in self.find(label, one, around)):
+            yield label, Robot(problem=value), True
+
+
+def _noted(of: Thing) -> dict[str, Any]:
+    """Fields of a class that gains do not carry."""
+    return {
+        key: configurations.WORKED_OUT for key in configurations.OF_CONTROL if key in names_of(of)
+    }
 
 
 def control(robot: Robot) -> dict[str, Any]:
@@ -104,10 +140,10 @@ def control(robot: Robot) -> dict[str, Any]:
         try:
             found[key] = plain(value)
         except UnknownError:
-            if key in _GAINS:
+            if key in GAINS:
                 raise
             found[key] = configurations.WORKED_OUT
-    for key in _GAINS:
+    for key in GAINS:
         value = inherited(of, key)
         if isinstance(value, Unknown):
             raise UnknownError(value)
@@ -116,8 +152,22 @@ def control(robot: Robot) -> dict[str, Any]:
     return found
 
 
-def _of_class(of: Thing) -> Robot | None:
-    """legged_gym's: it reads `control` and no other class inside."""
+def _of_class(of: Thing, touches: Mapping[int, Touch]) -> Robot | None:
+    """legged_gym's, with what methods that run when it is made do to its gains."""
+    found = _legged_gym(of)
+    if found is None or found.problem is not None:
+        return found
+    for one, fields in ((of, ("control",)), (found.control, GAINS)):
+        touch = touches.get(id(one), Touch())
+        known = [touch.own[name] for name in (*fields, *GAINS, ANY) if name in touch.own]
+        problem = touch.gains or (known[0] if known else None)
+        if problem is not None:
+            return replace(found, problem=problem)
+    return found
+
+
+def _legged_gym(of: Thing) -> Robot | None:
+    """It reads `control` and no other class inside."""
     own = inherited(of, "control")
     if isinstance(own, Unknown) and not own.outside:
         may = any("control" in one.content or _inner(one) for one in lineage(of)) or _has(of)
@@ -136,7 +186,7 @@ def _of_class(of: Thing) -> Robot | None:
 
 def _has(of: Thing) -> bool:
     """Whether a class sets tables of gains, or in a way that is not followed."""
-    own = [one.content.get(key) for key in _GAINS for one in lineage(of)]
+    own = [one.content.get(key) for key in GAINS for one in lineage(of)]
     return any(isinstance(one, Unknown | Thing) for one in own)
 
 
@@ -144,51 +194,5 @@ def _inner(of: Thing) -> list[Thing]:
     found = []
     for one in of.content.values():
         if isinstance(one, Thing) and one.kind == "class":
-            found += [one] if all(key in names_of(one) for key in _GAINS) else _inner(one)
+            found += [one] if all(key in names_of(one) for key in GAINS) else _inner(one)
     return found
-
-
-def _is_group(of: Thing) -> bool:
-    return any(key in of.content for key in configurations.PATTERNS)
-
-
-def _groups(value: Any, place: Group, seen: set[int]) -> Iterator[Group | Unknown]:
-    """Groups in a value, each once, and what keeps others from being known."""
-    if not isinstance(value, Thing) or id(value) in seen:
-        return
-    seen.add(id(value))
-    if value.kind in ("class", "function"):
-        return
-    if _is_group(value):
-        if value.doubt is not None:
-            yield value.doubt
-        yield Group(place.label, value, place.around, place.listed)
-        return
-    if not any(_is_group(one) for one in reachable(value)) and "actuators" not in value.content:
-        return
-    around = {k: v for k, v in value.content.items() if k in configurations.NOT_TAKEN}
-    around = {**place.around, **around} if value.kind == "made" else dict(place.around)
-    listed = place.listed or value.kind in ("list", "table")
-    if value.doubt is not None:
-        yield value.doubt
-    if value.kind == "made" and _SET & set(value.content):
-        yield Unknown(value.line, f"wraps actuators in `{value.name}`, which sets gains as well")
-    for key, part in [*value.content.items(), *((None, one) for one in value.others)]:
-        label = key if value.kind == "table" and isinstance(key, str) and key else place.label
-        yield from _groups(part, Group(label, value, around, listed), seen)
-        if value.kind == "made" and key == "actuators":
-            yield from _left_out(part)
-
-
-def _left_out(actuators: Any) -> Iterator[Unknown]:
-    """Entries of `actuators` that are not groups which can be told."""
-    if isinstance(actuators, Unknown):
-        yield actuators
-    elif isinstance(actuators, Thing):
-        if actuators.doubt is not None:
-            yield actuators.doubt
-        for one in actuators.content.values() if actuators.kind in ("list", "table") else ():
-            if isinstance(one, Unknown):
-                yield one
-            elif not isinstance(one, Thing) or not list(_groups(one, Group("", one), set())):
-                yield Unknown(getattr(one, "line", actuators.line))

@@ -15,11 +15,18 @@ from typing import Any
 from jaxact.gains import source_effects
 from jaxact.gains.source_effects import root
 from jaxact.gains.source_expressions import Expressions
+from jaxact.gains.source_groups import has_groups
+from jaxact.gains.source_methods import Methods, Touch
 from jaxact.gains.source_values import Thing, Unknown, inherited, reachable
 
 
 class Statements(Expressions):
     """A source that is followed: `names` are the module's at its end."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.classes: list[Thing] = []
+        self.touches: dict[int, Touch] = {}
 
     def module(self, tree: ast.Module) -> None:
         """Follow a whole source."""
@@ -30,6 +37,21 @@ class Statements(Expressions):
                 for name, line in direct.items():
                     said = f"changes `{name}` in a function"
                     self.doubt(self.names.get(name), Unknown(line, said))
+        robots = {name for name, value in self.names.items() if has_groups(value)}
+        methods = Methods(self.functions, robots)
+        for one in self.classes:
+            self.touches[id(one)] = found = methods.touch(one)
+            if found.anything is not None:
+                self._touched(one, found, found.anything)
+
+    def _touched(self, of: Thing, touch: Touch, unknown: Unknown) -> None:
+        """Methods of a class may change what they use as it is, and what the class holds."""
+        for name in touch.uncopied:
+            _mark(self.names.get(name), unknown)
+        marks = getattr(of.node, "decorator_list", [])
+        if not any("configclass" in ast.unparse(one) for one in marks):  # those hold copies
+            for value in of.content.values():
+                _mark(value, unknown)
 
     def follow(self, statements: Sequence[ast.stmt]) -> None:
         """Follow statements in their order."""
@@ -136,7 +158,8 @@ class Statements(Expressions):
         # a class's body sees its own names and the module's, not those of the class around it
         around, self.own = self.own, {}
         self.follow(node.body)
-        made = Thing("class", node.lineno, self.own, node.name, bases)
+        made = Thing("class", node.lineno, self.own, node.name, bases, node)
+        self.classes.append(made)
         self.own = around
         if any(isinstance(one, Thing) for one in makers):
             said = f"gives `{node.name}` to what this file defines, which may change it"
@@ -190,3 +213,14 @@ class Statements(Expressions):
         name = root(target)
         if name is not None and not isinstance(of, Thing) and not getattr(of, "outside", False):
             self.doubt(self.look_up(name, target.lineno), unknown)
+
+
+def _mark(value: Any, unknown: Unknown) -> None:
+    """Something may have changed a value, but not what it shares with those it is a copy of."""
+    waiting, seen = [value], set()
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, Thing) and one.kind != "function" and id(one) not in seen:
+            seen.add(id(one))
+            one.doubt = one.doubt or unknown
+            waiting += [part for part in one.content.values() if not getattr(part, "shared", False)]

@@ -30,12 +30,14 @@ class Entry:
         key: as `Keys` says.
         value: of the parameter.
         within: patterns; only joints that one of them matches are meant.
+        robot: that the file has it for, where it may have several; else "".
     """
 
     parameter: str
     key: str | int
     value: float
     within: tuple[str, ...] = (".*",)
+    robot: str = ""
 
 
 @dataclass(frozen=True)
@@ -109,10 +111,7 @@ def matched(file: GainFile, joints: Sequence[tuple[str, str]]) -> Matched:
         for name in meant[_id(one)]:
             before = by.get((one.parameter, name))
             if before is not None and not file.later_wins and before.value != one.value:
-                raise UserError(
-                    f"{file.path}: {shown(before.key)} and {shown(one.key)} both give"
-                    f" {one.parameter} of {name}; make the patterns exclude each other"
-                )
+                raise UserError(_conflict(file.path, name, before, one))
             by[one.parameter, name] = one
             found.setdefault(one.parameter, {})[name] = one.value
     names = [name for name, _ in joints]
@@ -124,6 +123,18 @@ def matched(file: GainFile, joints: Sequence[tuple[str, str]]) -> Matched:
     unmatched = dict.fromkeys(str(one.key) for one in file.entries if not meant[_id(one)])
     without = [name for name in names if not all(name in found.get(one, {}) for one in (KP, KD))]
     return Matched(found, tuple(unmatched), tuple(without), tuple(notes))
+
+
+def _conflict(path: Path, joint: str, first: Entry, second: Entry) -> str:
+    if first.robot != second.robot:
+        return (
+            f"{path}: has several robots, {first.robot} and {second.robot}, that both give"
+            f" {first.parameter} of {joint}; name one: {path}:{first.robot}"
+        )
+    return (
+        f"{path}: {shown(first.key)} and {shown(second.key)} both give {first.parameter} of"
+        f" {joint}; make the patterns exclude each other"
+    )
 
 
 def _id(entry: Entry) -> tuple[object, ...]:

@@ -178,7 +178,8 @@ REFUSED = {
                          " **more)\n" + PLAIN.replace("LegCfg", "leg"), "calls `leg`"),
     "wrapper's gain": ("A_CFG = RobotCfg(actuators=(WrapCfg(base=LegCfg(joint_names_expr=['.*'],"
                        " stiffness=1, damping=1), stiffness=5),))\n", "wraps actuators"),
-    "gym entry of one": (GYM + "        stiffness['ankle'] = 4.0\n", "in one of stiffness"),
+    "gym entry of one": (GYM + "        stiffness['ankle'] = 4.0\n",
+                         "'ankle' is in stiffness and not in damping"),
     "gym base elsewhere": (FLAT, "line 3: takes `damping` from a class that is not in this file"),
     "gym no damping": ("class A1Cfg:\n    class control:\n        stiffness = {'hip': 1.0}\n",
                             "has no damping"),
