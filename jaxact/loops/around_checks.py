@@ -15,7 +15,7 @@ from jaxact.errors import UserError, shown
 from jaxact.loops import checks
 from jaxact.loops.control_loop import ControlLoop, demand
 from jaxact.loops.simulator import as_numbers
-from jaxact.parameters import CONTROL_RATE
+from jaxact.parameters import CONTROL_RATE, SETPOINT
 
 _ROUNDING = 1e-6
 
@@ -143,10 +143,10 @@ def setpoint_of(value: Any, shape: tuple[int, ...]) -> Setpoint:
         UserError: it is not of numbers, or of another number of joints.
     """
     if not isinstance(value, Setpoint):
-        return Setpoint(_joint_values("setpoint", value, shape))
+        return Setpoint(_joint_values(SETPOINT, value, shape))
     return Setpoint(
         **{
-            name: _joint_values(f"setpoint.{name}", part, shape)
+            name: _joint_values(f"{SETPOINT}.{name}", part, shape)
             for name, part in vars(value).items()
         }
     )

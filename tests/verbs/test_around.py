@@ -201,6 +201,14 @@ def test_a_robots_loop_gives_each_joint_its_own_drive(tmp_path):
     ]
     assert np.asarray(found[0]) == pytest.approx(np.asarray(found[1]), abs=1e-7)
 
+    @jax.jit
+    def traced(delay):
+        drive = around(robot.replace(delay=delay), robot.replace(delay=5 * H), joints=None)
+        return rolled(drive, start, 60)
+
+    np.testing.assert_allclose(traced(2 * H), found[1], atol=1e-6)
+    assert np.isnan(traced(7 * H)[1:]).all()
+
 
 def test_a_traced_loop_needs_its_longest():
     def build(delay):
@@ -242,8 +250,7 @@ def test_a_traced_value_that_none_may_have_gives_no_number(name, value):
     loop = jx.joint(kp=8.0, kd=0.4, wn=800.0, zeta=0.4, delay=1e-3, measurement_delay=1e-3)
 
     def last(value):
-        drive = jx.drive_around(step, loop.replace(**{name: value}), measure=measure,
-                                physics_step=H, joints=2, longest=loop)  # fmt: skip
+        drive = around(loop.replace(**{name: value}), loop)
         return rolled(drive, (jnp.array([0.01, -0.02]), jnp.zeros(2)), 20)[-1]
 
     found = jax.jit(jax.vmap(last))(jnp.array([value, float(loop.parameters[name])]))
@@ -275,8 +282,7 @@ def test_a_step_that_gives_no_state_is_said_in_one_line():
 def test_a_longest_without_a_part_of_the_loop_is_refused(part):
     plain = jx.joint(kp=8.0, kd=0.4)
     with pytest.raises(UserError, match="longest: "):
-        jx.drive_around(step, plain.replace(**part), measure=measure, physics_step=H, joints=2,
-                        longest=plain)  # fmt: skip
+        around(plain.replace(**part), plain)
 
 
 def around(loop, longest=None, joints=2):
