@@ -25,6 +25,12 @@ def measure(state):
     return state
 
 
+def around(loop, longest=None, joints=2):
+    return jx.drive_around(
+        step, loop, measure=measure, physics_step=H, joints=joints, longest=longest
+    )
+
+
 def rolled(drive, start, ticks, key=None):
     def one(state, _):
         state, output = drive.step(state, jnp.zeros(2), key)
@@ -224,14 +230,11 @@ def test_a_traced_delay_without_room_gives_no_number_and_never_a_wrong_one(late,
     loop = jx.joint(kp=8.0, kd=0.4)
 
     def last(delay):
-        drive = jx.drive_around(step, loop.replace(**{late: delay}), measure=measure,
-                                physics_step=H, joints=2,
-                                longest=loop.replace(**{late: room}))  # fmt: skip
+        drive = around(loop.replace(**{late: delay}), loop.replace(**{late: room}))
         return rolled(drive, (jnp.array([0.01, -0.02]), jnp.zeros(2)), 120)[-1]
 
     def known(delay):
-        drive = jx.drive_around(step, loop.replace(**{late: delay}), measure=measure,
-                                physics_step=H, joints=2)  # fmt: skip
+        drive = around(loop.replace(**{late: delay}))
         return rolled(drive, (jnp.array([0.01, -0.02]), jnp.zeros(2)), 120)[-1]
 
     traced = jax.jit(last)
@@ -285,12 +288,6 @@ def test_a_longest_without_a_part_of_the_loop_is_refused(part):
         around(plain.replace(**part), plain)
 
 
-def around(loop, longest=None, joints=2):
-    return jx.drive_around(
-        step, loop, measure=measure, physics_step=H, joints=joints, longest=longest
-    )
-
-
 def rolled_from_start(drive, ticks=60):
     return np.asarray(rolled(drive, (jnp.array(START), jnp.zeros(2)), ticks))
 
@@ -315,9 +312,8 @@ def test_a_traced_control_rate_is_that_of_longest_or_gives_no_number():
     loop = jx.joint(kp=8.0, kd=0.4, delay=4e-3)
 
     def run(rate):
-        longest = loop.replace(control_rate=500.0)
-        return rolled(around(loop.replace(control_rate=rate), longest),
-                      (jnp.array(START), jnp.zeros(2)), 60)  # fmt: skip
+        drive = around(loop.replace(control_rate=rate), loop.replace(control_rate=500.0))
+        return rolled(drive, (jnp.array(START), jnp.zeros(2)), 60)
 
     same, other = jax.jit(jax.vmap(run))(jnp.array([500.0, 1000.0]))
     assert np.asarray(same) == pytest.approx(by_hand(8.0, 0.4, 4, 0, 2, 60, START), abs=1e-6)
