@@ -24,10 +24,10 @@ from jaxact.drive import step as _drive
 from jaxact.drive.controller import Controller, Setpoint
 from jaxact.environments.environment_drive import EnvironmentDrive
 from jaxact.loops import loop as _loop
-from jaxact.loops.around import Simulator
 from jaxact.loops.conversion import drive_of
 from jaxact.loops.loop import Loop, LoopState, Prepared
-from jaxact.parameters import CONTROL_RATE, FEEDFORWARD, KD, KP, POLICY_RATE
+from jaxact.loops.simulator import Simulator
+from jaxact.parameters import CONTROL_RATE, KD, KP, POLICY_RATE
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def _run(places: np.ndarray) -> slice | np.ndarray:
 def _coefficients(drive: EnvironmentDrive, zero: jax.Array) -> _drive.Coefficients:
     """Coefficients of the shapes that a drive's have, whatever the model and the draws."""
     values: dict[str, Any] = {name: low + zero for name, low in drive.low.items()}
-    values |= {KP: zero, KD: zero, FEEDFORWARD: 0.0, POLICY_RATE: np.inf}
+    values |= {KP: zero, KD: zero, POLICY_RATE: np.inf}
     values[CONTROL_RATE] = float(drive.low[CONTROL_RATE])
     return _drive.prepare(drive_of(values), drive.options, zero.shape)
 
@@ -189,5 +189,5 @@ def held(
     return (
         controller.kp * (setpoint.position - position)
         + controller.kd * (setpoint.velocity - velocity)
-        + setpoint.force
+        + (controller.feedforward + setpoint.force)
     )

@@ -42,9 +42,14 @@ from jaxact.parameters import (
 
 _OWN = (KP, KD)  # of the model where they are not given
 _TAKEN = (
-    *_OWN, GAIN_SCALE, WN, ZETA, *DELAYS, *LIMITS, *ERRORS, VELOCITY_FILTER, COMMAND_RESOLUTION,
-    CONTROL_RATE,
+    *_OWN, GAIN_SCALE, FEEDFORWARD, WN, ZETA, *DELAYS, *LIMITS, *ERRORS, VELOCITY_FILTER,
+    COMMAND_RESOLUTION, CONTROL_RATE,
 )  # fmt: skip
+_NOT_OF_A_DRIVE = "is not a parameter of a drive; leave it out, the environment has its own"
+_REFUSED = {
+    POLICY_RATE: "follows from the environment, which holds an action for its own step; leave it"
+    " out, and change that step",
+}
 _ROUNDING = 1e-6
 _VELOCITIES = ("sampled", "differenced")
 _DAMPING = ("joint", "drive")
@@ -112,8 +117,7 @@ class EnvironmentDrive:
         for name, own in ((KP, kp), (KD, kd)):
             found[name] = scale * jnp.where(jnp.isnan(found[name]), own, found[name])
         limit = jnp.minimum(found[FORCE_LIMIT], self.actuators.force_limit)
-        defaults = {FEEDFORWARD: 0.0, POLICY_RATE: np.inf}
-        return {**defaults, **found, FORCE_LIMIT: limit}
+        return {POLICY_RATE: np.inf, **found, FORCE_LIMIT: limit}
 
     def drive(self, draws: jax.Array, model: Any) -> Drive:
         """The drive that was drawn; arguments as for `values`."""
@@ -188,7 +192,7 @@ def build(
         for name in low
     }
     ends[FORCE_LIMIT] = np.minimum(ends[FORCE_LIMIT], found.force_limit)
-    static = {**ends, FEEDFORWARD: 0.0, POLICY_RATE: np.inf, CONTROL_RATE: float(low[CONTROL_RATE])}
+    static = {**ends, POLICY_RATE: np.inf, CONTROL_RATE: float(low[CONTROL_RATE])}
     options = _options.options(
         drive_of(static), substeps=substeps, differenced=velocity == "differenced"
     )
@@ -238,7 +242,7 @@ def ranges(
     for name in given:
         short = canonical(name).partition("@")[0]
         if short not in (*own, "actuator") and short in PARAMETERS:
-            raise UserError(f"`{name}`: is not a parameter of a drive")
+            raise UserError(f"`{name}`: {_REFUSED.get(short, _NOT_OF_A_DRIVE)}")
     for side in (0, 1):
         ends = {name: np.asarray(value, float) for name, value in own.items()}
         chosen = {name: _end(value, side) for name, value in given.items()}

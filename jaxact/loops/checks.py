@@ -189,13 +189,23 @@ def _check_policy(specification: Specification, axes: dict[str, Axis], rates: np
         raise UserError("axes.control_rate: drawn from a range, no policy_rate divides it")
     for rate in rates:
         for policy_rate in slow:
-            ticks = rate / policy_rate
-            if round(ticks) < 1 or abs(ticks - round(ticks)) > 1e-6 * ticks:
-                allowed = rate / max(math.ceil(ticks), 1)
-                raise UserError(
-                    f"policy_rate = {policy_rate:g} Hz does not divide the control rate"
-                    f" {rate:g} Hz; allowed e.g.: {allowed:.9g}"
-                )
+            check_policy_rate(float(policy_rate), float(rate))
+
+
+def check_policy_rate(policy_rate: float, rate: float) -> None:
+    """Raise UserError for a policy that does not tick with the controller.
+
+    Args:
+        policy_rate: [Hz], finite.
+        rate: control rate [Hz].
+    """
+    ticks = rate / policy_rate
+    if round(ticks) < 1 or abs(ticks - round(ticks)) > 1e-6 * ticks:
+        allowed = rate / max(math.ceil(ticks), 1)
+        raise UserError(
+            f"policy_rate = {policy_rate:g} Hz does not divide the control rate {rate:g} Hz;"
+            f" allowed e.g.: {allowed:.9g}"
+        )
 
 
 def _check_steps(specification: Specification, rates: np.ndarray) -> None:

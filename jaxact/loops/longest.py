@@ -11,17 +11,17 @@ import jax.numpy as jnp
 from jaxact.drive import delay as _delay
 from jaxact.drive.options import Drive, DriveOptions
 from jaxact.drive.options import options as options_of
+from jaxact.drive.step import Coefficients
 from jaxact.errors import UserError
 
+_ROUNDING = 1e-6
 
-def fitting(drive: Drive, longest: Drive, given: DriveOptions) -> Drive:
-    """The drive, if its delays and its parts fit.
 
-    A traced delay decides nothing yet: the gains are not a number where it does not fit, and so is
-    all that comes of them.
+def fitting(drive: Drive, longest: Drive, given: DriveOptions) -> jax.Array:
+    """Whether the delays and the parts of a drive fit; bool, () or of the shape of its joints.
 
     Args:
-        drive: of which values may be traced.
+        drive: of which values may be traced, and then decide it only when they are known.
         longest: concrete, of which the options were made.
         given: these options.
 
@@ -37,19 +37,48 @@ def fitting(drive: Drive, longest: Drive, given: DriveOptions) -> Drive:
             "and every part that may occur"
         )
     if not any(map(_traced, jax.tree.leaves(drive))):
-        return drive
-    controller = drive.controller
-    fits = _fits(drive, given)
-    kp, kd = (jnp.where(fits, gain, jnp.nan) for gain in (controller.kp, controller.kd))
-    return replace(drive, controller=replace(controller, kp=kp, kd=kd))
+        return jnp.asarray(True)
+    period = jnp.asarray(drive.control_period)
+    same = jnp.abs(period - longest.control_period) <= _ROUNDING * period
+    return same & _policy_fits(drive, given) & _delays_fit(drive, given)
+
+
+def defined_where(fits: jax.Array, coefficients: Coefficients) -> Coefficients:
+    """The coefficients of a drive that gives forces which are not a number where it does not fit.
+
+    Its gains alone would not do: a compiler may take the product of a selector that is 0 and what
+    the gains give, in a delay line, for 0.
+
+    Args:
+        fits: bool, () or of the shape of the joints.
+        coefficients: from `jaxact.drive.step.prepare`.
+    """
+
+    def kept(leaf: jax.Array | float) -> jax.Array:
+        return jnp.where(fits, leaf, jnp.nan)
+
+    drive = coefficients.drive
+    controller = replace(
+        drive.controller, kp=kept(drive.controller.kp), kd=kept(drive.controller.kd)
+    )
+    responses = jax.tree.map(kept, coefficients.responses)
+    return replace(coefficients, drive=replace(drive, controller=controller), responses=responses)
 
 
 def _traced(value: Any) -> bool:
     return isinstance(value, jax.core.Tracer)
 
 
-def _fits(drive: Drive, given: DriveOptions) -> jax.Array:
-    """Whether the delays, traced, have slots enough; bool, of the shape of the delays."""
+def _policy_fits(drive: Drive, given: DriveOptions) -> jax.Array:
+    """Whether the policy's period is as many control periods, and held where it is several."""
+    ticks = jnp.asarray(drive.policy_period) / drive.control_period
+    whole = jnp.round(ticks)
+    divides = (jnp.abs(ticks - whole) <= _ROUNDING * ticks) & (whole >= 1.0)
+    return (ticks == 0.0) | (divides & ((whole == 1.0) | given.held_setpoint))
+
+
+def _delays_fit(drive: Drive, given: DriveOptions) -> jax.Array:
+    """Whether the delays have slots enough; bool, of their shape."""
     period = jnp.asarray(drive.control_period)
     total = jnp.asarray(drive.actuator.delay) + drive.output_delay
     fits = (total >= 0.0) & (_delay.split(total, period)[0] < given.command_slots)

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -326,7 +327,10 @@ def of_drives(plant: Plant, values: Mapping[str, Any]) -> dict[str, Any]:
     robot = read(plant)
     placed = Scene(robot, _posture.given(robot), body(robot, None, "plant.payload_body"))
     keys = [key for key in values if "@" in key]
-    given = {key for key, value in values.items() if not np.any(np.isnan(value))}
+    given = {
+        key for key, value in values.items()
+        if isinstance(value, jax.core.Tracer) or not np.any(np.isnan(value))
+    }  # fmt: skip
     check(placed, keys, given)
     masks = {key: matched(placed, key) for key in keys}
     known = {key: jnp.asarray(value, float) for key, value in values.items()}

@@ -69,9 +69,10 @@ def controls(count):
     return 0.4 * np.sin(np.arange(count)[:, None] * np.array([0.3, 0.5]))
 
 
-def test_without_delay_it_is_an_explicit_pd(path):
+@pytest.mark.parametrize("feedforward", [0.0, np.array([1.5, -0.5])], ids=str)
+def test_without_delay_it_is_an_explicit_pd(path, feedforward):
     with jax.enable_x64(True):
-        env = environments.gymnasium(Leg(path))
+        env = environments.gymnasium(Leg(path), feedforward=feedforward)
         observed, _ = env.reset(seed=1)
         model = mujoco.MjModel.from_xml_string(MOTORS)
         data = mujoco.MjData(model)
@@ -80,6 +81,7 @@ def test_without_delay_it_is_an_explicit_pd(path):
         for control in controls(170):  # 1,020 steps
             for _ in range(FRAMES):
                 force = GEARS * (KP * (control / [2, 1] - data.qpos) - KD * data.qvel)
+                force += feedforward
                 force[1] = np.clip(force[1], -9, 9)
                 data.ctrl = force
                 mujoco.mj_step(model, data)
@@ -124,6 +126,16 @@ def test_torques_are_those_of_the_drive_stepped_by_hand(path, late):
             )
             largest = max(largest, np.abs(found).max())
     assert largest > 0.3
+
+
+def test_a_drive_has_held_its_first_command_with_the_feedforward(path):
+    env = environments.gymnasium(Leg(path), feedforward=(1.0, 2.0), delay=FRAMES * STEP)
+    observed, _ = env.reset(seed=2)
+    env.step(np.zeros(2))
+    own = float(env.values["feedforward"])
+    first = GEARS * (-KP * observed[:2] - KD * observed[2:]) + own
+    assert 1.0 < own < 2.0
+    np.testing.assert_allclose(env.unwrapped.data.qfrc_actuator, first, rtol=1e-5)
 
 
 def test_what_is_drawn_follows_from_the_seed(path):
@@ -198,6 +210,8 @@ def test_what_cannot_work_is_said_at_once(path):
         environments.gymnasium(gym.make("CartPole-v1"))
     with pytest.raises(UserError, match="multiple of the control period"):
         environments.gymnasium(Leg(path), control_rate=1 / (4 * STEP))
+    with pytest.raises(UserError, match="`policy_rate`: follows from the environment, which hold"):
+        environments.gymnasium(Leg(path), policy_rate=50.0)
     with pytest.raises(UserError, match="has a drive already"):
         environments.gymnasium(environments.gymnasium(Leg(path)))
 

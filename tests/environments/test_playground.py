@@ -112,7 +112,7 @@ def by_hand(text, data, controls, values, gains=(KP, KD)):
     drive = jx.drive_around(advance, loop, measure=lambda data: (data.qpos, data.qvel),
                             physics_step=STEP, joints=2)  # fmt: skip
     setpoints = controls / np.array([2.0, 1.0])
-    first = kp * (setpoints[0] - data.qpos) - kd * data.qvel
+    first = kp * (setpoints[0] - data.qpos) - kd * data.qvel + values.get("feedforward", 0.0)
     fresh = mjx.make_data(model).replace(qpos=data.qpos, qvel=data.qvel, time=data.time,
                                          qacc_warmstart=data.qacc_warmstart)  # fmt: skip
 
@@ -150,6 +150,19 @@ def test_without_delay_it_is_an_explicit_pd():
             expected.append(data.qpos.copy())
     assert np.abs(expected).max() > 0.3
     np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_a_feedforward_is_a_constant_force_and_part_of_the_first_command():
+    values = {"feedforward": np.array([1.5, -0.5]), "delay": 0.004}
+    with jax.enable_x64(True):
+        env = playground(Leg(leg()), **values)
+        state, found = jax.jit(env.reset)(jax.random.PRNGKey(2)), []
+        data, step = state.data, jax.jit(env.step)
+        for control in actions(5):
+            state = step(state, jnp.asarray(control))
+            found.append(joint_forces(state))
+        expected = by_hand(leg(), data, actions(5), values)
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
 @pytest.fixture(scope="module")
@@ -335,6 +348,7 @@ BAD = {
     "is not a range": (leg(), {"delay": (0.01, 0.0, 1.0)}),
     "unknown parameter": (leg(), {"dleay": 0.01}),
     "not a parameter of a drive": (leg(), {"mass": 1.0}),
+    "`policy_rate`: follows from the environment": (leg(), {"policy_rate": 50.0}),
     "shape (3,)": (leg(), {"delay": np.zeros(3)}),
     "did you mean 'drive'": (leg(), {"damping": "drives"}),
 }

@@ -9,6 +9,7 @@ from quickly import compiled_quickly as compiled_quickly
 import jaxact as jx
 from jaxact.errors import UserError
 
+START = (0.01, -0.02)
 H = 1e-3  # physics step [s]
 J = 0.02  # [kg m^2]
 
@@ -22,6 +23,12 @@ def step(state, force):
 
 def measure(state):
     return state
+
+
+def around(loop, longest=None, joints=2):
+    return jx.drive_around(
+        step, loop, measure=measure, physics_step=H, joints=joints, longest=longest
+    )
 
 
 def rolled(drive, start, ticks, key=None):
@@ -200,6 +207,14 @@ def test_a_robots_loop_gives_each_joint_its_own_drive(tmp_path):
     ]
     assert np.asarray(found[0]) == pytest.approx(np.asarray(found[1]), abs=1e-7)
 
+    @jax.jit
+    def traced(delay):
+        drive = around(robot.replace(delay=delay), robot.replace(delay=5 * H), joints=None)
+        return rolled(drive, start, 60)
+
+    np.testing.assert_allclose(traced(2 * H), found[1], atol=1e-6)
+    assert np.isnan(traced(7 * H)[1:]).all()
+
 
 def test_a_traced_loop_needs_its_longest():
     def build(delay):
@@ -215,14 +230,11 @@ def test_a_traced_delay_without_room_gives_no_number_and_never_a_wrong_one(late,
     loop = jx.joint(kp=8.0, kd=0.4)
 
     def last(delay):
-        drive = jx.drive_around(step, loop.replace(**{late: delay}), measure=measure,
-                                physics_step=H, joints=2,
-                                longest=loop.replace(**{late: room}))  # fmt: skip
+        drive = around(loop.replace(**{late: delay}), loop.replace(**{late: room}))
         return rolled(drive, (jnp.array([0.01, -0.02]), jnp.zeros(2)), 120)[-1]
 
     def known(delay):
-        drive = jx.drive_around(step, loop.replace(**{late: delay}), measure=measure,
-                                physics_step=H, joints=2)  # fmt: skip
+        drive = around(loop.replace(**{late: delay}))
         return rolled(drive, (jnp.array([0.01, -0.02]), jnp.zeros(2)), 120)[-1]
 
     traced = jax.jit(last)
@@ -241,8 +253,7 @@ def test_a_traced_value_that_none_may_have_gives_no_number(name, value):
     loop = jx.joint(kp=8.0, kd=0.4, wn=800.0, zeta=0.4, delay=1e-3, measurement_delay=1e-3)
 
     def last(value):
-        drive = jx.drive_around(step, loop.replace(**{name: value}), measure=measure,
-                                physics_step=H, joints=2, longest=loop)  # fmt: skip
+        drive = around(loop.replace(**{name: value}), loop)
         return rolled(drive, (jnp.array([0.01, -0.02]), jnp.zeros(2)), 20)[-1]
 
     found = jax.jit(jax.vmap(last))(jnp.array([value, float(loop.parameters[name])]))
@@ -274,5 +285,116 @@ def test_a_step_that_gives_no_state_is_said_in_one_line():
 def test_a_longest_without_a_part_of_the_loop_is_refused(part):
     plain = jx.joint(kp=8.0, kd=0.4)
     with pytest.raises(UserError, match="longest: "):
-        jx.drive_around(step, plain.replace(**part), measure=measure, physics_step=H, joints=2,
-                        longest=plain)  # fmt: skip
+        around(plain.replace(**part), plain)
+
+
+def rolled_from_start(drive, ticks=60):
+    return np.asarray(rolled(drive, (jnp.array(START), jnp.zeros(2)), ticks))
+
+
+@pytest.mark.parametrize("given", [{}, {"control_rate": 500.0}], ids=str)
+def test_the_control_period_is_that_of_the_loop_whatever_longest_says_of_delays(given):
+    loop = jx.joint(kp=8.0, kd=0.4, delay=4e-3, control_rate=500.0)
+    found = rolled_from_start(around(loop, jx.joint(delay=5e-3, **given)))
+    expected = by_hand(8.0, 0.4, 4, 0, 2, 60, START)
+    assert found == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("rate", [250.0, 1000.0])
+def test_another_control_rate_of_longest_is_refused_by_its_name(rate):
+    loop = jx.joint(kp=8.0, kd=0.4, delay=4e-3, control_rate=500.0)
+    said = f"longest: its control_rate is {rate:g} Hz and that of the loop 500 Hz; give both"
+    with pytest.raises(UserError, match=said):
+        around(loop, jx.joint(delay=5e-3, control_rate=rate))
+
+
+def test_a_traced_control_rate_is_that_of_longest_or_gives_no_number():
+    loop = jx.joint(kp=8.0, kd=0.4, delay=4e-3)
+
+    def run(rate):
+        drive = around(loop.replace(control_rate=rate), loop.replace(control_rate=500.0))
+        return rolled(drive, (jnp.array(START), jnp.zeros(2)), 60)
+
+    same, other = jax.jit(jax.vmap(run))(jnp.array([500.0, 1000.0]))
+    assert np.asarray(same) == pytest.approx(by_hand(8.0, 0.4, 4, 0, 2, 60, START), abs=1e-6)
+    assert np.isnan(other[1:]).all()
+
+
+def test_several_control_rates_are_said_to_be_the_reason():
+    with pytest.raises(UserError, match="control_rate: several, from 500 to 1000 Hz, .* give one"):
+        around(jx.joint(control_rate=[500.0, 1000.0]))
+
+
+@pytest.mark.parametrize("rate, advised", [(300.0, "250"), (2000.0, "1000"), (999.0, "500")])
+def test_a_policy_rate_that_does_not_divide_is_refused_as_in_a_simulation(rate, advised):
+    loop = jx.joint(policy_rate=rate)
+    said = f"policy_rate = {rate:g} Hz does not divide the control rate 1000 Hz.*: {advised}$"
+    with pytest.raises(UserError, match=said):
+        jx.simulate(loop)
+    with pytest.raises(UserError, match=said):
+        around(loop)
+    with pytest.raises(UserError, match=said):
+        around(jx.joint(), longest=loop)
+
+
+def test_a_policy_rate_holds_setpoints_and_a_traced_one_that_cannot_gives_no_number():
+    still = jx.joint(kp=2.0, kd=0.0)
+    setpoints = np.random.default_rng(0).normal(size=12)
+
+    def commands(rate):
+        drive = jx.drive_around(
+            lambda state, force: state, still.replace(policy_rate=rate), physics_step=H,
+            measure=lambda state: (state, state), longest=still.replace(policy_rate=250.0),
+        )  # fmt: skip
+        return jax.lax.scan(lambda state, r: _command(drive, state, r), drive.init(0.0),
+                            jnp.asarray(setpoints))[1]  # fmt: skip
+
+    held, fastest, other, beyond = jax.jit(jax.vmap(commands))(
+        jnp.array([250.0, np.inf, 300.0, 2000.0])
+    )
+    np.testing.assert_allclose(held, 2.0 * setpoints[4 * (np.arange(12) // 4)], rtol=1e-6)
+    np.testing.assert_allclose(fastest, 2.0 * setpoints, rtol=1e-6)
+    assert np.isnan(other).all() and np.isnan(beyond).all()
+
+
+def _command(drive, state, setpoint):
+    state, output = drive.step(state, setpoint)
+    return state, output.command
+
+
+@pytest.mark.parametrize("late", ["delay", "output_delay"])
+@pytest.mark.parametrize("limits", [{}, {"force_limit": 1.0}], ids=str)
+def test_no_number_stays_none_when_all_is_compiled_as_one(late, limits):
+    """Written out, where a compiler knows that a selector of the line is 0 or 1."""
+    loop = jx.joint(kp=8.0, kd=0.4, **limits)
+
+    def run(delay):
+        drive = around(loop.replace(**{late: delay}), loop.replace(**{late: 5e-3}), joints=None)
+        state = drive.init((0.01, 0.0))
+        for _ in range(8):
+            state, output = drive.step(state, 0.3)
+        return output
+
+    run = jax.jit(run)
+    for delay in (6e-3, 0.2, -1e-3):
+        assert all(np.isnan(value) for value in jax.tree.leaves(run(delay))[2:])
+    known = around(loop.replace(**{late: 3e-3}), joints=None)
+    state = known.init((0.01, 0.0))
+    for _ in range(8):
+        state, output = known.step(state, 0.3)
+    np.testing.assert_allclose(jax.tree.leaves(run(3e-3)), jax.tree.leaves(output), rtol=1e-5)
+
+
+def test_the_force_is_the_mean_over_the_physics_step():
+    """A critically damped actuator under a constant command, f = u (1 - (1 + w t) exp(-w t))."""
+    w, u = 300.0, 5.0
+    loop = jx.joint(kp=0.0, kd=0.0, feedforward=u, wn=w, zeta=1.0)
+    drive = jx.drive_around(lambda state, force: force, loop, physics_step=H,
+                            measure=lambda state: (0.0, 0.0))  # fmt: skip
+    state, found = drive.init(0.0), []
+    for _ in range(6):
+        state, _ = drive.step(state, 0.0)
+        found.append(float(state.simulator))
+    t = H * np.arange(7)
+    integral = u * (t + (t + 2.0 / w) * np.exp(-w * t))
+    np.testing.assert_allclose(found, np.diff(integral) / H, rtol=1e-4)
