@@ -72,7 +72,6 @@ def test_every_sampled_figure_of_the_oracle(variant, dtype, tolerance):
     for name, key in {
         "gain_margin": "gm",
         "gain_crossover": "wgc",
-        "delay_margin": "dm",
         "sensitivity_peak": "Ms",
         "spectral_radius": "rho",
     }.items():
@@ -81,6 +80,10 @@ def test_every_sampled_figure_of_the_oracle(variant, dtype, tolerance):
     np.testing.assert_allclose(
         np.degrees(found.phase_margin), theory.figures(cases, "pm"), rtol=tolerance
     )
+    # The oracle's is the phase in seconds, which is exact for whole periods alone.
+    delays = theory.figures(cases, "dm")
+    np.testing.assert_allclose(found.phase_margin / found.gain_crossover, delays, rtol=tolerance)
+    np.testing.assert_allclose(found.delay_margin, delays, rtol=2e-5)
     np.testing.assert_allclose(
         found.sensitivity_peak_frequency, theory.figures(cases, "wMs"), rtol=max(tolerance, 1e-6)
     )
@@ -164,6 +167,71 @@ def test_delay_margin_of_whole_periods_is_exact():
     values[5] += 9 * PERIOD
     matrix = theory.sampled_matrix(values, PERIOD)
     np.testing.assert_allclose(np.abs(np.linalg.eigvals(matrix)).max(), 1.0, atol=1e-9)
+
+
+def slow_loops(seed):
+    """Loops whose crossover is up to the Nyquist frequency, with a period of 1 s; (6, SIZE)."""
+    rng = np.random.default_rng(seed)
+    crossover = 10.0 ** rng.uniform(-1.5, 0.5, SIZE)
+    ideal = rng.random(SIZE) < 0.3
+    wn = np.where(ideal, np.inf, crossover * 10.0 ** rng.uniform(0, 2, SIZE))
+    zeta = np.where(ideal, 1.0, 10.0 ** rng.uniform(-1.5, 0.3, SIZE))
+    kd = crossover * rng.uniform(0.3, 1.0, SIZE)
+    kp = crossover**2 * rng.uniform(0.02, 1.5, SIZE)
+    delay = np.where(rng.random(SIZE) < 0.3, 0.0, rng.uniform(0.0, 2.0, SIZE))
+    return np.stack([kp, kd, np.ones(SIZE), wn, zeta, delay])
+
+
+@pytest.fixture(scope="module", params=["sampled", "differenced"])
+def slow(request):
+    """Such loops, their margins, and a function from one and (factor on the gains, more delay) to
+    SciPy's spectral radius.
+    """
+    values, kind = slow_loops(5), request.param
+    with jax.enable_x64(True):
+        arrays = [jnp.asarray(v) for v in (*values, np.ones(SIZE), np.full(SIZE, np.inf))]
+        found = jax.tree.map(np.asarray, compiled(SampledLoop(*arrays, velocity=kind)))
+
+    def outside(number, factor=1.0, more=0.0):
+        one = values[:, number].copy()
+        one[:2] *= factor
+        one[5] += more
+        matrix = theory.sampled_matrix(one, 1.0, differenced=kind == "differenced")
+        return np.abs(np.linalg.eigvals(matrix)).max() > 1.0
+
+    return found, outside
+
+
+@pytest.mark.exhaustive
+def test_a_loop_is_lost_at_its_delay_margin_and_not_before(slow):
+    """Near the Nyquist frequency, where the phase in seconds is off by up to half and more."""
+    found, outside = slow
+    stable = np.flatnonzero(found.stable)
+    assert stable.size > 80 and np.isfinite(found.delay_margin[stable]).all()
+    in_seconds = found.phase_margin[stable] / found.gain_crossover[stable]
+    assert np.mean(np.abs(in_seconds / found.delay_margin[stable] - 1.0) > 0.01) > 0.05
+    for number in stable:
+        margin = found.delay_margin[number]
+        assert outside(number, more=margin * (1.0 + 1e-7))
+        for part in (*np.linspace(0.0, 0.99, 12), 1.0 - 1e-7):
+            assert not outside(number, more=margin * part), (number, part)
+
+
+@pytest.mark.exhaustive
+def test_the_log_distance_is_that_of_a_scan_of_factors(slow):
+    """Infinite where no factor stabilises, as within half a period of hold."""
+    found, outside = slow
+    factors = np.linspace(-6.0, 5.0, 221)
+    for number in range(0, SIZE, 2):
+        good = np.array([not outside(number, factor=np.exp(one)) for one in factors])
+        other = factors[good != found.stable[number]]
+        sign = 1.0 if found.stable[number] else -1.0
+        expected = sign * np.abs(other).min(initial=np.inf)
+        distance = found.log_gain_to_boundary[number]
+        if np.isfinite(expected):
+            assert 0.0 <= abs(expected) - abs(distance) < 0.051 and distance * sign > 0.0
+        else:
+            assert abs(distance) > 5.0 and distance * sign > 0.0
 
 
 def test_peaks_are_the_maxima_of_a_dense_grid(crowd):

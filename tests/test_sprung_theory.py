@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.optimize
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.analysis.boundary.boundary import continuous_boundary, sampled_boundary
@@ -278,3 +279,24 @@ def test_the_exponential_is_that_of_scipy_however_stiff():
     np.testing.assert_allclose(
         exponential_less_one(stiff), [[np.expm1(-1e-9), 1e-12], [0.0, -1.0]], rtol=1e-9
     )
+
+
+def test_a_velocity_loop_about_a_spring_has_a_gain_margin():
+    """kp = 0: kd s exp(-s td) wn^2 / ((m s^2 + k) (s^2 + 2 zeta wn s + wn^2)) crosses as others."""
+    mass, wn, zeta, delay, stiffness = 12.5, 51.0, 2.3, 6e-5, 2000.0
+
+    def loop(w, kd=1.0):
+        servo = wn**2 / (wn**2 - w**2 + 2j * zeta * wn * w)
+        return kd * 1j * w * np.exp(-1j * w * delay) * servo / (stiffness - mass * w**2)
+
+    w = scipy.optimize.brentq(lambda w: np.angle(-loop(w)), 45.0, 60.0)
+    marginal = 1.0 / abs(loop(w))
+    for kd, stable in ((0.4 * marginal, True), (1.5 * marginal, False)):
+        values = (0.0, kd, mass, wn, zeta, delay, None, 0.0, stiffness)
+        found = margins(JointLoop(*(one if one is None else jnp.asarray(one) for one in values)))
+        assert bool(found.stable) == stable
+        distance = np.log(marginal / kd)
+        np.testing.assert_allclose(found.log_gain_to_boundary, distance, rtol=1e-9)
+        if stable:
+            np.testing.assert_allclose(found.gain_margin, marginal / kd, rtol=1e-9)
+            np.testing.assert_allclose(found.phase_crossover, w, rtol=1e-9)

@@ -155,7 +155,7 @@ def phase_crossovers(
     if loop.sprung:
         # What is critical at rest is no crossing of the axis: `margins` has it by itself.
         at_rest = jnp.zeros_like(start, dtype=bool).at[0].set(True) & (level == start)
-        present = present & (loop.kp != 0) & ~at_rest
+        present = present & ((loop.kp != 0) | (loop.kd != 0)) & ~at_rest
     else:
         present = present & (loop.kp > 0)
     w = _solve_phase(loop, level, left, right, falling)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,7 +41,9 @@ class JointMargins:
         phase_crossover: frequency of `gain_margin` [rad/s], inf if there is none.
         phase_margin: smallest in magnitude over all gain crossovers [rad], inf if there is none.
         gain_crossover: its frequency [rad/s], inf if there is none.
-        delay_margin: smallest added delay that destabilises [s], min (phase mod 2 pi) / w.
+        delay_margin: smallest added delay of its command that destabilises [s], min (phase mod 2
+            pi) / w: exact for whole control periods, and of a robot with one joint for any. A part
+            of a period also changes |L_i|, by less than 1 % below a sixth of the Nyquist frequency.
         sensitivity_peak, complementary_peak: max |S_ii|, max |1 - S_ii| [-], and their frequencies
             [rad/s].
         modulus_margin: 1 / Ms [-].
@@ -196,6 +198,8 @@ def robot_margins(robot: Robot) -> RobotMargins:
         joints = _of_joints(robot, loop, angle, S)
         turned = _limits.crossings(angle, followed, lambda s: s.real - 0.5)
         delay = _limits.delay_limit(robot.later_by, robot.period, turned)
+        if len(joints) == 1:  # its delay is the common one
+            joints = (replace(joints[0], delay_margin=delay[0]),)
         whole = _of_all(robot, loop, angle, S, gains, delay)
         at_peak = _modes.response(robot, loop, whole.sensitivity_peak_frequency)
     growth = math.log(radius) / robot.period if radius > 0.0 else -math.inf

@@ -139,7 +139,7 @@ def _starts(
     first = first + turns * jnp.ceil((own - 1.0 - parts[:, None] - first) / turns)
     whole = jnp.stack([first, first + turns])
     near = jnp.abs(whole - jnp.round(whole)) * _PARTS <= _OFF
-    start = jnp.round(whole) + parts[:, None]
+    start = jnp.round(whole) + parts[None, :, None]
     near &= (start >= own - _OFF / _PARTS) & (start >= 0.0)
     best, chosen = jax.lax.top_k(-jnp.where(near, start, jnp.inf).reshape(-1), _STARTS)
     theta = jnp.broadcast_to(theta, whole.shape).reshape(-1)[chosen]

@@ -1,8 +1,9 @@
 """Margins of the sampled loop, from its exact frequency response up to the Nyquist frequency.
 
 Stability is decided by the eigenvalues of the one-period matrix; the margins are read off
-L(exp(j w T)). Crossovers and peaks are found with the parameters constant; one Newton step with
-the parameters live carries the derivatives of the implicit functions.
+L(exp(j w T)), the delay margin as in `jaxact.analysis.sampled.delay`. Crossovers and peaks are
+found with the parameters constant; one Newton step with the parameters live carries the derivatives
+of the implicit functions.
 """
 
 import math
