@@ -61,7 +61,11 @@ __all__ = sorted([*_PUBLIC, "__version__"])
 
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
-        raise AttributeError(f"module 'jaxact' has no attribute {name!r}")
+        from difflib import get_close_matches  # not needed otherwise
+
+        close = get_close_matches(name, _PUBLIC, n=1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        raise AttributeError(f"module 'jaxact' has no attribute {name!r}{hint}")
     module = importlib.import_module(_PUBLIC[name])
     return getattr(module, name, module)  # `plot` is a module
 

@@ -103,6 +103,8 @@ LINEAR = Engine(
 )  # fmt: skip
 
 ENGINES = (MASS, JOINT_IN_MJX, ROBOT_IN_MJX, MUJOCO, WARP, LINEAR)
+LINEARISING = ("mujoco", "mjx")
+"""In which a robot can be linearised for its margins; the first one where none is named."""
 AUTO: Literal["auto"] = "auto"
 """The name that stands for the engine of a robot that is expected to be the fastest."""
 

@@ -348,18 +348,19 @@ def _is_pattern(text: str) -> bool:
     return bool(text)
 
 
-def check(name: str, value: object, key: str = "") -> float:
+def check(name: str, value: object, key: str = "", unit: str | None = None) -> float:
     """The value of a parameter as a float, if it is a number within the parameter's bounds.
 
     Args:
         name: short name of the parameter, or a key of it for some joints.
         value: what was given.
         key: how the message names it, the parameter's own name by default.
+        unit: of the joint's position, as for `of`.
 
     Raises:
         UserError: anything that is not a number, is NaN, or is out of bounds.
     """
-    parameter = of(name)
+    parameter = of(name, unit)
     key = key or name
     number = as_number(value)
     if number is None or math.isnan(number):

@@ -18,7 +18,7 @@ from jaxact.errors import UserError, nearest, shown
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 _SIDES = "│┃|"
 # Options that are called otherwise than the library's parameter.
-_OTHERWISE = {"front": "pareto"}
+_OTHERWISE = {"front": "pareto", "columns": "map", "goal": "objective"}
 _RULE = re.compile(r"[─━═_-]{8,}")
 
 
@@ -44,15 +44,15 @@ def typed(text: str, verb: str) -> str:
     """
     names = _names(verb)
 
-    def option(found: re.Match[str]) -> str:
+    def replaced(found: re.Match[str]) -> str:
         name, value = found.groups()
-        name = _OTHERWISE.get(name, name)
+        option = _OTHERWISE.get(name, name)
         value = value.lower() if value in ("True", "False") else value
-        if name in names:
-            return "--" + name.replace("_", "-") + (f" {value}" if value else "")
+        if {name, option} & names:
+            return "--" + option.replace("_", "-") + (f" {value}" if value else "")
         return f"--set {name}={value}" if value else found[0]
 
-    return re.sub(r"`([a-z_]+)(?:=\"?([\w.-]+)\"?)?`", option, text)
+    return re.sub(r"`([a-z_]+)(?:=\"?([\w.-]+)\"?)?`", replaced, text)
 
 
 @functools.cache

@@ -10,10 +10,9 @@ from tyro.conf import arg
 
 from jaxact.cli import _arguments, _files, _loops, _options, _progress, _warnings
 from jaxact.cli._arguments import LoopsFile, Velocity, option
+from jaxact.engines import LINEARISING as ENGINES
 from jaxact.errors import UserError
 from jaxact.parameters import CONTROL_RATE
-
-ENGINES = ("mujoco", "mjx")
 
 
 @dataclass(frozen=True)

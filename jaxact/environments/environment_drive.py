@@ -19,7 +19,7 @@ from jaxact.drive.options import Drive, DriveOptions
 from jaxact.environments import actuators as _actuators
 from jaxact.environments.actuators import Actuators
 from jaxact.errors import UserError, nearest, shown
-from jaxact.loops import control_loop
+from jaxact.loops import given as _given
 from jaxact.loops.conversion import drive_of
 from jaxact.parameters import (
     COMMAND_RESOLUTION,
@@ -246,7 +246,7 @@ def ranges(
     for side in (0, 1):
         ends = {name: np.asarray(value, float) for name, value in own.items()}
         chosen = {name: _end(value, side) for name, value in given.items()}
-        for key, value in control_loop.read(chosen, robot=True).items():
+        for key, value in _given.read(chosen, robot=True).items():
             name, _, pattern = key.partition("@")
             array = np.asarray(value, float)
             if pattern:

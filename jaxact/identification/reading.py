@@ -305,7 +305,7 @@ def _guessed(path: Path, table: Mapping[str, np.ndarray]) -> Columns:
     if time is None or not own:
         raise UserError(
             f"{path}: its columns {', '.join(list(table)[:8])} are not known by these names; give"
-            " a map of them (--map columns.toml)"
+            " `columns`, a TOML file that says which is which"
         )
     return Columns(time=time, **own)
 

@@ -20,7 +20,8 @@ from jaxact.identification.log import LINKS, Log
 from jaxact.identification.model import Family, predicted
 from jaxact.identification.motion import Simulate
 from jaxact.identification.reading import ColumnMap, Columns, read, read_columns
-from jaxact.loops import control_loop, drives
+from jaxact.loops import drives
+from jaxact.loops import given as _given
 from jaxact.loops.drives import ROBOT, IdentifiedDrive
 from jaxact.parameters import (
     DELAY,
@@ -169,7 +170,7 @@ def replay(
         (own,) = logs_of(log, columns, joint)
     if own.unit != known.unit:
         raise UserError(f"{own.title}: is in {own.unit}, and {known.name} in {known.unit}")
-    asked = control_loop.read(changes, robot=False)
+    asked = _given.read(changes, robot=False)
     not_here = {"none": _OF_MOTION}.get(known.plant, (MASS,) if LINKS[0] in own else ())
     possible = [name for name in (*_CHANGED, KP, KD) if name not in not_here]
     for name in asked:

@@ -83,6 +83,32 @@ NO_AXIS = Axis(FEEDFORWARD, listed=(0.0,))
 """An axis that varies nothing: a specification must have one."""
 
 
+def check_range(said: str, low: Any, high: Any, number: Any) -> None:
+    """Raise UserError for ends, or a number of values, that make no range of any parameter.
+
+    Args:
+        said: how the message names the range; one of logarithms ends in "log".
+        low, high: ends.
+        number: of values, None for a range to draw from.
+    """
+    for word, end in (("low", low), ("high", high)):
+        if isinstance(end, bool | str) or np.ndim(end) or not _is_finite(end):
+            raise UserError(f"{said}: {word} = {shown(end)} is not a finite number")
+    if low >= high:
+        raise UserError(f"{said}: low = {low:g} is not below high = {high:g}; exchange them")
+    if said.endswith("log") and low <= 0:
+        raise UserError(f"{said}: low = {low:g} has no logarithm; allowed: above 0")
+    if number is not None:
+        _number(said, {"num": number}, sampled=False)
+
+
+def _is_finite(value: Any) -> bool:
+    try:
+        return math.isfinite(value)
+    except (TypeError, OverflowError):
+        return False
+
+
 def read_axis(name: str, given: Any, *, sampled: bool) -> Axis:
     """The axis of a parameter as a specification gives it.
 

@@ -14,7 +14,8 @@ from pydantic import ValidationError
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import drives, listed
 from jaxact.loops.axes import MOST_SAMPLES, NO_AXIS
-from jaxact.loops.control_loop import ACTUATOR, ControlLoop, Kind, made, read, rotary
+from jaxact.loops.control_loop import ControlLoop, Kind, made, rotary
+from jaxact.loops.given import ACTUATOR, read
 from jaxact.loops.reading import explained, load
 from jaxact.loops.samples import expand
 from jaxact.loops.specification import Motion, Plant, Push, Specification
@@ -70,9 +71,9 @@ def joint(
     kind = Kind(
         velocity=_velocity(velocity, known), physics_step=physics_step,
         unit=_unit(unit, parameters) or (None if known is None else known.unit),
-        names=tuple(map(str, names)),
+        names=names,  # type: ignore[arg-type]
     )  # fmt: skip
-    given = read({"actuator": actuator, **parameters}, robot=False)
+    given = read({"actuator": actuator, **parameters}, robot=False, unit=kind.unit)
     return made(drives.filled(own, given), kind)
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,29 +20,20 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxact.errors import UserError, nearest, shown
-from jaxact.loops.checks import JOINT_ONLY, OF_VELOCITY, check_velocity
+from jaxact.errors import UserError
+from jaxact.loops.checks import OF_VELOCITY, check_velocity
+from jaxact.loops.given import check_step, names_of, read
 from jaxact.loops.reading import TABLE_READERS
 from jaxact.loops.specification import Motion, Plant, Push, Specification
 from jaxact.parameters import (
     INERTIA,
     MASS,
     PARAMETERS,
-    PRESETS,
-    ROBOT_ONLY,
-    WN,
-    ZETA,
     base,
     canonical,
-    check,
-    check_actuator,
-    known,
     of,
 )
 
-ACTUATOR = "actuator"
-"""The name under which a preset sets wn and zeta."""
-_PRESET_SETS = (WN, ZETA)
 # Values of an array that a `repr` shows.
 _SHOWN = 5
 
@@ -72,7 +63,9 @@ class Kind:
     names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Take tables as a specification has them, too."""
+        """Take tables as a specification has them, and names in any list."""
+        check_step(self.physics_step)
+        object.__setattr__(self, "names", names_of(self.names))
         for name in ("motion", "push"):
             table: Any = getattr(self, name)
             if table is not None and not dataclasses.is_dataclass(table):
@@ -127,7 +120,8 @@ class ControlLoop:
             names = [f.name for f in dataclasses.fields(Plant) if f.name in changes]
             mounted = {name: changes.pop(name) for name in names}
             kind = dataclasses.replace(kind, plant=dataclasses.replace(kind.plant, **mounted))
-        return made({**self.values, **read(changes, robot=kind.plant is not None)}, kind)
+        given = read(changes, robot=kind.plant is not None, unit=kind.unit)
+        return made({**self.values, **given}, kind)
 
     def named(self, *names: str) -> ControlLoop:
         """The same loops under these names, one for each, in C order of the batch."""
@@ -239,112 +233,16 @@ def made(values: dict[str, Any], kind: Kind) -> ControlLoop:
     return loop
 
 
-def read(given: Mapping[str, Any], *, robot: bool) -> dict[str, Any]:
-    """Parameters by their short names, checked where they are known numbers.
-
-    Args:
-        given: parameter by either name, or `actuator` -> number, array or name; of a robot also
-            a table of patterns of joints -> number.
-        robot: whether the loop is a robot's.
-
-    Raises:
-        UserError: an unknown name, a parameter given by both of its names, a value out of bounds,
-            what only a robot has, or arrays whose named dimensions differ.
-    """
-    values: dict[str, Any] = {}
-    _check_dimensions(given)
-    for name, value in given.items():
-        short = canonical(name)
-        twice = [other for other in given if other != name and canonical(other) == short]
-        if twice:
-            raise UserError(f"`{name}` and `{twice[0]}` are the same parameter; remove one")
-        if short == ACTUATOR:
-            both = [other for other in given if canonical(other) in _PRESET_SETS]
-            if both and value is not None:
-                raise UserError(
-                    f"`{both[0]}`: the actuator preset sets it already; give one of them"
-                )
-            values |= {} if value is None else _preset(value)
-        elif isinstance(value, Mapping):
-            if "min" in value:
-                raise UserError(
-                    f"`{name}`: a range is for an axis of jaxact.sweep; give numbers, e.g. those of"
-                    " numpy.geomspace"
-                )
-            for pattern, own in value.items():
-                values |= {f"{short}@{pattern}": _checked(f"{short}@{pattern}", own, robot=robot)}
-        else:
-            values[short] = _checked(short, value, robot=robot)
-    return values
-
-
-def _check_dimensions(given: Mapping[str, Any]) -> None:
-    """Raise UserError where xarray would pair values by name otherwise than arrays do by place."""
-    named = {name: tuple(value.dims) for name, value in given.items() if getattr(value, "dims", ())}
-    first = max(named.values(), key=len, default=())
-    if any(dims != first[len(first) - len(dims) :] for dims in named.values()):
-        shapes = ", ".join(f"{name} ({', '.join(map(str, dims))})" for name, dims in named.items())
-        raise UserError(
-            f"values are paired by place, not by the names of dimensions: {shapes}; give arrays"
-            " that broadcast, or the axes of jaxact.sweep"
-        )
-
-
-def _preset(value: Any) -> dict[str, Any]:
-    """Wn and zeta of a preset, or of an array of them."""
-    names = np.asarray(value, dtype=object)
-    pairs = np.array(
-        [PRESETS[check_actuator(name, "`actuator`")] for name in names.ravel().tolist()], float
-    )
-    if not names.ndim:
-        return {WN: float(pairs[0, 0]), ZETA: float(pairs[0, 1])}
-    return {WN: pairs[:, 0].reshape(names.shape), ZETA: pairs[:, 1].reshape(names.shape)}
-
-
-def _checked(name: str, value: Any, *, robot: bool) -> Any:
-    """A value within the parameter's bounds; what JAX traces is taken as it is."""
-    if not known(name):
-        if "@" in name and base(name) in PARAMETERS:
-            raise UserError(
-                f"`{name}`: what follows the @ is not a pattern of joints, e.g. kp@.*_knee"
-            )
-        raise UserError(f"`{name}`: unknown parameter; {nearest(name, (*PARAMETERS, ACTUATOR))}")
-    if not robot and ("@" in name or name in ROBOT_ONLY):
-        raise UserError(f"`{name}`: only a robot has it; make one with jaxact.robot(model, ...)")
-    if robot and base(name) in JOINT_ONLY:
-        raise UserError(f"`{name}`: only for a single joint; {JOINT_ONLY[base(name)]}")
-    if isinstance(value, jax.core.Tracer):
-        return value
-    if value is None:
-        raise UserError(f"`{name}` = None is not a number or array of numbers; leave it out")
-    try:
-        if np.asarray(value).dtype.kind in "mM":  # numpy would take 1 ms for the number 1
-            raise TypeError
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise UserError(f"`{name}` = {shown(value)} is not a number or array of numbers") from None
-    if not array.size:
-        raise UserError(f"`{name}` = {shown(value)} is empty; give at least one value")
-    if np.asarray(value).dtype.kind == "b":
-        check(name, True, f"`{name}`")
-    worst = (
-        array[np.isnan(array)] if np.isnan(array).any() else np.array([array.min(), array.max()])
-    )
-    for number in worst[:2]:
-        check(name, float(number), f"`{name}`")
-    if not array.ndim:
-        return float(array)
-    return value if isinstance(value, jax.Array) else array
-
-
 def demand(loop: Any, name: str = "loop") -> None:
-    """Raise UserError for what is not a loop.
+    """Raise UserError for what is not a loop, or a batch of none.
 
     Args:
         loop: what was given for one.
         name: of the argument.
     """
     if isinstance(loop, ControlLoop):
+        if 0 in loop.shape:
+            raise UserError(f"{name}: is a batch without loops, of shape {loop.shape}; give some")
         return
     several = isinstance(loop, list | tuple) and all(isinstance(one, ControlLoop) for one in loop)
     raise UserError(

@@ -24,7 +24,8 @@ from jaxact.drive.sensor import Sensor
 from jaxact.errors import UserError
 from jaxact.loops import checks
 from jaxact.loops.axes import NO_AXIS, Axis
-from jaxact.loops.control_loop import ACTUATOR, ControlLoop, is_traced
+from jaxact.loops.control_loop import ControlLoop, is_traced
+from jaxact.loops.given import ACTUATOR
 from jaxact.loops.joint_units import with_units
 from jaxact.loops.reading import explained
 from jaxact.loops.samples import Coordinate, Samples

@@ -15,8 +15,8 @@ import numpy as np
 from jaxact.errors import UserError, shown
 from jaxact.loops import drives
 from jaxact.loops.checks import check_history
-from jaxact.loops.control_loop import read
 from jaxact.loops.drives import DRIVE
+from jaxact.loops.given import read
 from jaxact.parameters import CONTROL_RATE, PARAMETERS
 
 _RATE = CONTROL_RATE

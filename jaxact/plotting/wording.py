@@ -37,6 +37,23 @@ def quantity(value: object, units: str = "") -> str:
     return f"{number / factor:.4g} {unit}"
 
 
+def physics_step(used: float, own: float, control_period: float, *, asked: bool) -> str:
+    """`physics step 1 ms (the model's 5 ms exceeds the control period)`.
+
+    Args:
+        used: step [s].
+        own: that of the model [s].
+        control_period: [s].
+        asked: whether the step was asked for, and is not to be explained.
+    """
+    said = f"physics step {used * 1e3:g} ms"
+    if asked or math.isclose(own, used, rel_tol=1e-6):
+        return said
+    longer = own > control_period * (1.0 + 1e-6)
+    why = "exceeds" if longer else "does not divide"
+    return f"{said} (the model's {own * 1e3:g} ms {why} the control period)"
+
+
 def axis_label(name: str, units: str = "", long_name: str = "") -> str:
     """`stiffness kp [N/m]`: what the axis shows, its symbol, its unit."""
     words = name.replace("_", " ")

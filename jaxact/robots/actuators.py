@@ -178,7 +178,8 @@ def law(model: mujoco.MjModel, index: int, kind: str) -> Law:
         states = _limits(model.actuator_actlimited[index], model.actuator_actrange[index])
         integrated = dynamics == _DYN.mjDYN_INTEGRATOR
         inputs = states if integrated else _common(inputs, states)
-    kp, kd, commands, viscous = -b1 * moment**2, -b2 * moment**2, POSITION, 0.0
+    # a difference, as no gain is -0
+    kp, kd, commands, viscous = 0.0 - b1 * moment**2, 0.0 - b2 * moment**2, POSITION, 0.0
     if b1 != 0.0:
         scale, offset = gain / (-b1 * moment), b0 / (-b1 * moment)
     elif b2 != 0.0 and gain == -b2:

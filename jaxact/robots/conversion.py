@@ -35,8 +35,9 @@ def convert(
 
     Besides, so that every engine simulates the same: actuator inertia and damping become the
     joint's or tendon's; delays and sensors go; actuators that are switched off by their group give
-    no force, springs and dampers that are switched off have coefficients 0; nothing sleeps, and
-    a motion that diverges is not reset to the start as if nothing had happened.
+    no force, nor does any that is not driven where a flag switches all off; springs and dampers
+    that are switched off have coefficients 0; nothing sleeps, and a motion that diverges is not
+    reset to the start as if nothing had happened.
 
     Args:
         spec: what `original` was compiled from; changed.
@@ -57,8 +58,9 @@ def convert(
         for partner in item.partners:
             _make_motor(spec, partner)
             _silence(spec.actuators[partner.index])
+    all_off = bool(original.opt.disableflags & _DISABLE.mjDSBL_ACTUATION)
     for index in range(original.nactuator):
-        if switched_off(original, index):
+        if switched_off(original, index) or (all_off and index not in taken(driven)):
             _silence(spec.actuators[index])
     for sensor in list(spec.sensors):
         spec.delete(sensor)
@@ -71,6 +73,7 @@ def convert(
 def _set_options(option: mujoco.MjOption) -> None:
     option.enableflags &= ~int(_HARMLESS)
     option.disableflags |= int(_DISABLE.mjDSBL_AUTORESET)
+    option.disableflags &= ~int(_DISABLE.mjDSBL_ACTUATION)  # or the drives' forces would be nothing
     option.disableactuator = 0
     option.noslip_iterations = 0
     if option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT:

@@ -23,6 +23,9 @@ ASKED = "as asked"
 REFUSED = "refused"
 """Cannot be simulated as the model has it."""
 
+GROUP_OFF = "actuatorgroupdisable"
+"""The field that switches actuators off by their group; they are not driven."""
+
 MJX = "mjx"
 MUJOCO = "mujoco"
 WARP = "warp"

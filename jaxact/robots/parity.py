@@ -14,7 +14,9 @@ import numpy as np
 
 from jaxact.parameters import DELAY
 from jaxact.robots.findings import (
+    ASKED,
     EMULATED,
+    GROUP_OFF,
     HARMLESS,
     INEXACT,
     MJX,
@@ -273,7 +275,10 @@ CLAIMS = (
           HARMLESS, "undriven: its force comes one physics step later, in every engine"),
     Claim("forcerange", _undriven(_may_saturate), "integrates its damping also when it saturates",
           HARMLESS, "the same as MuJoCo as long as this undriven actuator stays within its limits"),
-    Claim("actuatorgroupdisable", _undriven(_group_off), "applies its force all the same", EMULATED,
+    Claim("flag actuation", _disabled(_DISABLE.mjDSBL_ACTUATION), "switches off every actuator",
+          ASKED, "the drives of the joints that are driven act all the same; what is left undriven "
+          "gives no force"),
+    Claim(GROUP_OFF, _undriven(_group_off), "applies its force all the same", EMULATED,
           "it is left undriven, and gives no force"),
     Claim("sensor delay", _delayed_sensors, _IGNORES, HARMLESS,
           "sensors are left out: the drive measures the joints, with `measurement_delay`"),

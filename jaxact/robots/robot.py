@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.robots.findings import ENGINES, INEXACT, MJX, Finding
+from jaxact.robots.findings import ENGINES, GROUP_OFF, INEXACT, MJX, Finding
 
 
 @dataclass(frozen=True)
@@ -122,5 +122,7 @@ def demand(robot: Robot, engine: str = "mjx") -> Robot:
         more = f" (and {len(stops) - 1} more, see `jaxact check`)" if len(stops) > 1 else ""
         raise UserError(f"{robot.path.name}: {first.where}: {first.advice}{more}")
     if not robot.joints:
-        raise UserError(f"{robot.path.name}: no actuator of the model can be driven")
+        off = next((item for item in robot.findings if item.field == GROUP_OFF), None)
+        why = f", as <option {off.field}> switches off {off.where} ({off.value})" if off else ""
+        raise UserError(f"{robot.path.name}: no actuator of the model can be driven{why}")
     return robot

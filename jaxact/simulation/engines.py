@@ -10,14 +10,16 @@ import jax
 
 from jaxact.engines import (
     AUTO,
+    LINEAR,
     MUJOCO,
     ROBOT_IN_MJX,
     WARP,
     Engine,
     Name,
+    named,
     names,
 )
-from jaxact.errors import InexactWarning, UserError
+from jaxact.errors import InexactWarning, UserError, nearest, shown
 from jaxact.loops.specification import Plant, Setting, Specification
 from jaxact.simulation import starts as _starts
 from jaxact.simulation.kernel import Case
@@ -47,6 +49,20 @@ _ITERATIONS = 10
 _TILE_OF_LIGHT = 128
 
 
+def check_name(name: str | None, *, robot: bool, margins: bool = False) -> None:
+    """Raise UserError, with the names that there are, for an engine that no one knows.
+
+    Args:
+        name: of it; None for none.
+        robot: whether a robot is simulated, or a joint.
+        margins: whether the margins of a robot will do.
+    """
+    if name is None or name == AUTO or named(name) is not None:
+        return
+    own = (*names(robot=True), AUTO, *([LINEAR.name] if margins else [])) if robot else ()
+    raise UserError(f"engine = {shown(name)}; {nearest(name, own or names(robot=False))}")
+
+
 def resolved(specification: Specification) -> Specification:
     """The specification with an engine in place of "auto": the one expected to be faster here.
 
@@ -62,7 +78,11 @@ def resolved(specification: Specification) -> Specification:
         if specification.robot:
             others = "', '".join((AUTO, *names(robot=True)))
             raise UserError(f"engine = '{asked}': simulates no robot; use '{others}'")
-        raise UserError(f"engine = '{asked}': is for robots; give one with [plant] model")
+        allowed = "', '".join(names(robot=False))
+        raise UserError(
+            f"engine = '{asked}': is for robots, of jaxact.robot or [plant] model; a joint has "
+            f"'{allowed}'"
+        )
     if chosen is not None and not chosen.simulates:
         others = "', '".join((AUTO, *names(robot=True)))
         raise UserError(

@@ -92,7 +92,7 @@ def substeps(specification: Specification, control_rate: np.ndarray) -> np.ndarr
     if step is None:
         # The largest step that divides the control period and is no longer than the model's own.
         longest = kernel.longest_step(specification.setting)
-        return np.maximum(np.ceil(1.0 / (control_rate * longest) - _ROUNDING), 1.0).astype(int)
+        return fewest(control_rate, longest)
     ratio = 1.0 / (control_rate * step)
     whole = np.maximum(np.round(ratio), 1.0)
     wrong = np.abs(ratio - whole) > _ROUNDING * whole
@@ -103,6 +103,17 @@ def substeps(specification: Specification, control_rate: np.ndarray) -> np.ndarr
             f"physics_step = {step:g} s"
         )
     return whole.astype(int)
+
+
+def fewest(control_rate: np.ndarray | float, longest: float) -> np.ndarray:
+    """Fewest steps of equal length in a control period, none longer than `longest` [s].
+
+    Args:
+        control_rate: [Hz], any shape.
+        longest: physics step that is not to be exceeded [s].
+    """
+    steps = np.ceil(1.0 / (np.asarray(control_rate) * longest) - _ROUNDING)
+    return np.maximum(steps, 1.0).astype(int)
 
 
 def _devices(specification: Specification) -> int:

@@ -33,6 +33,9 @@ CONSTRAINTS = {
     "max_noise_gain": (("noise_gain", 1.0),),
 }
 
+DERIVATIVES = ("auto", "forward", "reverse")
+"""How the gains' effect on simulated tracking may be computed."""
+
 # Where the loop gain vanishes S = 1, so |S - 1/2| >= 1/2 there, and the disk margin is one over it.
 _LARGEST_DISK = 2.0
 
@@ -144,7 +147,7 @@ def check(goal: Goal) -> Goal:
             "with `min_kp`"
         )
     if goal.objective == "tracking" and len(goal.reference) < 2:
-        raise UserError("tracking needs a file of setpoints: `objective` tracking:FILE")
+        raise UserError("tracking needs a file of setpoints: `goal` tracking:FILE")
     return goal
 
 

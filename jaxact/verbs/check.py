@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxact.errors import UserError
 from jaxact.loops import conversion, robots
-from jaxact.loops.control_loop import ControlLoop
+from jaxact.loops.control_loop import ControlLoop, demand
 from jaxact.parameters import (
     CONTROL_RATE,
     DELAY,
@@ -58,6 +58,20 @@ class RobotCheck:
     def refused(self) -> bool:
         """Whether an engine refuses the robot as it is."""
         return any(item.engines for item in self.findings)
+
+    @property
+    def control_period(self) -> float:
+        """Of the loop [s]."""
+        return 1.0 / conversion.one(self.loop)[CONTROL_RATE]
+
+    @property
+    def physics_step(self) -> float:
+        """The step that the robot is simulated with [s], the model's own where that fits."""
+        from jaxact.simulation.plans import fewest  # with JAX's programs
+
+        given, period = self.loop.kind.physics_step, self.control_period
+        own = float(self.robot.model.opt.timestep)
+        return period / int(fewest(1.0 / period, own)) if given is None else given
 
     @property
     def engines(self) -> list[str]:
@@ -108,7 +122,7 @@ class RobotCheck:
                 "model": str(self.robot.path),
                 "keyframe": None if plant is None else plant.keyframe,
                 "digest": self.robot.digest,
-                "physics_step": model.opt.timestep,
+                "physics_step": self.physics_step,
                 "degrees_of_freedom": int(model.nv),
                 "engines": self.engines,
                 "on_stand": check_gains.as_json(known),
@@ -134,8 +148,9 @@ def check(loop: ControlLoop) -> RobotCheck:
         loop: of a robot; the gains are those that the model brings, whatever the loop's.
 
     Raises:
-        UserError: a loop of a joint, or a robot that cannot be read.
+        UserError: no loop, a loop of a joint, or a robot that cannot be read.
     """
+    demand(loop)
     plant = loop.kind.plant
     if plant is None:
         raise UserError("only a robot is checked; make one with jaxact.robot(model, ...)")

@@ -8,6 +8,7 @@ import textwrap
 from typing import TYPE_CHECKING, Any
 
 from jaxact.parameters import DELAY, JOINT_DAMPING, KD, KP, SETPOINT, SETPOINT_DELAY
+from jaxact.plotting.wording import physics_step
 from jaxact.verbs import check_gains
 from jaxact.verbs.rendering import rendered
 
@@ -36,10 +37,15 @@ def text(check: RobotCheck) -> str:
 def _head(check: RobotCheck) -> str:
     robot, plant = check.robot, check.loop.kind.plant
     model, keyframe = robot.model, None if plant is None else plant.keyframe
+    asked = check.loop.kind.physics_step is not None
+    own = float(model.opt.timestep)
+    step = physics_step(check.physics_step, own, check.control_period, asked=asked)
     lines = [
         str(robot.path),
-        f"{_count(len(robot.joints), 'driven joint')}, nv = {model.nv}, "
-        f"{_count(model.nactuator, 'actuator')}, physics step {model.opt.timestep * 1e3:g} ms",
+        _wrapped(
+            f"{_count(len(robot.joints), 'driven joint')}, nv = {model.nv}, "
+            f"{_count(model.nactuator, 'actuator')}, {step}"
+        ),
     ]
     names = [model.key(index).name or str(index) for index in range(model.nkey)]
     posture = f"keyframe {keyframe}" if keyframe is not None else "default posture"

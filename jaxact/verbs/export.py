@@ -22,7 +22,7 @@ from jaxact.gains import reading
 from jaxact.gains.table import GainFile, matched
 from jaxact.loops import conversion, drives, robots
 from jaxact.loops.building import joint, loop_of, robot
-from jaxact.loops.control_loop import ControlLoop
+from jaxact.loops.control_loop import ControlLoop, demand
 from jaxact.parameters import (
     CONTROL_RATE,
     FORCE_LIMIT,
@@ -123,7 +123,7 @@ def export(
     if out is not None:
         files.check_output(Path(out), overwrite=overwrite)
     given = dict(parameters or {})
-    found, name = _found(source, given, model, robot_options)
+    found, name = _found(source, to, given, model, robot_options)
     gains, own = _ranged(found, given)
     text, lost = _written(gains, own, to, name)
     if out is not None:
@@ -169,23 +169,35 @@ def _written(
         )
         return torch_export.text(own, to, [*comments, *gain_formats.UNITS, *lost]), lost
     if gains.names == _ANY:
-        raise UserError(f"`to` = {shown(to)}: names the joints; give the `model` of the robot")
+        raise UserError(_nameless(to))
     if not own.bare:
         lost = (*lost, "Left out, this format has no place for it: the drive behind the gains")
     return gain_formats.text(gains, to, name, lost), (*lost, *gain_formats.lost(gains, to))
 
 
 def _found(
-    source: Source, given: Mapping[str, Any], model: str | os.PathLike[str] | None,
+    source: Source, to: str, given: Mapping[str, Any], model: str | os.PathLike[str] | None,
     options: dict[str, Any],
 ) -> tuple[_Found, str]:  # fmt: skip
     """What there is, and what it is from."""
+
+    def of_loop(loop: ControlLoop, more: Any = ()) -> _Found:
+        if loop.kind.plant is None and to not in FRAMEWORKS:
+            raise UserError(_nameless(to))
+        return _of_loop(loop, given, more)
+
     if isinstance(source, Tuned):
         if source.loop is None:
             raise UserError("source: a result without its loop; tune a loop with jaxact.tune")
-        return _of_loop(source.loop, given), "a tuned result"
+        return of_loop(source.loop), "a tuned result"
     if isinstance(source, ControlLoop):
-        return _of_loop(source, given), "a loop"
+        demand(source, "source")
+        return of_loop(source), "a loop"
+    if not isinstance(source, str | os.PathLike):
+        raise UserError(
+            f"source: a value of type {type(source).__name__} has no gains; give a loop, what "
+            "jaxact.tune found, or a file of gains, a drive or a model"
+        )
     text = os.fspath(source)
     path = Path(text) / "gains.toml" if Path(text).is_dir() else Path(text)
     text = str(path) if Path(text).is_dir() else text
@@ -193,15 +205,15 @@ def _found(
     if "estimates" in document:
         drive = drives.load_drive(path)
         if model is None:
-            return _of_loop(joint(drive=drive), given, drive.left_out()), path.name
+            return of_loop(joint(drive=drive), drive.left_out()), path.name
         loop = robot(model, drive=drive, **options)
-        return _of_loop(loop, given, drive.left_out(robot=True)), path.name
+        return of_loop(loop, drive.left_out(robot=True)), path.name
     if model is not None:
-        return _of_loop(robot(model, gains=text, **options), given), path.name
+        return of_loop(robot(model, gains=text, **options)), path.name
     if any(section in document for section in _SECTIONS):
-        return _of_loop(loop_of(path), given), path.name
+        return of_loop(loop_of(path)), path.name
     if path.suffix == ".xml" and _is_model(path):
-        return _of_loop(robot(path, **options), given), path.name
+        return of_loop(robot(path, **options)), path.name
     read = reading.read(text)
     if options:
         raise UserError(f"`{next(iter(options))}`: is for a robot; give its `model`")
@@ -209,6 +221,14 @@ def _found(
     own = {name: np.full(len(gains.names), PARAMETERS[name].default) for name in TAKEN}
     own |= {KP: np.array(gains.kp), KD: np.array(gains.kd)}
     return _Found(gains, own | {FORCE_LIMIT: np.array(gains.force_limit)}), path.name
+
+
+def _nameless(to: str) -> str:
+    """What a format lacks that names the joints."""
+    return (
+        f"`to` = {shown(to)}: names the joints of a robot; export a loop of jaxact.robot(model, "
+        "...), or give the `model` beside a file, and `kp` and `kd` where neither has them"
+    )
 
 
 def _toml(path: Path) -> dict[str, Any]:
@@ -249,9 +269,9 @@ def _of_loop(loop: ControlLoop, given: Mapping[str, Any], more: Any = ()) -> _Fo
     plant = loop.kind.plant
     if plant is None:
         along: Mapping[str, Any] = conversion.one(loop)
-        for name in (KP, KD):
-            if name not in loop.values and name not in given:
-                raise UserError(f"`{name}`: the source has none; give it")
+        lacking = [f"`{n}`" for n in (KP, KD) if n not in loop.values and n not in given]
+        if lacking:
+            raise UserError(f"{' and '.join(lacking)}: not in the source; give them")
         own = {name: np.array([along[name]]) for name in TAKEN}
         gains = JointGains(_ANY, (), (), ())
     else:

@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.tuning.goal import Goal, check
+from jaxact.loops.control_loop import ControlLoop
+from jaxact.parameters import INERTIA
+from jaxact.tuning.goal import DERIVATIVES, OBJECTIVES, Goal, check
+
+_TRACKED = ("reference", "reference_period")
+# Fields of a goal that are given otherwise than as a bound.
+_ELSEWHERE = {
+    "objective": 'is given as the goal, e.g. jaxact.tune(loop, "disk-margin", min_kp=100)',
+} | dict.fromkeys(
+    _TRACKED, 'is of the goal "tracking"; give that, or "tracking:FILE" with a CSV file'
+)
 
 
 def goal_of(goal: str | Goal, bounds: dict[str, Any]) -> Goal:
@@ -24,14 +35,20 @@ def goal_of(goal: str | Goal, bounds: dict[str, Any]) -> Goal:
     Raises:
         UserError: an unknown name or bound, one that makes no sense, or a file that does not fit.
     """
-    known = [field.name for field in dataclasses.fields(Goal)]
+    tracked = "tracking" in (goal, getattr(goal, "objective", ""))
+    named = ("objective",) if tracked else ("objective", *_TRACKED)
+    known = [field.name for field in dataclasses.fields(Goal) if field.name not in named]
     for name, value in bounds.items():
+        if name in named:
+            raise UserError(f"{name}: {_ELSEWHERE[name]}")
         if name not in known:
             raise UserError(f"{name}: unknown bound of a goal; {nearest(name, known)}")
         if isinstance(value, float) and math.isnan(value):
             raise UserError(f"`{name}`: nan is not a bound")
         if isinstance(getattr(Goal, name), float) and not _is_number(value):
             raise UserError(f"`{name}`: {shown(value)} is not a number")
+    if not isinstance(goal, str | Goal):
+        raise UserError(f"`goal` {shown(goal)}; {nearest(goal, OBJECTIVES)}")
     if isinstance(goal, Goal):
         return check(dataclasses.replace(goal, **bounds))
     name, colon, file = goal.partition(":")
@@ -39,10 +56,43 @@ def goal_of(goal: str | Goal, bounds: dict[str, Any]) -> Goal:
     if name == "tracking" and colon:
         own["reference"], own["reference_period"] = _reference(Path(file))
     elif colon:
-        raise UserError(f"`objective` {shown(goal)}: only tracking takes a file")
+        raise UserError(f"`goal` {shown(goal)}: only tracking takes a file")
     if name == "disk-margin":
         own.setdefault("max_peak", math.inf)
     return check(Goal(objective=name, **own))
+
+
+def check_options(
+    sampled: bool | None, seed: int, derivative: str, *, counts: Mapping[str, tuple[Any, int]]
+) -> None:
+    """Raise UserError for an option of a tuning that it cannot have.
+
+    Args:
+        sampled, seed, derivative: as for `jaxact.tune`.
+        counts: other whole numbers by name, each with the least that it may be; None is allowed.
+    """
+    if sampled is not None and not isinstance(sampled, bool | np.bool_):
+        raise UserError(f"`sampled` {shown(sampled)}; allowed: True, False, None")
+    for name, (number, least) in {**counts, "seed": (seed, 0)}.items():
+        whole = isinstance(number, int | np.integer) and not isinstance(number, bool)
+        if not (whole and number >= least) and not (number is None and name in counts):
+            raise UserError(f"`{name}` {shown(number)}: give a whole number from {least}")
+    if derivative not in DERIVATIVES:
+        raise UserError(f"`derivative` {shown(derivative)}; {nearest(derivative, DERIVATIVES)}")
+
+
+def check_inertia(uncertain: Any, loop: ControlLoop) -> None:
+    """Raise UserError for an uncertain inertia of a joint that slides.
+
+    Args:
+        uncertain: what is, as for `jaxact.tune`.
+        loop: which is tuned.
+    """
+    sliding = loop.kind.plant is None and loop.kind.unit != "rad"
+    if sliding and isinstance(uncertain, Mapping) and INERTIA in uncertain:
+        raise UserError(
+            "`uncertainty` inertia: is that of a rotary joint, and this one slides; give mass"
+        )
 
 
 def _is_number(value: Any) -> bool:

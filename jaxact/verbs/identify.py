@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from jaxact.identification import identify as _joints
 from jaxact.identification import knowledge
 from jaxact.identification.fitting import LEAST_SQUARES
 from jaxact.identification.identify import Source
+from jaxact.identification.log import Log
 from jaxact.identification.reading import ColumnMap, Columns, read_columns
 from jaxact.identification.replay import Replay, replay
 from jaxact.identification.result import Identified
@@ -87,6 +88,8 @@ def identify(
     Raises:
         UserError: logs that cannot be read or used, or that lack what the plant needs.
     """
+    for name, given_logs in (("logs", logs), ("validate", validate)):
+        _demand_logs(given_logs, name)
     read = read_columns(Path(columns)) if isinstance(columns, str | os.PathLike) else columns
     given: dict[str, Any] = {
         "validate": validate, "columns": read, "joint": joint, CONTROL_RATE: control_rate,
@@ -97,6 +100,18 @@ def identify(
     if groups:
         raise UserError("`groups`: are of a robot's joints; give its model file as `plant`")
     return _joints.identify(logs, str(plant), **given)
+
+
+def _demand_logs(logs: Any, name: str) -> None:
+    """Raise UserError for what is neither a log nor a list of them."""
+    one = Log | str | os.PathLike
+    several = logs if isinstance(logs, list | tuple) else [logs] * (not isinstance(logs, Iterable))
+    for each in several:
+        if not isinstance(each, one):
+            raise UserError(
+                f"`{name}`: a value of type {type(each).__name__} is not a log; give a CSV or NPZ"
+                " file, or several in a list"
+            )
 
 
 def robot_sheet(identified: IdentifiedRobot) -> Figure:

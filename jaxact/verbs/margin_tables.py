@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
 
 # Names of the output, in order. Margins mean nothing for an unstable loop, the others always do.
-ALWAYS = ("stable", "unstable_roots", "log_gain_to_boundary", "spectral_abscissa")
+ABSCISSA = "spectral_abscissa"
+ALWAYS = ("stable", "unstable_roots", "log_gain_to_boundary", ABSCISSA)
 MARGINS = (
     "gain_margin", "gain_reduction_margin", "phase_crossover", "phase_margin", "gain_crossover",
     "delay_margin", "sensitivity_peak", "sensitivity_peak_frequency", "complementary_peak",

@@ -19,7 +19,8 @@ from jaxact.analysis.sampled.margins import sampled_margins as _sampled_margins
 from jaxact.analysis.sampled.period_map import delay_steps
 from jaxact.compilation import filling
 from jaxact.compilation.programs import Program
-from jaxact.errors import UserError
+from jaxact.engines import LINEARISING as ENGINES
+from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop, demand, is_traced
 from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KP, LINEAR
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 # that is kept then serves the next call too, and computing takes far less than compiling.
 _FEW, _MANY = 16, 64
 _STEPS = 16
+_METRICS = {f.name for kind in (Margins, SampledMargins) for f in fields(kind)}
 
 
 @jax.tree_util.register_dataclass
@@ -45,9 +47,11 @@ class LoopMargins(Reportable):
 
     `stable`, `unstable_roots`, `gain_margin`, `phase_margin` [rad], `delay_margin` [s],
     `sensitivity_peak`, `disk_margin`, ...: all of `jaxact.analysis.joint.margins.Margins`, or of
-    the sampled loop those of `jaxact.analysis.sampled.margins.SampledMargins`. NaN where the loop
-    is unstable, and the slope of such a margin is 0: `log_gain_to_boundary` is negative there, and
-    its slope leads back. A pytree of arrays.
+    the sampled loop those of `jaxact.analysis.sampled.margins.SampledMargins`; `growth_rate`, in
+    tables `spectral_abscissa`. Phase margins are in rad as attributes, and in degrees wherever they
+    are written: in what is printed, `to_json`, `to_xarray` (see its units) and `to_pandas`. NaN
+    where the loop is unstable, and the slope of such a margin is 0: `log_gain_to_boundary` is
+    negative there, and its slope leads back. A pytree of arrays.
 
     Attributes:
         loop: what they are of.
@@ -63,9 +67,9 @@ class LoopMargins(Reportable):
 
     def __getattr__(self, name: str) -> Any:
         """A metric by its name."""
-        if name.startswith("_") or name not in {f.name for f in fields(Margins)} | {
-            "spectral_radius", "more_crossovers"
-        }:  # fmt: skip
+        if name == margin_tables.ABSCISSA:  # as tables and files call it
+            return self.growth_rate
+        if name not in _METRICS:
             raise AttributeError(f"margins have no {name!r}; {', '.join(margin_tables.NAMES)}")
         return getattr(self.metrics, name)
 
@@ -127,6 +131,14 @@ class BothMargins(Reportable):
 
     continuous: LoopMargins
     sampled: LoopMargins
+
+    def __getattr__(self, name: str) -> Any:
+        """Nothing: a metric is of one of the two."""
+        if name in (*_METRICS, margin_tables.ABSCISSA, "growth_rate", "metrics", "rows"):
+            raise AttributeError(
+                f"{name!r} is of one of the two: .continuous.{name} or .sampled.{name}"
+            )
+        raise AttributeError(f"margins have no {name!r}; .continuous and .sampled have them")
 
     @property
     def loop(self) -> ControlLoop:
@@ -192,13 +204,14 @@ def margins(
         The margins; printed, they are the command line's table.
 
     Raises:
-        UserError: what is not a loop, parameters that do not fit each other; of a robot also what
-            its model lacks.
+        UserError: what is not a loop, parameters or arguments that do not fit each other; of a
+            robot also what its model lacks.
         TypeError: a traced delay of a sampled loop without `max_delay_steps`, or a traced robot.
     """
     demand(loop)
     if sampled not in (False, True, "both"):
         raise UserError(f"sampled = {sampled!r}; allowed: False, True, 'both'")
+    _check_arguments(max_delay_steps, engine, robot=loop.kind.plant is not None)
     if loop.kind.plant is not None:
         if sampled == "both":
             raise UserError("sampled = 'both' is of a joint; a robot's margins are sampled")
@@ -208,6 +221,17 @@ def margins(
     if sampled == "both":
         return BothMargins(_one(loop, False, None), _one(loop, True, max_delay_steps))
     return _one(loop, bool(sampled), max_delay_steps)
+
+
+def _check_arguments(steps: int | None, engine: str, *, robot: bool) -> None:
+    """Raise UserError for a number of steps that is none, or an engine of other margins."""
+    whole = isinstance(steps, int | np.integer) and not isinstance(steps, bool)
+    if steps is not None and not (whole and steps >= 0):
+        raise UserError(f"`max_delay_steps` = {shown(steps)}: give a whole number from 0")
+    if engine not in ENGINES:
+        raise UserError(f"`engine` = {shown(engine)}; {nearest(engine, ENGINES)}")
+    if not robot and engine != ENGINES[0]:
+        raise UserError(f"`engine` = {shown(engine)}: is for robots; a joint's margins are exact")
 
 
 def _one(loop: ControlLoop, sampled: bool, steps: int | None) -> LoopMargins:

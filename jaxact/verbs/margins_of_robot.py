@@ -12,7 +12,6 @@ import numpy as np
 
 from jaxact.analysis.robot.margins import JointMargins, WholeMargins
 from jaxact.analysis.robot.one_thread import one_thread
-from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.parameters import KD, KP
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
 
     from jaxact.robot_margins.stiction import Stiction
 
-ENGINES = ("mujoco", "mjx")
-"""In which a robot can be linearised."""
 # Metrics that a robot has whether it is stable or not.
 _ALWAYS = {
     "stable": bool, "unstable_roots": int, "spectral_radius": float, "growth_rate": float,
@@ -167,8 +164,6 @@ def margins_of_robot(loop: ControlLoop, engine: str = "mujoco") -> RobotLoopMarg
         UserError: the robot, or what is said of it, cannot be used.
         TypeError: the loop is traced.
     """
-    if engine not in ENGINES:
-        raise UserError(f"`engine` = {shown(engine)}; {nearest(engine, ENGINES)}")
     own = conversion.linear_specification(loop, engine=engine)
     found = tuple(whole_robot.evaluate(own, conversion.samples(loop)))
     shape = loop.shape

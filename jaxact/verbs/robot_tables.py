@@ -13,7 +13,7 @@ import numpy as np
 from jaxact.files import plain
 from jaxact.loops.joint_units import of_joints
 from jaxact.parameters import KD, KP, PARAMETERS
-from jaxact.plotting.wording import quantity
+from jaxact.plotting.wording import physics_step, quantity
 from jaxact.robots import mounting
 from jaxact.verbs import rendering
 
@@ -123,15 +123,19 @@ def as_text(label: str, found: WholeRobot, stiction: Stiction | None) -> str:
 
 
 def _head(label: str, found: WholeRobot) -> str:
+    from jaxact.loops import robots
+
     plant = found.specification.plant
     assert plant is not None
-    period, step = found.robot.period, found.physics_step
+    period, given = found.robot.period, found.specification.physics_step
+    own = float(robots.scene(plant).robot.model.opt.timestep)
+    step = physics_step(found.physics_step, own, period, asked=given is not None)
     count = len(found.robot.names)
     lines = [
         f"{title(found.specification)}{f': {label}' if label else ''}",
-        f"{count} driven joint{'' if count == 1 else 's'}, control {1 / period:g} Hz, physics step "
-        f"{step * 1e3:g} ms, {found.engine}, posture {plant.posture}, "
-        f"held by torques that are fed forward, residual acceleration {found.residual:.2g}",
+        f"{count} driven joint{'' if count == 1 else 's'}, control {1 / period:g} Hz, {step}, "
+        f"{found.engine}, posture {plant.posture}, held by torques that are fed forward, "
+        f"residual acceleration {found.residual:.2g}",
     ]
     if found.neutral:
         modes = "mode" if found.neutral == 1 else "modes"
@@ -149,8 +153,8 @@ def _head(label: str, found: WholeRobot) -> str:
     if ahead := _ahead(found):
         lines.append(
             f"MuJoCo's integrator has positions {1e3 * ahead:.3g} ms ahead of velocities, as no "
-            "robot has them, which changes the delay margin by up to as much; "
-            "`integrator_correction=True` takes it back"
+            "robot has them, which changes the delay margin by up to as much, and shifts gain "
+            "margins and growth rates a little, too; `integrator_correction=True` takes it back"
         )
     if found.residual > RESIDUAL:
         lines.append(

@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from jaxact.errors import UserError, shown
+
 Told = Callable[..., None]
 """Called with what is being done, how much of it is done, and how much there is at most."""
 
@@ -25,6 +27,12 @@ def seen() -> bool:
     return sys.stderr.isatty()
 
 
+def check(progress: Any) -> None:
+    """Raise UserError for what says neither whether progress is shown nor whom to tell."""
+    if not (callable(progress) or progress in (True, False, None)):
+        raise UserError(f"`progress` = {shown(progress)}; allowed: True, False, or a function")
+
+
 @contextlib.contextmanager
 def steps(progress: bool | Told = True) -> Iterator[Told]:
     """A function that shows what is being done now, for how long already, and what is left of it.
@@ -33,6 +41,7 @@ def steps(progress: bool | Told = True) -> Iterator[Told]:
         progress: False shows nothing, and nothing is shown either where nobody can see it; a
             function is told instead.
     """
+    check(progress)
     if callable(progress):
         yield progress
         return
@@ -47,15 +56,15 @@ def steps(progress: bool | Told = True) -> Iterator[Told]:
         SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=20),
         TextColumn("{task.fields[left]}"), TimeElapsedColumn(),
     )  # fmt: skip
-    with Progress(*columns, console=console, transient=True) as shown:
-        task = shown.add_task("starting", total=None, left="")
+    with Progress(*columns, console=console, transient=True) as bars:
+        task = bars.add_task("starting", total=None, left="")
         rate = _Rate()
 
         def say(text: str, done: int = 0, total: int = 0) -> None:
             left = rate.left(text, done, total)
             fields: dict[str, Any] = {"completed": done, "total": total or None, "left": left}
             # What is to come stands below, where it takes no room from bar and time.
-            shown.update(task, description=text.replace(", then ", "\nthen ", 1), **fields)
+            bars.update(task, description=text.replace(", then ", "\nthen ", 1), **fields)
 
         yield say
 

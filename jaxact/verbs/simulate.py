@@ -79,6 +79,7 @@ def runs(
     Args:
         loop, duration, engine, precision, seed: as for `simulate`.
     """
+    engines.check_name(engine, robot=loop.kind.plant is not None)
     options: dict[str, Any] = {"duration": duration, "seed": seed}
     if engine is not None:
         options["engine"] = engine

@@ -17,12 +17,12 @@ from pydantic import ValidationError
 from jaxact import engines
 from jaxact.errors import UserError
 from jaxact.loops import reading
-from jaxact.loops.axes import Axis, read_axis
+from jaxact.loops.axes import SPACINGS, Axis, check_range, read_axis
 from jaxact.loops.control_loop import ControlLoop, demand, is_traced
 from jaxact.loops.conversion import described, preset_axis
 from jaxact.loops.specification import Sampling, Specification
 from jaxact.parameters import PARAMETERS, WN, ZETA, canonical, known
-from jaxact.simulation.engines import tell_inexact
+from jaxact.simulation.engines import check_name, tell_inexact
 from jaxact.sweeping import execution, location
 from jaxact.verbs import showing
 from jaxact.verbs.sweep_options import Say, computed_by, options, settled
@@ -40,6 +40,9 @@ def log(low: float, high: float, num: int | None = None) -> dict[str, Any]:
     Args:
         low, high: ends, included; above 0.
         num: number of values.
+
+    Raises:
+        UserError: ends or a number that make no range.
     """
     return _range(low, high, num, "log")
 
@@ -50,11 +53,15 @@ def linear(low: float, high: float, num: int | None = None) -> dict[str, Any]:
     Args:
         low, high: ends, included.
         num: number of values.
+
+    Raises:
+        UserError: ends or a number that make no range.
     """
     return _range(low, high, num, "linear")
 
 
 def _range(low: float, high: float, num: int | None, spacing: str) -> dict[str, Any]:
+    check_range(f"jaxact.{spacing}", low, high, num)
     number = {} if num is None else {"num": num}
     return {"min": low, "max": high, **number, "spacing": spacing}
 
@@ -122,6 +129,7 @@ def sweep(
         UserError: parameters that do not fit each other, and as `jaxact.sweeping.execution.sweep`.
         TypeError: the loop is traced.
     """
+    showing.check(progress)
     own = {"engine": engine, "duration": duration, "precision": precision, "seed": seed,
                "tile": tile, "devices": devices}  # fmt: skip
     given = {name: value for name, value in own.items() if value is not None}
@@ -178,8 +186,10 @@ def _asked(
 def _of_loop(
     loop: ControlLoop, axes: Mapping[str, Any], options: dict[str, Any], sampling: Sampling | None
 ) -> Specification:
+    demand(loop)
     if is_traced(loop):
         raise TypeError("a sweep cannot be traced; call it outside jit and grad")
+    check_name(options.get("engine"), robot=loop.kind.plant is not None, margins=True)
     named = _read(axes, sampling)
     replaced = {WN, ZETA} if "actuator" in named else set()
     values = {name: v for name, v in loop.values.items() if name not in replaced}
@@ -232,6 +242,12 @@ def _read(axes: Mapping[str, Any], sampling: Sampling | None) -> dict[str, Axis]
             raise UserError(f"{given}: the same parameter is given twice; remove one")
         listed = value if isinstance(value, dict) else _listed(given, value)
         ranged = isinstance(value, dict) and "num" not in value
+        if ranged and sampling is None and value.get("spacing") in SPACINGS:
+            low, high, spacing = value.get("min"), value.get("max"), value["spacing"]
+            raise UserError(
+                f"{given}: how many values? Write jaxact.{spacing}({low}, {high}, 5), or have"
+                ' points drawn from the range: `sampling="sobol"`'
+            )
         found[name] = read_axis(name, listed, sampled=sampling is not None and ranged)
     return found
 

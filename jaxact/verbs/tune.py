@@ -40,7 +40,7 @@ from jaxact.tuning.joint.ensemble import FIELDS, Ensemble, Sampling, ensemble, j
 from jaxact.tuning.optimise import Descent
 from jaxact.tuning.result import Tuned
 from jaxact.verbs import naming, notebook, showing
-from jaxact.verbs.goals import goal_of
+from jaxact.verbs.goals import check_inertia, check_options, goal_of
 
 if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
@@ -84,12 +84,12 @@ def tune(
         goal: "stiffness" (largest kp), "bandwidth", "disk-margin", "settling", "tracking:FILE" (a
             CSV file of time [s], setpoint [m]), or a `jaxact.tuning.goal.Goal`.
         uncertainty: parameter -> (low, high), the ends of the range in which it lies (where
-            `jaxact.sweep` takes a list of values): wn and zeta as factors, mass [kg] and delays [s]
-            as they are, what the loop was given among them (a joint that was given nothing gets
-            the middle); of a robot also payload [kg], inertia_scale, ...; or as the command line
-            writes it; or an identified drive, for the 95 % intervals of all that the loop has from
-            it. Of a joint also a batch of loops, such as the `samples` of what was identified;
-            their gains do not count.
+            `jaxact.sweep` takes a list of values): wn and zeta as factors, mass [kg] and delay [s],
+            of a joint all of its loop, as they are, what the loop was given among them (a joint
+            that was given nothing gets the middle); of a robot also other delays, payload [kg],
+            inertia_scale, ...; or as the command line writes it; or an identified drive, for the
+            95 % intervals of all that the loop has from it. Of a joint also a batch of loops, such
+            as the `samples` of what was identified; their gains do not count.
         samples: of the uncertainty, beside its corners and its worst interior point; None: 32, of a
             robot 8.
         sampled: of a joint, whether the margins are those of the sampled loop; None: where the loop
@@ -125,10 +125,8 @@ def tune(
     loops: list[Any] = [loop] if one else list(loop)
     if one:
         demand(loop)
-    counts = (("starts", starts, 0), ("steps", steps, 1), ("samples", samples, 1))
-    for name, number, least in counts:
-        if number is not None and not (isinstance(number, int | np.integer) and number >= least):
-            raise UserError(f"`{name}` {shown(number)}: give a whole number from {least}")
+    counts = {"starts": (starts, 0), "steps": (steps, 1), "samples": (samples, 1)}
+    check_options(sampled, seed, derivative, counts=counts)
     if not loops or not all(isinstance(one, ControlLoop) for one in loops):
         raise UserError("loop: give one loop, or a list of loops of a robot in its postures")
     if front and not (isinstance(front, int | np.integer) and 2 <= front <= MOST_PEAKS):
@@ -137,6 +135,7 @@ def tune(
         raise UserError("`front`: cannot be combined with `tracking_weight`")
     if not isinstance(uncertainty, str | Mapping | ControlLoop):
         uncertainty = intervals(drives.taken(uncertainty), loops[0])
+    check_inertia(uncertainty, loops[0])
     unsure = _ranges(uncertainty) if isinstance(uncertainty, Mapping) else uncertainty
     common: dict[str, Any] = {"uncertainty": unsure, "samples": samples, "starts": starts,
                               "steps": steps, "seed": seed, "front": front,

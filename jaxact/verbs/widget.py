@@ -16,6 +16,7 @@ from jaxact.verbs import report_joint
 
 if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
+    from jaxact.reports.page import Content
 
 NAMES = tuple(dict.fromkeys((KP, KD, *LINEAR, CONTROL_RATE)))
 """What follows the page's point and sliders, by short name."""
@@ -41,7 +42,7 @@ def widget(subject: Any) -> Any:
     Raises:
         UserError: anywidget is not there, or a report cannot be of this.
     """
-    content = report_joint.content(subject)
+    content = _content(subject)
     data = content.parts["joint"]
     first = data["loops"][data["start"]]["parameters"]
     kind = {"unit": data["unit"], "velocity": first["velocity"]}
@@ -51,6 +52,19 @@ def widget(subject: Any) -> Any:
         _kind=kind,
         **{name: float(first[name]) for name in NAMES},
     )
+
+
+def _content(subject: Any) -> Content:
+    """The page of a joint's report; of a robot there is none to click in a notebook."""
+    try:
+        return report_joint.content(subject)
+    except UserError as error:
+        if str(error) != report_joint.ROBOT:
+            raise
+        raise UserError(
+            "a widget is of a joint, and this is of a robot; write a page of its margins with "
+            "jaxact.report(jaxact.margins(loop), 'robot.html')"
+        ) from None
 
 
 @functools.cache

@@ -245,7 +245,7 @@ def test_an_identified_drive_is_exported_with_gains_that_it_has_not(tmp_path):
         'plant = "none"\nunit = "rad"\nestimates = {}\n'
         "loop = [{wn = 200.0, zeta = 0.5, delay = 0.003, gain_scale = 0.5}]\n"
     )
-    with pytest.raises(UserError, match="`kp`: the source has none"):
+    with pytest.raises(UserError, match="`kp` and `kd`: not in the source"):
         jx.export(file, "mjlab")
     text = jx.export(file, "mjlab", parameters={"kp": 30.0, "kd": 1.0}).text
     # the drive gives half of its command

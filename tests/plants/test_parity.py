@@ -12,7 +12,7 @@ from jaxact.plants.mjx import refusals as mjx_refusals
 from jaxact.plants.mjx.plant import mjx
 from jaxact.robots import model as models
 from jaxact.robots import parity
-from jaxact.robots.findings import EMULATED, HARMLESS, INEXACT, MJX, REFUSED, WARP
+from jaxact.robots.findings import ASKED, EMULATED, HARMLESS, INEXACT, MJX, REFUSED, WARP
 
 # One pendulum for each field of joints, tendons and actuators; `plain` has none.
 PENDULA = {
@@ -335,3 +335,35 @@ def test_warnings_of_mjx_are_findings_and_not_on_the_screen():
     )
     (finding,) = mjx_refusals.find(model)
     assert finding.action == HARMLESS and finding.value.startswith('Mesh "drum" has a coplanar')
+
+
+TWO = """<mujoco><option timestep="0.001">{flag}</option><worldbody>
+  <body><joint name="driven" axis="0 1 0"/><geom size="0.05" pos="0.2 0 0" mass="1"/></body>
+  <body pos="0 1 0"><joint name="left" axis="0 1 0"/><geom size="0.05" pos="0.2 0 0" mass="1"/>
+  </body></worldbody>
+  <actuator><position name="a" joint="driven" kp="30" kv="1"/><motor name="b" joint="left"/>
+  </actuator>
+  <keyframe><key name="start" ctrl="0.4 0.4"/></keyframe></mujoco>"""
+
+
+def test_a_flag_that_switches_all_actuators_off_is_lifted_for_those_that_are_driven(tmp_path):
+    """Held against plain rollouts of C MuJoCo with the flag and without."""
+    flagged = TWO.format(flag='<flag actuation="disable"/>')
+    robot = read(tmp_path, flagged, keyframe="start", joints=["driven"])
+    item = said(robot)["flag actuation"]
+    assert (item.where, item.value, item.action, item.engines) == ("option", "disable", ASKED, ())
+    off = in_c(mujoco.MjModel.from_xml_string(flagged))
+    on = in_c(mujoco.MjModel.from_xml_string(TWO.format(flag="")))
+    assert np.all(np.abs(on - off) > 1e-4)  # both actuators count where they are on
+    # the drive, as the servo's own law
+    (joint,) = robot.joints
+    data = mujoco.MjData(robot.model)
+    data.ctrl = robot.ctrl
+    for _ in range(60):
+        force = joint.kp * (joint.setpoint - data.qpos[0]) - joint.kd * data.qvel[0]
+        data.ctrl[joint.index] = force
+        mujoco.mj_step(robot.model, data)
+    assert data.qpos[0] == pytest.approx(on[0], rel=0.03)  # whose damping is implicit
+    assert data.qpos[1] == pytest.approx(off[1], abs=1e-12)
+    plain = read(tmp_path, TWO.format(flag=""), keyframe="start", joints=["driven"])
+    assert "flag actuation" not in said(plain)

@@ -196,7 +196,7 @@ def test_on_a_gpu_its_loops_are_compared_to_rounding_only(monkeypatch, tmp_path)
 
 REFUSED = {
     "precision": ("", ["precision=float64"], "precision = 'float64': MJX-Warp computes in float32"),
-    "no robot": (None, [], "engine = 'warp': is for robots; give one with [plant] model"),
+    "no robot": (None, [], "engine = 'warp': is for robots, of jaxact.robot or [plant] model"),
 }
 
 

@@ -24,6 +24,24 @@ def test_what_is_not_a_loop_is_said_in_one_line(verb):
         verb(3)
 
 
+@pytest.mark.parametrize(
+    "verb",
+    [jx.margins, jx.boundary, jx.simulate, jx.tune, jx.check, jx.plot.bode,
+     lambda loop: jx.sweep(loop, kd=[1.0]), lambda loop: jx.export(loop, "mjlab")],
+    ids=["margins", "boundary", "simulate", "tune", "check", "bode", "sweep", "export"],
+)  # fmt: skip
+def test_a_batch_without_loops_is_said_in_one_line(verb):
+    with pytest.raises(jx.UserError, match=r"is a batch without loops, of shape \(0,\)"):
+        verb(jx.joint(kp=[1.0, 2.0])[0:0])
+
+
+def test_a_misspelt_name_of_the_package_is_answered_with_the_nearest():
+    with pytest.raises(AttributeError, match="no attribute 'margin'; did you mean 'margins'"):
+        _ = jx.margin
+    with pytest.raises(AttributeError, match="no attribute 'quux'$"):
+        _ = jx.quux
+
+
 def test_a_list_of_loops_is_one_loop_with_several_values():
     with pytest.raises(jx.UserError, match=r"several values, e.g. jaxact.joint\(kp=\[100, 400\]\)"):
         jx.margins([LOOP, LOOP])
@@ -77,6 +95,33 @@ def test_a_list_of_loops_is_one_loop_with_several_values():
         (lambda: jx.sweep(LOOP, kp=[100], out=""), "`out` is empty"),
         (lambda: jx.sweep(LOOP, kp=[100], memory="much"), "'much' is not a size"),
         (lambda: jx.robot(__file__, joints=3), "joints = 3; allowed: a pattern, or several"),
+        (lambda: jx.joint(physics_step=-1), "`physics_step` = -1; allowed: 1e-07 to 1"),
+        (lambda: jx.joint(physics_step=0), "`physics_step` = 0; allowed: 1e-07 to 1"),
+        (lambda: LOOP.replace(physics_step="a"), "`physics_step` = 'a'; allowed: 1e-07 to 1"),
+        (lambda: jx.robot(__file__, physics_step=2), "`physics_step` = 2; allowed: 1e-07 to 1"),
+        (lambda: jx.joint(kp=[1, 2], names="ab"), "`names` = 'ab'; allowed: a list with a name"),
+        (lambda: jx.joint(kp=[1, 2], names=3), "`names` = 3; allowed: a list with a name"),
+        (lambda: jx.log(-1, 10, 3), "jaxact.log: low = -1 has no logarithm"),
+        (lambda: jx.log(10, 1, 3), "jaxact.log: low = 10 is not below high = 1"),
+        (lambda: jx.log(1, 10, 1), "jaxact.log.num = 1; allowed: a whole number from 2"),
+        (lambda: jx.linear("a", 1, 3), "jaxact.linear: low = 'a' is not a finite number"),
+        (lambda: jx.linear(0, np.inf), "jaxact.linear: high = inf is not a finite number"),
+        (lambda: jx.sweep(LOOP, kp=jx.log(1, 10)), r"kp: .* jaxact.log\(1, 10, 5\), .*sobol"),
+        (lambda: jx.sweep(LOOP, kp=[1], progress="x"), "`progress` = 'x'; allowed: True, False"),
+        (lambda: jx.tune(LOOP, progress="x"), "`progress` = 'x'; allowed: True, False"),
+        (lambda: jx.simulate(LOOP, engine="foo"), "engine = 'foo'; allowed: mass, mjx$"),
+        (lambda: jx.sweep(LOOP, engine="foo", kp=[1]), "engine = 'foo'; allowed: mass, mjx$"),
+        (lambda: jx.simulate(LOOP, engine="warp"), "'warp': is for robots, of jaxact.robot or"),
+        (lambda: jx.check(None), "loop: a value of type NoneType is not a loop"),
+        (lambda: jx.export(None, "toml"), "source: a value of type NoneType has no gains"),
+        (lambda: jx.export(LOOP, "toml"), "export a loop of jaxact.robot.*and `kp` and `kd` where"),
+        (lambda: jx.export(jx.joint(delay=1e-3), "toml"), "export a loop of jaxact.robot"),
+        (lambda: jx.identify(None), "`logs`: a value of type NoneType is not a log"),
+        (lambda: jx.identify("a.csv", validate=3), "`validate`: a value of type int is not a log"),
+        (lambda: jx.joint(inertia=-1), r"`inertia` = -1.0 .*\[kg m\^2\] \(moved inertia\)"),
+        (lambda: jx.joint(inertia=1).replace(kp=np.nan), r"`kp` = nan .*\[N m/rad\]"),
+        (lambda: jx.robot(__file__, inertia=3), "`inertia`: only for a single joint"),
+        (lambda: jx.widget(jx.robot(__file__)), "a widget is of a joint, and this is of a robot"),
     ],
 )  # fmt: skip
 def test_slips_are_said_in_one_line(call, said):

@@ -64,3 +64,50 @@ def test_json_has_the_same(found):
 def test_a_joint_is_not_checked():
     with pytest.raises(UserError, match=r"jaxact\.robot"):
         jx.check(jx.joint())
+
+
+HINGE = """<mujoco><option {option}/><worldbody><body><joint name="j" axis="0 1 0"/>
+<geom size=".1" pos="0 0 -.3"/></body></worldbody><actuator><{actuator} joint="j"/></actuator>
+</mujoco>"""
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(option, actuator):
+        path = tmp_path / "hinge.xml"
+        path.write_text(HINGE.format(option=option, actuator=actuator))
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("own", "given", "used", "why"),
+    [
+        (0.005, {}, 0.001, " (the model's 5 ms exceeds the control period)"),
+        (0.0003, {}, 0.00025, " (the model's 0.3 ms does not divide the control period)"),
+        (0.0005, {}, 0.0005, ""),
+        (0.005, {"control_rate": 200}, 0.005, ""),
+        (0.005, {"physics_step": 0.0005}, 0.0005, ""),
+    ],
+)
+def test_the_physics_step_is_the_one_that_is_used(written, own, given, used, why):
+    path = written(f'timestep="{own}"', "motor")
+    loop = jx.robot(path, kp=10.0, kd=1.0, **given)
+    found = jx.check(loop)
+    assert json.loads(found.to_json())["physics_step"] == pytest.approx(used)
+    said = f", physics step {1e3 * used:g} ms{why}"
+    assert f"{said} default posture" in " ".join(repr(found).split())
+    assert f"{said}, mujoco" in repr(jx.margins(loop))
+
+
+def test_a_velocity_servo_has_a_kp_of_0(written):
+    found = jx.check(jx.robot(written("", 'velocity kv="1"')))
+    assert '"kp": 0.0' in found.to_json() and " -0 " not in repr(found)
+
+
+def test_a_group_that_is_switched_off_is_named_where_nothing_can_be_driven(written):
+    loop = jx.robot(written('actuatorgroupdisable="2"', 'position group="2"'))
+    said = r"can be driven, as <option actuatorgroupdisable> switches off actuator 0 \(group 2\)"
+    with pytest.raises(UserError, match=said):
+        jx.margins(loop)

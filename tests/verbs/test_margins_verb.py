@@ -102,6 +102,45 @@ def test_what_is_printed_names_the_loops():
         assert words in text
 
 
+@pytest.mark.parametrize("sampled", [False, True])
+def test_the_growth_rate_has_the_name_of_tables_too(sampled):
+    found = jx.margins(jx.joint(kp=[200.0, 400.0]), sampled=sampled)
+    np.testing.assert_array_equal(found.spectral_abscissa, found.growth_rate)
+    np.testing.assert_array_equal(found.to_xarray().spectral_abscissa, found.growth_rate)
+
+
+@pytest.mark.parametrize("name", ["gain_margin", "growth_rate", "spectral_radius"])
+def test_a_metric_of_both_kinds_is_asked_of_one(name):
+    found = jx.margins(jx.joint(), sampled="both")
+    said = rf"'{name}' is of one of the two: .continuous.{name} or .sampled.{name}"
+    with pytest.raises(AttributeError, match=said):
+        getattr(found, name)
+    with pytest.raises(AttributeError, match="margins have no 'gain'"):
+        _ = found.gain
+
+
+def test_phase_margins_are_in_degrees_where_they_are_written():
+    found = jx.margins(jx.joint())
+    written = [found.to_xarray().phase_margin.item(), json.loads(found.to_json())["phase_margin"],
+               found.to_pandas().phase_margin.item()]  # fmt: skip
+    assert written == pytest.approx([np.degrees(found.phase_margin)] * 3)
+    assert found.to_xarray().phase_margin.attrs["units"] == "degree"
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"engine": "foo"}, "`engine` = 'foo'; allowed: mujoco, mjx"),
+        ({"engine": "mjx"}, "`engine` = 'mjx': is for robots"),
+        ({"max_delay_steps": -2}, "`max_delay_steps` = -2: give a whole number from 0"),
+        ({"max_delay_steps": "a"}, "`max_delay_steps` = 'a': give a whole number from 0"),
+    ],
+)
+def test_arguments_that_mean_nothing_are_refused(given, said):
+    with pytest.raises(jx.UserError, match=said):
+        jx.margins(jx.joint(), sampled=True, **given)
+
+
 @pytest.mark.exhaustive
 def test_both_kinds_side_by_side_are_arrays_and_a_table_too():
     found = jx.margins(jx.joint(kp=[200.0, 400.0], delay=1e-3), sampled="both")

@@ -102,7 +102,7 @@ def test_progress_is_told(loop):
     "given, said",
     [
         ({"kq": [1.0]}, "unknown parameter"),
-        ({"kp": jx.log(0.0, 1.0, 3)}, "no logarithm"),
+        ({"kp": {"min": 0.0, "max": 1.0, "num": 3, "spacing": "log"}}, "no logarithm"),
         ({"kp": [-1e12]}, "out of range"),
         ({"kp": [1.0], "width": 0.1}, "adaptive"),
         ({"kp": [1.0], "resume": True}, "give out"),

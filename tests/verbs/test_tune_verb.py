@@ -83,6 +83,15 @@ def test_a_robot_is_tuned_by_the_same_call():
         ({"uncertainty": {"mass": (0.5, 1.2)}, "samples": -1}, "`samples` -1: give a whole number"),
         ({"groups": ("hip",)}, "is for a robot"),
         ({"max_peak": 0.5}, "max_peak|peak"),
+        ({"objective": "disk-margin"}, "objective: is given as the goal"),
+        ({"max_peek": 2.0}, "allowed: max_peak, min_gain_margin, .* max_kp, risk$"),
+        ({"reference": (0.0, 1.0)}, 'reference: is of the goal "tracking"'),
+        ({"reference_period": 1.0}, 'reference_period: is of the goal "tracking"'),
+        ({"goal": 3}, "`goal` 3; allowed: stiffness"),
+        ({"sampled": "x"}, "`sampled` 'x'; allowed: True, False, None"),
+        ({"seed": "a"}, "`seed` 'a': give a whole number from 0"),
+        ({"derivative": "foo"}, "`derivative` 'foo'; allowed: auto, forward, reverse"),
+        ({"uncertainty": {"inertia": (0.5, 1.0)}}, "inertia: is that of a rotary joint"),
     ],
 )
 def test_what_makes_no_sense_is_refused(loop, given, said):

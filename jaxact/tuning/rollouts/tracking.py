@@ -44,6 +44,7 @@ from jaxact.simulation import kernel, plans, rollout
 from jaxact.simulation.kernel import Case
 from jaxact.simulation.metrics import SEGMENTS
 from jaxact.simulation.rollout import RolloutOptions
+from jaxact.tuning.goal import DERIVATIVES
 from jaxact.tuning.groups import Groups
 from jaxact.tuning.robot.loops import Situation
 from jaxact.tuning.rollouts.exposure import exposed
@@ -54,7 +55,6 @@ SECONDS, MEMBERS = 0.4, 2
 FORWARD, REVERSE = 1.0, 9.4
 """Work of a tangent, and of a rollout with its derivatives backwards, in rollouts: measured on a
 quadruped with contacts on a CPU."""
-MODES = ("auto", "forward", "reverse")
 _QUANTISED = (POSITION_RESOLUTION, VELOCITY_RESOLUTION, COMMAND_RESOLUTION)
 
 
@@ -154,8 +154,8 @@ def chosen(mode: str, parameters: int) -> str:
     Raises:
         UserError: another mode.
     """
-    if mode not in MODES:
-        raise UserError(f"mode {shown(mode)}; {nearest(mode, MODES)}")
+    if mode not in DERIVATIVES:
+        raise UserError(f"mode {shown(mode)}; {nearest(mode, DERIVATIVES)}")
     costs = work(parameters)
     return min(costs, key=lambda name: costs[name]) if mode == "auto" else mode
 
