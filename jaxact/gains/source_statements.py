@@ -46,8 +46,9 @@ class Statements(Expressions):
 
     def _touched(self, of: Thing, touch: Touch, unknown: Unknown) -> None:
         """Methods of a class may change what they use as it is, and what the class holds."""
-        for name in touch.uncopied:
-            _mark(self.names.get(name), unknown)
+        if touch.gains is not None:
+            for name in touch.uncopied:
+                _mark(self.names.get(name), touch.gains)
         marks = getattr(of.node, "decorator_list", [])
         if not any("configclass" in ast.unparse(one) for one in marks):  # those hold copies
             for value in of.content.values():

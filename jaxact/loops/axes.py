@@ -95,11 +95,13 @@ def check_range(said: str, low: Any, high: Any, number: Any) -> None:
         if isinstance(end, bool | str) or np.ndim(end) or not _is_finite(end):
             raise UserError(f"{said}: {word} = {shown(end)} is not a finite number")
     if low >= high:
-        raise UserError(f"{said}: low = {low:g} is not below high = {high:g}; exchange them")
+        advice = "give two" if low == high else "exchange them"
+        raise UserError(f"{said}: low = {low:g} is not below high = {high:g}; {advice}")
     if said.endswith("log") and low <= 0:
         raise UserError(f"{said}: low = {low:g} has no logarithm; allowed: above 0")
     if number is not None:
-        _number(said, {"num": number}, sampled=False)
+        whole = int(number) if isinstance(number, np.integer) else number
+        _number(said, {"num": whole}, sampled=False)
 
 
 def _is_finite(value: Any) -> bool:

@@ -153,7 +153,8 @@ def names_of(names: Any) -> tuple[str, ...]:
 
 def check_step(step: Any) -> None:
     """Raise UserError for what is not a physics step [s], nor None."""
-    number = as_number(step)
+    plain = step if step is None or np.ndim(step) or isinstance(step, str) else np.asarray(step)
+    number = as_number(plain.item() if isinstance(plain, np.ndarray) else plain)
     if step is not None and not (number is not None and _SHORTEST <= number <= _LONGEST):
         raise UserError(
             f"`physics_step` = {shown(step)}; allowed: {_SHORTEST:g} to {_LONGEST:g} [s]"

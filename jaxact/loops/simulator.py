@@ -110,13 +110,14 @@ def as_numbers(value: Any) -> jax.Array | None:
 
 
 def with_arrays(state: Any) -> Any:
-    """The state of a simulator with arrays of JAX for its numbers and arrays of NumPy."""
-    kinds = bool | int | float | complex | np.generic | np.ndarray
+    """The state of a simulator with arrays of JAX for its plain numbers; NumPy's stay its own."""
 
     def array(leaf: Any) -> Any:
-        plain = np.asarray(leaf) if isinstance(leaf, kinds) else None
+        if isinstance(leaf, bool | int):  # a whole number that may become one with decimals
+            return jnp.asarray(leaf)
         # by way of NumPy, so that its type is as fixed as that of what a step gives
-        return leaf if plain is None or plain.dtype.kind not in "biufc" else jnp.asarray(plain)
+        plain = isinstance(leaf, float | complex | np.number)
+        return jnp.asarray(np.asarray(leaf)) if plain else leaf
 
     return jax.tree.map(array, state)
 
@@ -130,4 +131,6 @@ def _described(part: Any) -> str:
 def _whole(leaf: Any) -> bool:
     """Whether a leaf of a state is of whole numbers, or not of numbers at all."""
     kind = getattr(leaf, "dtype", None)
-    return not isinstance(leaf, float) if kind is None else not jnp.issubdtype(kind, jnp.inexact)
+    if kind is None or getattr(leaf, "weak_type", False):
+        return False
+    return not jnp.issubdtype(kind, jnp.inexact)

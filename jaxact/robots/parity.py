@@ -275,7 +275,7 @@ CLAIMS = (
           HARMLESS, "undriven: its force comes one physics step later, in every engine"),
     Claim("forcerange", _undriven(_may_saturate), "integrates its damping also when it saturates",
           HARMLESS, "the same as MuJoCo as long as this undriven actuator stays within its limits"),
-    Claim("flag actuation", _disabled(_DISABLE.mjDSBL_ACTUATION), "switches off every actuator",
+    Claim("flag actuation", _disabled(_DISABLE.mjDSBL_ACTUATION), "switches all off, as C does",
           ASKED, "the drives of the joints that are driven act all the same; what is left undriven "
           "gives no force"),
     Claim(GROUP_OFF, _undriven(_group_off), "applies its force all the same", EMULATED,

@@ -71,6 +71,8 @@ class LoopMargins(Reportable):
             return self.growth_rate
         if name not in _METRICS:
             raise AttributeError(f"margins have no {name!r}; {', '.join(margin_tables.NAMES)}")
+        if not hasattr(self.metrics, name):
+            raise AttributeError(f"{name!r} is of the sampled loop; give sampled=True")
         return getattr(self.metrics, name)
 
     @property

@@ -62,8 +62,8 @@ def linear(low: float, high: float, num: int | None = None) -> dict[str, Any]:
 
 def _range(low: float, high: float, num: int | None, spacing: str) -> dict[str, Any]:
     check_range(f"jaxact.{spacing}", low, high, num)
-    number = {} if num is None else {"num": num}
-    return {"min": low, "max": high, **number, "spacing": spacing}
+    number = {} if num is None else {"num": int(num)}
+    return {"min": float(low), "max": float(high), **number, "spacing": spacing}
 
 
 def sweep(

@@ -289,3 +289,19 @@ def test_what_classes_have_beside_the_gains_is_listed(tmp_path):
     assert set(notes.split(": ")[1].split(", ")) == {
         "joint_parameter_lookup", "init_state.joint_pos", "action_scale", "decimation",
     }  # fmt: skip
+
+
+def test_fields_of_an_environment_are_none_of_the_configuration_that_it_reads(tmp_path):
+    text = """ROBOT_CFG = ArticulationCfg(actuators={"legs": DCMotorCfg(
+    joint_names_expr=[".*"], stiffness=25.0, damping=0.5)})
+class GoEnv(DirectRLEnv):
+    def __init__(self, cfg):
+        super().__init__(cfg)
+        self.damping = float(ROBOT_CFG.actuators["legs"].damping)
+        self.robot = Articulation(ROBOT_CFG)
+"""
+    file = tmp_path / "env.py"
+    file.write_text(text)
+    for name in (str(file), f"{file}:ROBOT_CFG"):
+        found = matched(reading.read(name), [("hip", "hip")])
+        assert (found.parameters["kp"]["hip"], found.parameters["kd"]["hip"]) == (25.0, 0.5)

@@ -21,9 +21,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxact.analysis.sampled.period_map import SampledLoop
-from jaxact.analysis.sampled.pulse import pulse_transfer
+from jaxact.analysis.sampled.pulse import PulseTransfer, pulse_transfer
 from jaxact.analysis.sampled.search import (
     GAIN_SLOTS,
+    Found,
     bracketing_grid,
     first_cells,
     response_at,
@@ -32,10 +33,15 @@ from jaxact.analysis.sampled.search import (
 
 _TURN = 2.0 * math.pi
 # Parts of a period at which crossovers are looked for, and how far off in those a start may be.
-_PARTS, _OFF = 16, 2.0
+_PARTS, _OFF = 16, 3.0
 # Starts that are followed, of those that mean the shortest delays.
-_STARTS, _AT_NYQUIST = 12, 2
-_REFINEMENTS, _STEPS = 3, 10
+_STARTS, _AT_NYQUIST = 14, 2
+_REFINEMENTS, _STEPS = 2, 8
+# Of the loop's own crossovers, which are as good as right.
+_NEAR, _FEW = 2, 4
+# Crossovers up to here [rad] stay where they are but for a little; nor do others come into being
+# where extremes of |L| are no closer to 1.
+_FAR, _CLOSE = 0.5, 0.2
 
 
 @jax.tree_util.register_dataclass
@@ -57,20 +63,60 @@ class DelayLimit:
     overflow: jax.Array
 
 
-def delay_limit(loop: SampledLoop, extremes: jax.Array) -> DelayLimit:
-    """How long the delay of a stable loop may become.
+def delay_limits(loops: SampledLoop, transfers: PulseTransfer, found: Found) -> DelayLimit:
+    """How long the delays of stable loops may become.
+
+    Where all crossovers of all loops are far below the Nyquist frequency, what the phase leaves at
+    their own ones is next to the delay, and others are not looked for.
 
     Args:
-        loop: fields scalar and constant.
-        extremes: of |L| [rad], such as resonances, which a part of a period hardly moves.
+        loops, transfers, found: constant, of a batch, shape (n, ...) each.
     """
-    own = loop.delay / loop.control_period
-    grid = jnp.sort(jnp.concatenate([bracketing_grid(loop, 0), extremes]))
-    theta, start, overflow = _starts(loop, own, grid)
-    theta, delay, by_theta, by_delay = _solved(loop, theta, start)
-    delay = jnp.where(delay > own, delay, jnp.inf)
-    first = jnp.argmin(delay)
-    return DelayLimit(theta[first], delay[first], by_theta[first], by_delay[first], overflow)
+    demanding = jnp.any(jax.vmap(_is_demanding)(loops, transfers, found))
+    theta, start, overflow = jax.lax.cond(
+        demanding, jax.vmap(_starts), jax.vmap(_near_starts), loops, transfers, found
+    )
+    number, steps = (
+        jnp.where(demanding, a, b) for a, b in ((_STARTS + _AT_NYQUIST, _NEAR), (_STEPS, _FEW))
+    )
+    own = loops.delay / loops.control_period
+    none = jnp.zeros_like(own)
+    slope = jax.lax.complex(none, none)
+
+    def tried(at: jax.Array, best: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        one = _solved(loops, theta[:, at], start[:, at], steps)
+        later = jnp.where(one[1] > own, one[1], jnp.inf)
+        sooner = later < best[1]
+        return tuple(
+            jnp.where(sooner, new, old)
+            for new, old in zip((one[0], later, *one[2:]), best, strict=True)
+        )
+
+    first = none, jnp.full_like(own, jnp.inf), slope, slope
+    return DelayLimit(*jax.lax.fori_loop(0, number, tried, first), overflow)
+
+
+def _is_demanding(loop: SampledLoop, transfer: PulseTransfer, found: Found) -> jax.Array:
+    """Whether a part of a period may matter to which crossovers there are."""
+    at = jnp.append(found.extremes, math.pi)
+    size = jnp.abs(response_at(loop, transfer, at))
+    # A part of a period changes |L| by a share that falls as the square of the frequency.
+    close = jnp.any(jnp.abs(jnp.log(size)) < _CLOSE * at**2) | (size[-1] > 1.0)
+    return close | jnp.any(found.gain_present & (found.gain > _FAR))
+
+
+def _near_starts(
+    loop: SampledLoop, transfer: PulseTransfer, found: Found
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """As `_starts`, from the loop's own crossovers, those that leave the least first."""
+    value = response_at(loop, transfer, found.gain)
+    left = jnp.mod(jnp.arctan2(-value.imag, -value.real), _TURN) / found.gain
+    left = jnp.where(found.gain_present, left, jnp.inf)
+    order, more = jnp.argsort(left), _STARTS + _AT_NYQUIST - GAIN_SLOTS
+    theta = jnp.where(found.gain_present, found.gain, jnp.nan)[order]
+    start = loop.delay / loop.control_period + left[order]
+    theta = jnp.pad(theta, (0, more), constant_values=jnp.nan)
+    return theta, jnp.pad(start, (0, more), constant_values=jnp.inf), jnp.zeros((), bool)
 
 
 def added_delay(loop: SampledLoop, limit: DelayLimit) -> jax.Array:
@@ -98,17 +144,17 @@ def _response(loop: SampledLoop, theta: jax.Array, delay: jax.Array) -> jax.Arra
 
 
 def _starts(
-    loop: SampledLoop, own: jax.Array, grid: jax.Array
+    loop: SampledLoop, transfer: PulseTransfer, found: Found
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """(theta, delay [periods]) to begin from, shape (starts,), theta NaN where there are fewer.
-
-    Args:
-        own: delay of the loop [periods].
-        grid: [rad], ascending to pi, between whose points |L| is monotone.
+    """Where Newton begins, from the crossovers at parts of a period.
 
     Returns:
-        Both, pi being of a root at -1, and whether a part had more crossovers than slots.
+        theta [rad], NaN where there are fewer, and pi of a root at -1; the delay [periods], shape
+        (starts,) each; and whether a part had more crossovers than slots.
     """
+    own = loop.delay / loop.control_period
+    # Extremes, such as resonances, hardly move.
+    grid = jnp.sort(jnp.concatenate([bracketing_grid(loop, 0), found.extremes]))
     parts = jnp.arange(_PARTS, dtype=own.dtype) / _PARTS
 
     def of_part(part: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
@@ -170,25 +216,31 @@ def _at_nyquist(own: jax.Array, parts: jax.Array, height: jax.Array) -> jax.Arra
 
 
 def _solved(
-    loop: SampledLoop, theta: jax.Array, delay: jax.Array
+    loops: SampledLoop, theta: jax.Array, delay: jax.Array, steps: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Newton in both unknowns from every start, in the delay alone where theta is pi.
+    """Newton in both unknowns from a start of every loop, in the delay alone where theta is pi.
 
     Returns:
-        theta, the delay [periods], inf where it does not arrive, and the derivatives of ln(-L).
+        theta, the delay [periods], inf where it does not arrive, and the derivatives of ln(-L),
+        shape (n,) each.
     """
-    period, end = loop.control_period, jnp.asarray(math.pi, theta.dtype)
+    end = jnp.asarray(math.pi, theta.dtype)
     wanted, fixed = jnp.isfinite(theta), theta == end
 
     @jax.vmap
-    def residual(theta: jax.Array, delay: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        value, along = jax.linearize(lambda a, b: _response(loop, a, b * period), theta, delay)
-        one, none = jnp.ones_like(theta), jnp.zeros_like(theta)
-        return jnp.log(-value), along(one, none) / value, along(none, one) / value
+    def residual(
+        loop: SampledLoop, theta: jax.Array, delay: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        def response(theta: jax.Array, delay: jax.Array) -> jax.Array:
+            return _response(loop, theta, delay * loop.control_period)
 
-    def step(_: int, at: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        value, along = jax.linearize(response, theta, delay)
+        by_theta, by_delay = jax.vmap(along)(*jnp.eye(2, dtype=theta.dtype)) / value
+        return jnp.log(-value), by_theta, by_delay
+
+    def step(_: jax.Array, at: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         theta, delay = at[-2:]
-        value, by_theta, by_delay = residual(theta, delay)
+        value, by_theta, by_delay = residual(loops, theta, delay)
         area = _nonzero(by_theta.real * by_delay.imag - by_theta.imag * by_delay.real)
         turn = (value.imag * by_delay.real - value.real * by_delay.imag) / area
         wait = (value.real * by_theta.imag - value.imag * by_theta.real) / area
@@ -201,7 +253,7 @@ def _solved(
     begin = jnp.where(wanted, theta, 1.0), jnp.where(wanted, delay, 1.0)
     slope = jax.lax.complex(*begin)
     state = (jnp.full_like(begin[0], jnp.inf), *begin, slope, slope, *begin)
-    left, theta, delay, by_theta, by_delay = jax.lax.fori_loop(0, _STEPS, step, state)[:5]
+    left, theta, delay, by_theta, by_delay = jax.lax.fori_loop(0, steps, step, state)[:5]
     arrived = wanted & (left < jnp.sqrt(jnp.finfo(theta.dtype).eps)) & (fixed | (theta < end))
     return theta, jnp.where(arrived, delay, jnp.inf), by_theta, by_delay
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from jaxact.analysis.joint.distance import counted_distance, static_factor
 from jaxact.analysis.joint.margins import Margins
-from jaxact.analysis.sampled.delay import added_delay, delay_limit
+from jaxact.analysis.sampled.delay import DelayLimit, added_delay, delay_limits
 from jaxact.analysis.sampled.period_map import SampledLoop
 from jaxact.analysis.sampled.pulse import PulseTransfer, plant_response, pulse_transfer
 from jaxact.analysis.sampled.roots import count_unstable, dominant_modulus, sampled_roots
@@ -77,28 +77,37 @@ def sampled_margins(loop: SampledLoop, *, max_delay_steps: int) -> SampledMargin
     shape = values[0].shape
     kind = {name: getattr(loop, name) for name in ("velocity", "integrator", "substeps")}
 
-    def one(row: list[jax.Array]) -> SampledMargins:
-        return _margins_of_one(
-            SampledLoop(**dict(zip(names, row, strict=True)), **kind), max_delay_steps
-        )
+    def tile(rows: list[jax.Array]) -> SampledMargins:
+        loops = SampledLoop(**dict(zip(names, rows, strict=True)), **kind)
+        return _margins_of_tile(loops, max_delay_steps)
 
     flat = [v.reshape(-1) for v in values]
     count = flat[0].shape[0]
-    # A last tile that is not full would be compiled by itself, which takes as long once more.
-    missing = -count % _TILE if count > _TILE else 0
-    full = filled(flat, count + missing)
-    result = jax.lax.map(one, full, batch_size=_TILE)
-    return jax.tree.map(lambda a: a[:count].reshape(shape), result)
+    if count <= _TILE:
+        result = tile(flat)
+    else:
+        full = filled(flat, count + -count % _TILE)
+        parts = jax.lax.map(tile, jax.tree.map(lambda a: a.reshape((-1, _TILE)), full))
+        result = jax.tree.map(lambda a: a.reshape(-1)[:count], parts)
+    return jax.tree.map(lambda a: a.reshape(shape), result)
 
 
-def _margins_of_one(loop: SampledLoop, max_delay_steps: int) -> SampledMargins:
-    transfer = pulse_transfer(loop)
-    constant = jax.lax.stop_gradient((loop, transfer))
-    found = search(*constant, max_delay_steps)
-    roots = sampled_roots(constant[0], max_delay_steps)
-    count = count_unstable(constant[0], roots)
+def _margins_of_tile(loops: SampledLoop, max_delay_steps: int) -> SampledMargins:
+    transfers = jax.vmap(pulse_transfer)(loops)
+    constant, fixed = jax.lax.stop_gradient((loops, transfers))
+    found = jax.vmap(partial(search, max_delay_steps=max_delay_steps))(constant, fixed)
+    limits = delay_limits(constant, fixed, found)
+    return jax.vmap(partial(_margins_of_one, max_delay_steps))(loops, transfers, found, limits)
+
+
+def _margins_of_one(
+    max_delay_steps: int, loop: SampledLoop, transfer: PulseTransfer, found: Found,
+    limit: DelayLimit,
+) -> SampledMargins:  # fmt: skip
+    constant = jax.lax.stop_gradient(loop)
+    roots = sampled_roots(constant, max_delay_steps)
+    count = count_unstable(constant, roots)
     radius = dominant_modulus(loop, transfer, roots)
-    limit = delay_limit(constant[0], found.extremes)
     found = replace(found, overflow=found.overflow | limit.overflow)
     return _assemble(loop, transfer, found, radius, count, added_delay(loop, limit))
 

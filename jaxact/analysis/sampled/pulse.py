@@ -23,6 +23,7 @@ from jaxact.analysis.sampled.period_map import (
     SampledLoop,
     filter_pole,
     period_map,
+    small_product,
 )
 from jaxact.analysis.sampled.servo import damped_oscillation, joint_change
 
@@ -64,9 +65,9 @@ def pulse_transfer(loop: SampledLoop) -> PulseTransfer:
         loop: fields scalar.
     """
     phi, older, newer, steps = period_map(loop)
-    samples = [newer, phi @ newer + older]
+    samples = [newer, small_product(phi, newer) + older]
     for _ in range(3):
-        samples.append(phi @ samples[-1])
+        samples.append(small_product(phi, samples[-1]))
     pulse = jnp.stack(samples)
     servo = _servo_denominator(loop)
     q0, q1, r2 = servo[0], servo[1], servo[2]
@@ -75,14 +76,14 @@ def pulse_transfer(loop: SampledLoop) -> PulseTransfer:
     if loop.sprung:
         joint = _joint_denominator(loop, phi)
         of_joint = jnp.stack([jnp.ones_like(q0), -(joint[1] + 2.0 * joint[2]), joint[2]])
-        double = single = jnp.convolve(in_delays, of_joint)
+        double = single = _product(in_delays, of_joint)
     else:
         integrator = jnp.array([1.0, -1.0], dtype=in_delays.dtype)
-        single = jnp.convolve(in_delays, integrator)
-        double = jnp.convolve(single, integrator)
+        single = _product(in_delays, integrator)
+        double = _product(single, integrator)
     return PulseTransfer(
-        position=jnp.convolve(double, pulse[:, POSITION])[:5],
-        velocity=jnp.convolve(single, pulse[: len(single), VELOCITY])[: len(single)],
+        position=_product(double, pulse[:, POSITION])[:5],
+        velocity=_product(single, pulse[: len(single), VELOCITY])[: len(single)],
         joint=joint,
         servo=servo,
         steps=steps,
@@ -90,6 +91,15 @@ def pulse_transfer(loop: SampledLoop) -> PulseTransfer:
         period=loop.control_period + jnp.zeros_like(q0),
         differenced=loop.velocity == "differenced",
     )
+
+
+def _product(one: jax.Array, other: jax.Array) -> jax.Array:
+    """The product of two polynomials, as sums; coefficients by rising degree."""
+    rows = []
+    for degree in range(len(one) + len(other) - 1):
+        low, high = max(0, degree - len(other) + 1), min(degree, len(one) - 1)
+        rows.append(sum(one[i] * other[degree - i] for i in range(low, high + 1)))
+    return jnp.stack(rows)
 
 
 def _joint_denominator(loop: SampledLoop, phi: jax.Array) -> jax.Array:

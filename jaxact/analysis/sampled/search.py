@@ -152,11 +152,14 @@ def search(loop: SampledLoop, transfer: PulseTransfer, max_delay_steps: int) -> 
     cells = jnp.concatenate([gain_cells, phase_cells])
     of_gain = jnp.arange(GAIN_SLOTS + PHASE_SLOTS) < GAIN_SLOTS
     theta = _solve_crossings(response, of_gain, grid[cells], grid[cells + 1])
+    # At pi, which is looked at by itself, L is real but for rounding.
+    rounding = 64.0 * jnp.finfo(theta.dtype).eps * (2.0 + transfer.steps)
+    apart = theta[GAIN_SLOTS:] < math.pi - rounding
     return Found(
         gain=theta[:GAIN_SLOTS],
         gain_present=gain_present,
         phase=theta[GAIN_SLOTS:],
-        phase_present=jnp.isfinite(top),
+        phase_present=jnp.isfinite(top) & apart,
         peaks=_locate_peaks(response, grid, value, theta),
         overflow=(jnp.sum(changes) > GAIN_SLOTS) | (jnp.sum(crosses) > PHASE_SLOTS),
         extremes=extremes,
