@@ -1,6 +1,7 @@
 // All stability margins of a loop, exact: crossovers and peaks are found on the grid and refined.
 
 import { openLoop } from "./frequencies.js";
+import { sampledLoop } from "./loops.js";
 import { unstableRoots } from "./roots.js";
 
 const TURN = 2 * Math.PI;
@@ -54,17 +55,43 @@ export function margins(loop, cached, kp, kd) {
   return {
     stable: unstable === 0,
     unstable_roots: unstable,
-    ...read(loop, gain, factors, peaks, at),
+    ...read(loop, gain, factors, peaks, at, (one) => delayLeft(loop, kp, kd, one)),
   };
 }
 
-function read(loop, gain, factors, peaks, at) {
+/**
+ * The delay [s] that is left at a gain crossover.
+ *
+ * In a sampled loop a part of a period also changes |L|: what the phase leaves is added, and the
+ * crossover looked up again, until nothing is left.
+ */
+function delayLeft(loop, kp, kd, { w, angle }) {
+  const phase = (angle < 0 ? angle + TURN : angle) / w;
+  if (!loop.sampled) return phase;
+  const p = loop.parameters;
+  let [at, left] = [w, phase];
+  for (let i = 0; i < 60; i++) {
+    const later = sampledLoop({ ...p, delay: p.delay + left });
+    for (let j = 0; j < 6; j++) {
+      const L = openLoop(later, kp, kd, at);
+      at = Math.min(at - logGain(L) / gainSlope(L), loop.end);
+    }
+    const L = openLoop(later, kp, kd, at);
+    const more = Math.atan2(-L.im, -L.re) / at;
+    left += more;
+    if (!(left > 0) || !(Math.abs(logGain(L)) < 1e-6)) return phase;
+    if (Math.abs(more) < 1e-13 * left) break;
+  }
+  return left;
+}
+
+function read(loop, gain, factors, peaks, at, delay) {
   const angles = gain.map((w) => {
     const { re, im } = at(w);
     return { w, angle: Math.atan2(-im, -re) };
   });
   const nearest = smallest(angles, ({ angle }) => Math.abs(angle));
-  const delays = angles.map(({ w, angle }) => (angle < 0 ? angle + TURN : angle) / w);
+  const delays = angles.map(delay);
   const up = smallest(
     factors.filter(({ factor }) => factor > 1),
     ({ factor }) => factor,
