@@ -218,6 +218,19 @@ def test_a_loop_is_lost_at_its_delay_margin_and_not_before(slow):
 
 
 @pytest.mark.exhaustive
+def test_the_slope_of_the_delay_margin_of_an_unstable_loop_is_zero():
+    values = jnp.asarray([4e4, 20.0, 0.7, 110.0, 0.9, 1e-3])[:, None]
+
+    def margin(kp):
+        changed = values.at[0].set(kp)
+        loop = SampledLoop(*changed, jnp.full(1, PERIOD), jnp.full(1, np.inf))
+        return sampled_margins(loop, max_delay_steps=STEPS).delay_margin[0]
+
+    value, slope = jax.jit(jax.value_and_grad(margin))(4e4)
+    assert np.isnan(value) and slope == 0.0
+
+
+@pytest.mark.exhaustive
 def test_the_log_distance_is_that_of_a_scan_of_factors(slow):
     """Infinite where no factor stabilises, as within half a period of hold."""
     found, outside = slow

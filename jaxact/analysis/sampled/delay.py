@@ -80,19 +80,20 @@ def delay_limits(loops: SampledLoop, transfers: PulseTransfer, found: Found) -> 
         jnp.where(demanding, a, b) for a, b in ((_STARTS + _AT_NYQUIST, _NEAR), (_STEPS, _FEW))
     )
     own = loops.delay / loops.control_period
-    none = jnp.zeros_like(own)
-    slope = jax.lax.complex(none, none)
+    none, one = jnp.zeros_like(own), jnp.ones_like(own)
+    # Where nothing is found these are harmless: what is not used has a derivative, too.
+    slopes = jax.lax.complex(one, none), jax.lax.complex(one, one)
 
     def tried(at: jax.Array, best: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        one = _solved(loops, theta[:, at], start[:, at], steps)
-        later = jnp.where(one[1] > own, one[1], jnp.inf)
+        arrived = _solved(loops, theta[:, at], start[:, at], steps)
+        later = jnp.where(arrived[1] > own, arrived[1], jnp.inf)
         sooner = later < best[1]
         return tuple(
             jnp.where(sooner, new, old)
-            for new, old in zip((one[0], later, *one[2:]), best, strict=True)
+            for new, old in zip((arrived[0], later, *arrived[2:]), best, strict=True)
         )
 
-    first = none, jnp.full_like(own, jnp.inf), slope, slope
+    first = none, jnp.full_like(own, jnp.inf), *slopes
     return DelayLimit(*jax.lax.fori_loop(0, number, tried, first), overflow)
 
 
