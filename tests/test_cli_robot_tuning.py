@@ -153,7 +153,10 @@ def test_tables_say_what_is_guaranteed_and_what_cannot_be_met(capsys):
         (["--mass", "0.7", "--validate", "1"], "--validate: is for a robot"),
         (["--mass", "0.7", "--tracking-weight", "1"], "--tracking-weight: is for a robot"),
         ([*ASKED, "--tracking-weight", "-1"], "--tracking-weight -1: give a positive number"),
-        ([*ASKED, "--tracking-weight", "1", "--derivative", "back"], "--derivative: mode 'back'"),
+        (
+            [*ASKED, "--tracking-weight", "1", "--derivative", "back"],
+            "--derivative 'back'; allowed: auto",
+        ),
     ],
 )
 def test_mistakes_are_one_line(capsys, arguments, said):

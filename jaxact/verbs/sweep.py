@@ -245,7 +245,7 @@ def _read(axes: Mapping[str, Any], sampling: Sampling | None) -> dict[str, Axis]
         if ranged and sampling is None and value.get("spacing") in SPACINGS:
             low, high, spacing = value.get("min"), value.get("max"), value["spacing"]
             raise UserError(
-                f"{given}: how many values? Write jaxact.{spacing}({low}, {high}, 5), or have"
+                f"{given}: how many values? Write jaxact.{spacing}({low:g}, {high:g}, 5), or have"
                 ' points drawn from the range: `sampling="sobol"`'
             )
         found[name] = read_axis(name, listed, sampled=sampling is not None and ranged)

@@ -40,10 +40,11 @@ def by_hand(setpoint, substeps, ticks):
     return position, velocity
 
 
+@pytest.mark.parametrize("rest", [0.0, 0])
 @pytest.mark.parametrize("rate", [1000.0, 500.0])
-def test_a_state_of_pythons_own_numbers_is_taken(rate):
+def test_a_state_of_pythons_own_numbers_is_taken(rate, rest):
     drive = around(control_rate=rate)
-    state = drive.init((0.0, 0.0))
+    state = drive.init((rest, rest))
     for _ in range(5):
         state, output = drive.step(state, 0.1)
     expected = by_hand(0.1, round(1000 / rate), 5)
@@ -55,7 +56,7 @@ def test_a_state_of_pythons_own_numbers_is_taken(rate):
 def test_a_state_of_whole_numbers_that_becomes_another_is_said_in_one_line(rate):
     drive = around(control_rate=rate)
     with pytest.raises(UserError, match="step: gives a number with decimals where"):
-        drive.step(drive.init((0, 0)), 0.1)
+        drive.step(drive.init((jnp.zeros((), int), np.zeros((), np.int32))), 0.1)
 
 
 def test_whole_numbers_of_a_state_that_stay_so_are_kept():
