@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.optimize
 import theory
 from quickly import compiled_quickly as compiled_quickly
@@ -167,6 +168,84 @@ def test_delay_margin_of_whole_periods_is_exact():
     values[5] += 9 * PERIOD
     matrix = theory.sampled_matrix(values, PERIOD)
     np.testing.assert_allclose(np.abs(np.linalg.eigvals(matrix)).max(), 1.0, atol=1e-9)
+
+
+def test_loops_far_slower_than_their_control_are_those_of_continuous_time():
+    """Of a mass and ideal forces; down to 1e-9 rad a control period."""
+    crossover = 10.0 ** np.arange(-9.0, -3.0) / PERIOD
+    kp, kd, one = 0.5 * crossover**2, 0.8 * crossover, np.ones(6)
+    found = evaluate(np.stack([kp, kd, one, np.inf * one, one, 0.0 * one]))
+    gain_crossover = np.sqrt(0.5 * (kd**2 + np.sqrt(kd**4 + 4.0 * kp**2)))
+    phase = np.arctan2(kd * gain_crossover, kp)
+    assert found.stable.all()
+    np.testing.assert_allclose(found.phase_margin, phase, rtol=1e-3)
+    np.testing.assert_allclose(found.delay_margin, phase / gain_crossover, rtol=1e-3)
+
+
+@pytest.fixture(scope="module")
+def sprung():
+    """The compiled margins of sampled loops with a period of 1 s and a spring, by columns of
+    (kp, kd, mass, wn, zeta, delay, c, k).
+    """
+    one = np.ones(SIZE)
+
+    def found(*columns):
+        number = len(columns[0])
+        padded = [np.resize(column, SIZE) for column in columns]
+        arrays = [jnp.asarray(a) for a in (*padded[:6], one, np.inf * one, *padded[6:])]
+        names = [field.name for field in dataclasses.fields(SampledLoop)]
+        names = [name for name in names if name not in ("velocity", "integrator", "substeps")]
+        result = compiled(SampledLoop(**dict(zip(names, arrays, strict=True))))
+        return jax.tree.map(lambda a: np.asarray(a)[:number], result)
+
+    return found
+
+
+@pytest.mark.exhaustive
+def test_the_delay_at_which_a_loop_is_first_lost_though_it_returns_soon_after(sprung):
+    """Between 1.268 s and 1.409 s of more delay |L| passes 1 at a resonance beyond Nyquist."""
+    kp, kd, c, k = 3.660124437732472, 0.6505597026056574, 0.3086347764666271, 23.006307083143888
+    found = sprung(*([value] for value in (kp, kd, 1.0, np.inf, 1.0, 0.0, c, k)))
+
+    def radius(delay):
+        whole = int(delay)
+        flow = np.zeros((3, 3))
+        flow[0, 1], flow[1] = 1.0, (-k, -c, 1.0)
+        before, after = (scipy.linalg.expm(flow * t) for t in (delay - whole, 1 - delay + whole))
+        state = after @ before
+        size = 2 + whole + 1
+        matrix = np.zeros((size, size))
+        matrix[:2, :2] = state[:2, :2]
+        matrix[:2, 2 + whole] = after[:2, :2] @ before[:2, 2]
+        newest = np.zeros(size) if whole else None
+        command = np.zeros(size)
+        command[:2] = -kp, -kd
+        if whole:
+            newest[1 + whole] = 1.0
+        matrix[:2] += np.outer(after[:2, 2], newest if whole else command)
+        matrix[2] = command
+        matrix[3:, 2:-1] += np.eye(size - 3)
+        return np.abs(np.linalg.eigvals(matrix)).max()
+
+    first = scipy.optimize.brentq(lambda delay: radius(delay) - 1.0, 1.2, 1.3)
+    assert all(radius(delay) < 1.0 for delay in np.linspace(0.0, first - 1e-6, 40))
+    np.testing.assert_allclose(found.delay_margin[0], first, rtol=1e-9)
+
+
+@pytest.mark.exhaustive
+def test_no_smaller_gain_loses_a_joint_with_an_undamped_spring(sprung):
+    """L passes through infinity at its own frequency: no crossing of the negative axis."""
+    rng = np.random.default_rng(2)
+    kp, kd = 10.0 ** rng.uniform(-4, -1, SIZE), 10.0 ** rng.uniform(-2, -0.5, SIZE)
+    k = kp * 10.0 ** rng.uniform(-1.0, 2.0, SIZE)
+    wn, zeta = 10.0 ** rng.uniform(0.0, 1.5, SIZE), rng.uniform(0.3, 1.5, SIZE)
+    others = np.ones(SIZE), wn, zeta, rng.uniform(0.0, 1.5, SIZE), np.zeros(SIZE), k
+    found = sprung(kp, kd, *others)
+    assert found.stable.sum() > 50
+    smaller = sprung(1e-3 * kp, 1e-3 * kd, *others)
+    assert (found.gain_reduction_margin[found.stable] == 0.0).mean() > 0.9
+    none = found.stable & (found.gain_reduction_margin == 0.0)
+    assert smaller.stable[none].all()
 
 
 def slow_loops(seed):

@@ -16,11 +16,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 
-from jaxact.analysis.sampled.period_map import SampledLoop
+from jaxact.analysis.sampled.any_delay import (
+    AnyDelay,
+    any_delay,
+    at_parts,
+    hold,
+    in_two_parts,
+    response_with,
+)
+from jaxact.analysis.sampled.period_map import SampledLoop, newer_command
 from jaxact.analysis.sampled.pulse import PulseTransfer, pulse_transfer
 from jaxact.analysis.sampled.search import (
     GAIN_SLOTS,
@@ -33,10 +42,12 @@ from jaxact.analysis.sampled.search import (
 
 _TURN = 2.0 * math.pi
 # Parts of a period at which crossovers are looked for, and how far off in those a start may be.
-_PARTS, _OFF = 16, 3.0
+_PARTS, _OFF = 16, 6.0
 # Starts that are followed, of those that mean the shortest delays.
-_STARTS, _AT_NYQUIST = 14, 2
+_STARTS, _AT_NYQUIST = 22, 2
 _REFINEMENTS, _STEPS = 2, 8
+# How dense the grid of crossovers is, as for delays of so many periods.
+_DENSE = 18
 # Of the loop's own crossovers, which are as good as right.
 _NEAR, _FEW = 2, 4
 # Crossovers up to here [rad] stay where they are but for a little; nor do others come into being
@@ -72,9 +83,12 @@ def delay_limits(loops: SampledLoop, transfers: PulseTransfer, found: Found) -> 
     Args:
         loops, transfers, found: constant, of a batch, shape (n, ...) each.
     """
+    parts = jnp.arange(_PARTS, dtype=loops.delay.dtype) / _PARTS
+    phi, newer = jax.vmap(at_parts, in_axes=(0, None))(loops, parts)
+    late = jax.vmap(any_delay)(transfers, phi, newer[:, 0])
     demanding = jnp.any(jax.vmap(_is_demanding)(loops, transfers, found))
     theta, start, overflow = jax.lax.cond(
-        demanding, jax.vmap(_starts), jax.vmap(_near_starts), loops, transfers, found
+        demanding, jax.vmap(_starts), jax.vmap(_near_starts), loops, late, newer, found
     )
     number, steps = (
         jnp.where(demanding, a, b) for a, b in ((_STARTS + _AT_NYQUIST, _NEAR), (_STEPS, _FEW))
@@ -85,7 +99,7 @@ def delay_limits(loops: SampledLoop, transfers: PulseTransfer, found: Found) -> 
     slopes = jax.lax.complex(one, none), jax.lax.complex(one, one)
 
     def tried(at: jax.Array, best: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        arrived = _solved(loops, theta[:, at], start[:, at], steps)
+        arrived = _solved(loops, late, theta[:, at], start[:, at], steps)
         later = jnp.where(arrived[1] > own, arrived[1], jnp.inf)
         sooner = later < best[1]
         return tuple(
@@ -107,10 +121,10 @@ def _is_demanding(loop: SampledLoop, transfer: PulseTransfer, found: Found) -> j
 
 
 def _near_starts(
-    loop: SampledLoop, transfer: PulseTransfer, found: Found
+    loop: SampledLoop, late: AnyDelay, _: jax.Array, found: Found
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """As `_starts`, from the loop's own crossovers, those that leave the least first."""
-    value = response_at(loop, transfer, found.gain)
+    value = response_at(loop, late.transfer, found.gain)
     left = jnp.mod(jnp.arctan2(-value.imag, -value.real), _TURN) / found.gain
     left = jnp.where(found.gain_present, left, jnp.inf)
     order, more = jnp.argsort(left), _STARTS + _AT_NYQUIST - GAIN_SLOTS
@@ -120,6 +134,7 @@ def _near_starts(
     return theta, jnp.pad(start, (0, more), constant_values=jnp.inf), jnp.zeros((), bool)
 
 
+@jax.custom_jvp
 def added_delay(loop: SampledLoop, limit: DelayLimit) -> jax.Array:
     """The delay that is left [s], with the derivative of the implicit function.
 
@@ -127,59 +142,72 @@ def added_delay(loop: SampledLoop, limit: DelayLimit) -> jax.Array:
         loop: live, fields scalar.
         limit: of it.
     """
-    found, period = jnp.isfinite(limit.delay), loop.control_period
-    constant = jax.lax.stop_gradient(period)
-    whole = jnp.where(found, limit.delay, 1.0) * constant
-    residual = jnp.log(-_response(loop, jnp.where(found, limit.theta, 1.0), whole))
-    between = (residual / limit.by_theta).imag / (limit.by_delay / limit.by_theta).imag
-    step = jnp.where(limit.theta < math.pi, between, residual.real / limit.by_delay.real)
-    small = jnp.abs(jax.lax.stop_gradient(step)) < 0.1
-    step = jnp.where(small, step, 0.0) * constant
-    return jnp.where(found, whole - step - loop.delay, jnp.inf)
+    return jnp.where(
+        jnp.isfinite(limit.delay), limit.delay * loop.control_period - loop.delay, jnp.inf
+    )
 
 
-def _response(loop: SampledLoop, theta: jax.Array, delay: jax.Array) -> jax.Array:
-    """L(exp(j theta)) with another delay [s]; all scalar."""
-    late = replace(loop, delay=delay)
-    return response_at(late, pulse_transfer(late), theta)
+@added_delay.defjvp
+def _added_delay_jvp(
+    primals: tuple[SampledLoop, DelayLimit], tangents: tuple[SampledLoop, DelayLimit]
+) -> tuple[jax.Array, jax.Array]:
+    loop, limit = primals
+    found = jnp.isfinite(limit.delay)
+    theta = jnp.where(found, limit.theta, 1.0)
+    whole = jax.lax.stop_gradient(jnp.where(found, limit.delay, 1.0) * loop.control_period)
+
+    def moved(loop: SampledLoop) -> jax.Array:
+        late = replace(loop, delay=whole)
+        residual = jnp.log(-response_at(late, pulse_transfer(late), theta))
+        between = (residual / limit.by_theta).imag / (limit.by_delay / limit.by_theta).imag
+        step = jnp.where(theta < math.pi, between, residual.real / limit.by_delay.real)
+        return whole - step * jax.lax.stop_gradient(loop.control_period) - loop.delay
+
+    _, tangent = jax.jvp(moved, (loop,), (tangents[0],))
+    return added_delay(loop, limit), jnp.where(found, tangent, 0.0)
 
 
 def _starts(
-    loop: SampledLoop, transfer: PulseTransfer, found: Found
+    loop: SampledLoop, late: AnyDelay, newer: jax.Array, found: Found
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Where Newton begins, from the crossovers at parts of a period.
+
+    Args:
+        loop, late, found: of one loop.
+        newer: Gamma_new after each of the parts, shape (parts, 4).
 
     Returns:
         theta [rad], NaN where there are fewer, and pi of a root at -1; the delay [periods], shape
         (starts,) each; and whether a part had more crossovers than slots.
     """
     own = loop.delay / loop.control_period
-    # Extremes, such as resonances, hardly move.
-    grid = jnp.sort(jnp.concatenate([bracketing_grid(loop, 0), found.extremes]))
+    # Extremes, such as resonances, hardly move; others come into being near the Nyquist frequency.
+    grid = jnp.sort(jnp.concatenate([bracketing_grid(loop, _DENSE), found.extremes]))
     parts = jnp.arange(_PARTS, dtype=own.dtype) / _PARTS
+    u, held, moved = in_two_parts(loop, late, grid)
 
-    def of_part(part: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        late = replace(loop, delay=part * loop.control_period)
-        transfer = pulse_transfer(late)
-        value = response_at(late, transfer, grid)
-        height = jnp.log(jnp.abs(value))
-        changes = (height[:-1] > 0) != (height[1:] > 0)
+    def of_part(newer: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        value = u * (held + jnp.sum(moved * newer[:, None], axis=0))
+        square = value.real**2 + value.imag**2
+        changes = (square[:-1] > 1.0) != (square[1:] > 1.0)
         cells, present = first_cells(changes, GAIN_SLOTS)
-        low, high, begin, end = grid[cells], grid[cells + 1], height[cells], height[cells + 1]
+        low, high = grid[cells], grid[cells + 1]
+        begin, end = jnp.log(square[cells]), jnp.log(square[cells + 1])
+        response = partial(response_with, loop, late, newer, 0.0)
 
         def newton(_: int, theta: jax.Array) -> jax.Array:
-            value, slope = with_slope(lambda x: response_at(late, transfer, x), theta)
+            value, slope = with_slope(response, theta)
             step = jnp.log(jnp.abs(value)) / _nonzero((slope / value).real)
             return jnp.clip(theta - step, low, high)
 
         theta = low + (high - low) * begin / _nonzero(begin - end)
         theta = jax.lax.fori_loop(0, _REFINEMENTS, newton, theta)
-        there = response_at(late, transfer, theta)
+        there = response(theta)
         angle = jnp.arctan2(-there.imag, -there.real)
         overflow = jnp.sum(changes) > GAIN_SLOTS
         return jnp.where(present, theta, jnp.nan), angle, value[-1].real, overflow
 
-    theta, angle, end, overflow = jax.vmap(of_part)(parts)
+    theta, angle, end, overflow = jax.vmap(of_part)(newer)
     turns = _TURN / theta
     # The first turn that may still mean a longer delay than the loop has, and the one after it.
     first = angle / theta
@@ -217,7 +245,7 @@ def _at_nyquist(own: jax.Array, parts: jax.Array, height: jax.Array) -> jax.Arra
 
 
 def _solved(
-    loops: SampledLoop, theta: jax.Array, delay: jax.Array, steps: jax.Array
+    loops: SampledLoop, late: AnyDelay, theta: jax.Array, delay: jax.Array, steps: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Newton in both unknowns from a start of every loop, in the delay alone where theta is pi.
 
@@ -230,18 +258,24 @@ def _solved(
 
     @jax.vmap
     def residual(
-        loop: SampledLoop, theta: jax.Array, delay: jax.Array
+        loop: SampledLoop, late: AnyDelay, theta: jax.Array, delay: jax.Array
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
-        def response(theta: jax.Array, delay: jax.Array) -> jax.Array:
-            return _response(loop, theta, delay * loop.control_period)
+        steps, period = jnp.floor(delay), loop.control_period
+        _, newer, slope = newer_command(loop, (delay - steps) * period)
 
-        value, along = jax.linearize(response, theta, delay)
-        by_theta, by_delay = jax.vmap(along)(*jnp.eye(2, dtype=theta.dtype)) / value
-        return jnp.log(-value), by_theta, by_delay
+        def parts(theta: jax.Array) -> tuple[jax.Array, jax.Array]:
+            _, held, moved = in_two_parts(loop, late, theta)
+            late_by = hold(theta, steps)
+            value = late_by * (held + jnp.sum(moved * newer[:, None], axis=0))
+            return value, late_by * jnp.sum(moved * slope[:, None], axis=0) * period
+
+        at = theta[None]
+        value, by_theta, by_delay = jax.jvp(parts, (at,), (jnp.ones_like(at),), has_aux=True)
+        return jnp.log(-value)[0], (by_theta / value)[0], (by_delay / value)[0]
 
     def step(_: jax.Array, at: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         theta, delay = at[-2:]
-        value, by_theta, by_delay = residual(loops, theta, delay)
+        value, by_theta, by_delay = residual(loops, late, theta, delay)
         area = _nonzero(by_theta.real * by_delay.imag - by_theta.imag * by_delay.real)
         turn = (value.imag * by_delay.real - value.real * by_delay.imag) / area
         wait = (value.real * by_theta.imag - value.imag * by_theta.real) / area

@@ -108,6 +108,35 @@ def period_map(loop: SampledLoop) -> tuple[jax.Array, jax.Array, jax.Array, jax.
     return phi, older, newer, steps
 
 
+def newer_command(
+    loop: SampledLoop, remainder: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Phi (4, 4) after a part of a period, Gamma_new (4,) there, and its derivative by the part.
+
+    Args:
+        loop: fields scalar; its delay is not used.
+        remainder: part of the control period that the older command acts for [s], scalar. Where it
+            is 0 Phi is that of the period, and Gamma_new what a command does in all of it.
+    """
+    servo = (loop.mass, loop.natural_frequency, loop.damping_ratio)
+    if loop.integrator == "exact":
+        left = (loop.control_period - remainder)[None]
+        phi, newer = (each[0] for each in _transitions(left, servo, loop.joint))
+        ideal = jnp.isinf(loop.natural_frequency)
+        wn = jnp.where(ideal, 1.0, loop.natural_frequency)
+        # Under a command of 1 the rate of an ideal force is the acceleration, else f'/wn grows.
+        return phi, newer, -jnp.where(ideal, phi[:, VELOCITY] / loop.mass, wn * phi[:, FORCE_RATE])
+
+    def euler(remainder: jax.Array) -> tuple[jax.Array, jax.Array]:
+        phi, _, newer = _euler_period(
+            remainder, loop.control_period, loop.substeps, servo, loop.joint
+        )
+        return newer, phi
+
+    newer, slope, phi = jax.jvp(euler, (remainder,), (jnp.ones_like(remainder),), has_aux=True)
+    return phi, newer, slope
+
+
 def small_product(matrix: jax.Array, vector: jax.Array) -> jax.Array:
     """Their product, as a sum: of a batch of so small ones it takes a fraction of a dot's time."""
     return jnp.sum(matrix * vector[None], axis=1)

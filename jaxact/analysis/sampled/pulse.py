@@ -70,27 +70,37 @@ def pulse_transfer(loop: SampledLoop) -> PulseTransfer:
         samples.append(small_product(phi, samples[-1]))
     pulse = jnp.stack(samples)
     servo = _servo_denominator(loop)
-    q0, q1, r2 = servo[0], servo[1], servo[2]
-    in_delays = jnp.stack([jnp.ones_like(q0), -(q1 + 2.0 * r2), r2])
-    joint = None
-    if loop.sprung:
-        joint = _joint_denominator(loop, phi)
-        of_joint = jnp.stack([jnp.ones_like(q0), -(joint[1] + 2.0 * joint[2]), joint[2]])
-        double = single = _product(in_delays, of_joint)
-    else:
-        integrator = jnp.array([1.0, -1.0], dtype=in_delays.dtype)
-        single = _product(in_delays, integrator)
-        double = _product(single, integrator)
+    joint = _joint_denominator(loop, phi) if loop.sprung else None
+    double, single = _in_delays(servo, joint)
+    zero = jnp.zeros_like(servo[0])
     return PulseTransfer(
         position=_product(double, pulse[:, POSITION])[:5],
         velocity=_product(single, pulse[: len(single), VELOCITY])[: len(single)],
         joint=joint,
         servo=servo,
         steps=steps,
-        pole=filter_pole(loop) + jnp.zeros_like(q0),
-        period=loop.control_period + jnp.zeros_like(q0),
+        pole=filter_pole(loop) + zero,
+        period=loop.control_period + zero,
         differenced=loop.velocity == "differenced",
     )
+
+
+def delay_polynomials(transfer: PulseTransfer) -> tuple[jax.Array, jax.Array]:
+    """Denominators of position and velocity by rising powers of u, shape (5,) and (4,) or (5,)."""
+    return _in_delays(transfer.servo, transfer.joint)
+
+
+def _in_delays(servo: jax.Array, joint: jax.Array | None) -> tuple[jax.Array, jax.Array]:
+    """As `delay_polynomials`, of denominators written in S."""
+    one = jnp.ones_like(servo[0])
+    of_servo = jnp.stack([one, -(servo[1] + 2.0 * servo[2]), servo[2]])
+    if joint is not None:
+        of_joint = jnp.stack([one, -(joint[1] + 2.0 * joint[2]), joint[2]])
+        both = _product(of_servo, of_joint)
+        return both, both
+    integrator = jnp.array([1.0, -1.0], dtype=of_servo.dtype)
+    single = _product(of_servo, integrator)
+    return _product(single, integrator), single
 
 
 def _product(one: jax.Array, other: jax.Array) -> jax.Array:
@@ -141,7 +151,7 @@ def plant_response(transfer: PulseTransfer, u: Any, s: Any, hold: Any) -> tuple[
         s: 1 - u, computed without cancellation: 2 j sin(theta / 2) exp(-j theta / 2).
         hold: u^{d+1}.
     """
-    servo, rigid, single = _denominators(transfer, s)
+    servo, rigid, single = denominators(transfer, s)
     position = hold * polynomial(transfer.position, u) / (rigid * servo)
     if not transfer.differenced:
         return position, hold * polynomial(transfer.velocity, u) / (single * servo)
@@ -162,7 +172,7 @@ def characteristic(transfer: PulseTransfer, kp: Any, kd: Any, z: Any) -> Any:
     """
     u = 1.0 / z
     s = 1.0 - u
-    servo, rigid, single = _denominators(transfer, s)
+    servo, rigid, single = denominators(transfer, s)
     hold = u ** (transfer.steps + 1.0)
     position = hold * polynomial(transfer.position, u)
     if transfer.differenced:
@@ -174,7 +184,7 @@ def characteristic(transfer: PulseTransfer, kp: Any, kd: Any, z: Any) -> Any:
     return rigid * servo + kp * position + kd * velocity * (s if transfer.joint is None else 1.0)
 
 
-def _denominators(transfer: PulseTransfer, s: Any) -> tuple[Any, Any, Any]:
+def denominators(transfer: PulseTransfer, s: Any) -> tuple[Any, Any, Any]:
     """Of the servo, of the joint's position, and of its velocity."""
     q0, q1, r2 = transfer.servo[0], transfer.servo[1], transfer.servo[2]
     servo = q0 + s * (q1 + s * r2)

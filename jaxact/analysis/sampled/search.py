@@ -26,6 +26,8 @@ _BISECTIONS = 14
 _NEWTON_STEPS = 5
 _PEAK_STEPS = 10
 _TINY = 1e-30
+# How far from the negative real axis a refined crossing of it may be [rad].
+_ON_AXIS = 1e-2
 
 Response = Callable[[jax.Array], jax.Array]
 
@@ -155,6 +157,10 @@ def search(loop: SampledLoop, transfer: PulseTransfer, max_delay_steps: int) -> 
     # At pi, which is looked at by itself, L is real but for rounding.
     rounding = 64.0 * jnp.finfo(theta.dtype).eps * (2.0 + transfer.steps)
     apart = theta[GAIN_SLOTS:] < math.pi - rounding
+    if loop.sprung:
+        # At an undamped joint's own frequency L changes its sign by way of infinity.
+        there = response(theta[GAIN_SLOTS:])
+        apart &= jnp.abs(jnp.arctan2(-there.imag, -there.real)) < _ON_AXIS
     return Found(
         gain=theta[:GAIN_SLOTS],
         gain_present=gain_present,
@@ -175,7 +181,7 @@ def bracketing_grid(loop: SampledLoop, max_delay_steps: int) -> jax.Array:
         c, k = (jnp.abs(a) for a in loop.joint)
         slow = jnp.where(k > 0, jnp.sqrt(k / loop.mass), jnp.abs(loop.kp) / jnp.maximum(c, _TINY))
         low = 1e-2 * jnp.minimum(low, 0.05 * loop.control_period * slow)
-    low = jnp.clip(low, 1e-7, 0.01)
+    low = jnp.clip(low, 1e-12, 0.01)
     logarithmic = jnp.exp(jnp.linspace(jnp.log(low), math.log(math.pi), _LOG_POINTS)[:-1])
     number = _POINTS_PER_STEP * (max_delay_steps + 6)
     linear = jnp.linspace(0.0, math.pi, number + 1, dtype=logarithmic.dtype)[1:]
