@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.identification import between_rows, forces, inspection, motion, rivals
+from jaxact.identification import between_rows, forces, inspection, motion, rivals, unrefuted
 from jaxact.identification.alignment import aligned
 from jaxact.identification.fitting import ADAM, LEAST_SQUARES, METHODS
 from jaxact.identification.ladder import Ladder, climb, too_long
@@ -92,7 +92,10 @@ def identify(
         if plant != "none":
             ladder = between_rows.doubted(ladder, plant, control_rate)
         verdict = judge(ladder)
-        ladder = withdrawn(rivals.heard(ladder), verdict)
+        ladder = rivals.heard(ladder)
+        if method == LEAST_SQUARES:
+            ladder = unrefuted.allowed(ladder, loss=loss)
+        ladder = withdrawn(ladder, verdict)
         return Identified(plant, ladder, inspected(ladder), verdict, control_rate)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from jaxact.identification import uncertainty
+from jaxact.identification import misfit, uncertainty
 from jaxact.identification.fitting import Fit, solve
 from jaxact.parameters import DELAY, WN, ZETA
 
@@ -27,6 +27,9 @@ _MAY_BE_NONE = ("loaded", "stribeck")
 # A drawn profile goes beyond the interval by this factor.
 _BEYOND_THE_INTERVAL = 1.6
 
+GOES_WITH_THE_MOTION = ", as much of the error goes with the motion"
+"""Why an interval is wide whose model lacks something, behind that it is."""
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -40,6 +43,8 @@ class Estimate:
         identified: whether the logs say enough of it.
         reason: why not, "" where they do.
         at_bound: whether it lies at a bound of its range.
+        bias: what the interval's half-width allows for an error that goes with the motion, in
+            standard deviations of independent residuals [-]; squares add up.
     """
 
     name: str
@@ -51,6 +56,7 @@ class Estimate:
     identified: bool
     reason: str = ""
     at_bound: bool = False
+    bias: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,8 @@ class Knowledge:
         condition: condition number of the slopes, each scaled to length 1.
         combinations: unknowns that cannot be told apart, set by set.
         lag: ``delay + 2 zeta / wn`` and its standard deviation [s]; None where the model has none.
+        misfit: part of the error that goes with the motion and that the intervals allow for, see
+            `jaxact.identification.misfit` [-].
     """
 
     estimates: tuple[Estimate, ...]
@@ -74,6 +82,7 @@ class Knowledge:
     condition: float
     combinations: tuple[tuple[str, ...], ...]
     lag: tuple[float, float] | None
+    misfit: float = 0.0
 
     def __getitem__(self, name: str) -> Estimate:
         """The estimate of this name."""
@@ -85,30 +94,34 @@ class Knowledge:
         return all(estimate.identified for estimate in self.estimates)
 
 
-def of_fit(fit: Fit, *, bootstrap: bool = False, profile: bool = True) -> Knowledge:
+def of_fit(
+    fit: Fit, *, bootstrap: bool = False, profile: bool = True, rho: float = 0.0
+) -> Knowledge:
     """Intervals, correlations and combinations of a fit.
 
     Args:
         fit: solved.
         bootstrap: resample blocks instead of the kernel's estimate.
         profile: the delay's interval, and those at bounds, by profile likelihood.
+        rho: part of the error that goes with the motion, by `misfit.share`.
     """
     naive = uncertainty.naive(fit)
     covariance = uncertainty.bootstrap(fit) if bootstrap else uncertainty.robust(fit)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     plain = np.sqrt(np.maximum(np.diag(naive), 0.0))
     wider = deviation / np.where(plain > 0.0, plain, 1.0)
+    bias = misfit.bias(fit, rho)
     ends: dict[int, tuple[float, float]] = {}
     for index, unknown in enumerate(fit.problem.unknowns):
         if unknown.nuisance:
             continue
-        half = uncertainty.critical(fit, float(wider[index])) * float(deviation[index])
+        reach = half_width(fit, float(wider[index]), bias) * float(plain[index])
         point = float(fit.point[index])
-        both = sorted((unknown.value(point - half), unknown.value(point + half)))
+        both = sorted((unknown.value(point - reach), unknown.value(point + reach)))
         low, high = max(both[0], unknown.low), min(both[1], unknown.high)
         if unknown.name == DELAY and profile:
             ratio = float(wider[index]) if wider[index] > 0.0 else float(np.median(wider))
-            low, high = _profile(fit, index, ratio)
+            low, high = ends_of_delay(fit, half_width(fit, ratio, bias))
         ends[index] = low, high
     wide = {fit.problem.names[index] for index, both in ends.items() if is_wide(fit, index, *both)}
     sets, condition = combinations(fit, wide)
@@ -118,9 +131,12 @@ def of_fit(fit: Fit, *, bootstrap: bool = False, profile: bool = True) -> Knowle
         if fit.problem.names[index] in _MAY_BE_NONE and low <= 0.0
     }
     estimates = [
-        _estimate(fit, index, *both, float(wider[index]), sets, wide, none)
+        _estimate(fit, index, *both, (float(wider[index]), bias), sets, wide, none)
         for index, both in ends.items()
     ]
+    # As a deviation of which the bias is two: numbers that only their sum is known of keep it.
+    covariance = covariance + (bias / uncertainty.critical(fit, 1.0)) ** 2 * naive
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     size = np.where(deviation > 0.0, deviation, 1.0)
     return Knowledge(
         estimates=tuple(estimates),
@@ -130,7 +146,19 @@ def of_fit(fit: Fit, *, bootstrap: bool = False, profile: bool = True) -> Knowle
         condition=condition,
         combinations=sets,
         lag=_lag(fit, covariance),
+        misfit=rho,
     )
+
+
+def half_width(fit: Fit, wider: float, bias: float) -> float:
+    """Half of a 95 % interval in standard deviations of independent residuals.
+
+    Args:
+        fit: solved.
+        wider: standard deviation over that of independent residuals.
+        bias: by `misfit.bias`.
+    """
+    return math.hypot(uncertainty.critical(fit, wider) * wider, bias)
 
 
 def beyond(longest: float) -> str:
@@ -160,7 +188,7 @@ def is_wide(fit: Fit, index: int, low: float, high: float) -> bool:
 
 
 def _estimate(
-    fit: Fit, index: int, low: float, high: float, wider: float,
+    fit: Fit, index: int, low: float, high: float, wider: tuple[float, float],
     sets: tuple[tuple[str, ...], ...], wide: Set[str], none: Set[str],
 ) -> Estimate:  # fmt: skip
     unknown = fit.problem.unknowns[index]
@@ -174,20 +202,21 @@ def _estimate(
         reason = "the model does not follow the log"
     elif together:
         others = " and ".join(name for name in together[0] if name != unknown.name)
-        reason = f"cannot be told from {others}"
+        reason = f"cannot be told from {others}" if others else "changes nothing that logs show"
     elif at_bound:
         reason = beyond(unknown.high) if unknown.name == DELAY else "lies at a bound of its range"
     elif unknown.name == WN and value > math.pi / (fit.problem.period or math.inf):
         # What happens between rows may be anything that was fitted badly.
         reason = "is faster than the rows of the log can show"
     elif unknown.name in wide:
-        reason = "its interval is wide"
+        reason = "its interval is wide" + (GOES_WITH_THE_MOTION if wider[1] > 0.0 else "")
     elif unknown.name in none:
         reason = "may be zero"
     elif unknown.name == "stribeck_speed" and "stribeck" in none:
         reason = "says nothing where stribeck may be zero"
+    ratio, bias = wider
     return Estimate(
-        unknown.name, unknown.unit, value, low, high, wider, reason == "", reason, at_bound
+        unknown.name, unknown.unit, value, low, high, ratio, not reason, reason, at_bound, bias
     )
 
 
@@ -223,17 +252,20 @@ def combinations(fit: Fit, wide: Set[str]) -> tuple[tuple[tuple[str, ...], ...],
     return (*still, *sets), condition
 
 
-def _profile(fit: Fit, index: int, wider: float) -> tuple[float, float]:
+def ends_of_delay(fit: Fit, half: float) -> tuple[float, float]:
     """The delay's interval: where the others' best fit grows by what is exceeded in 5 of 100 logs.
 
-    The sum of squares is in units of the residuals' variance times `wider`^2, which is how much
-    less they say than independent ones.
+    Args:
+        fit: solved.
+        half: of the interval, in standard deviations of independent residuals: so large a one
+            raises the sum of squares by its square, in units of the residuals' variance.
     """
+    index = fit.problem.names.index(DELAY)
     unknown = fit.problem.unknowns[index]
     period = fit.problem.period or unknown.high
     best = float(fit.point[index])
     spare = max(len(fit.residuals) - len(fit.point), 1)
-    bound = (uncertainty.critical(fit, wider) * wider) ** 2
+    bound = half**2
     allowed = fit.square_sum * (1.0 + bound / spare)
     known = {
         u.name: value for u, value in zip(fit.problem.unknowns, fit.values.values(), strict=True)
@@ -294,7 +326,7 @@ def profile(fit: Fit, estimate: Estimate, *, number: int = 7) -> Profile:
     low, high = max(ends[0], unknown.low), min(ends[1], unknown.high)
     values = np.unique(np.append(np.linspace(low, high, number), estimate.value))
     spare = max(len(fit.residuals) - len(fit.point), 1)
-    bound = uncertainty.critical(fit, estimate.wider) * max(estimate.wider, 1e-6)
+    bound = half_width(fit, max(estimate.wider, 1e-6), estimate.bias)
     rise = fit.square_sum * bound**2 / spare
     others = [
         solve(fit.problem, fixed={estimate.name: float(value)}, start=fit.values).square_sum

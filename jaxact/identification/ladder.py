@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxact.identification import knowledge as _knowledge
+from jaxact.identification import misfit
 from jaxact.identification.choice import (
     AS_GOOD,
     Candidate,
@@ -146,7 +147,7 @@ def climb(
         rung = replace(rung, free=(*rung.free, *family.beside))
         best = solve(of_rung(family, rung, fitted), loss=loss, method=method, start=best.values)
     best = settled(best, loss=loss) if method == LEAST_SQUARES else best
-    known = _knowledge.of_fit(best, bootstrap=bootstrap)
+    known = _knowledge.of_fit(best, bootstrap=bootstrap, rho=misfit.share(best))
     refined = without_delay(_tried(family, rung, best, known, held), found)
     ordered = sorted(found, key=lambda one: (one.size, one.rung.name))
     return Ladder(

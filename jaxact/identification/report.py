@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # What models with more than this many times the chosen one's error leave open is of no interest.
 _NEARLY_AS_GOOD = 1.5
+# Half of a 95 % interval of independent residuals [standard deviations].
+_NAIVE = 1.96
 # Loops run faster than logs of longer periods do [s].
 _COARSE = 4e-3
 
@@ -50,7 +52,19 @@ def text(identified: Identified) -> str:
         f"residuals: {100.0 * white:.0f} % of their autocorrelations are not those of white noise,"
         " which the intervals allow for"
     )
+    lines += lacking(ladder)
     return "\n".join(lines)
+
+
+def lacking(ladder: Ladder) -> list[str]:
+    """That the chosen model lacks something, and what its intervals make of it."""
+    rho = ladder.chosen.knowledge.misfit
+    if rho == 0.0:
+        return []
+    return [
+        f"the model lacks something: {100.0 * rho:.0f} % of its error goes with the motion, and"
+        " intervals allow for two thirds as much that is gone into the numbers"
+    ]
 
 
 def summary(log: Log, found: Inspection) -> str:
@@ -148,7 +162,7 @@ def estimate(one: Estimate) -> str:
         low = 0.0 if low < 1e-3 * width else low
     said = f"{one.name} {value:.{digits}g}{space} (95 %: {low:.{digits}g} to {high:.{digits}g}"
     if one.wider > 0.0 and math.isfinite(one.wider):
-        said += f"; {one.wider:.2g} times the naive interval"
+        said += f"; {math.hypot(one.wider, one.bias / _NAIVE):.2g} times the naive interval"
     said += ")"
     return said if one.identified else f"{said}: not identified, {one.reason}"
 
