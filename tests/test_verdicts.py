@@ -2,17 +2,20 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
+import jaxact as jx
 from jaxact.drive.controller import Controller
 from jaxact.drive.options import Drive
 from jaxact.drive.sensor import Sensor
-from jaxact.loops import reading
+from jaxact.loops import reading, robots
 from jaxact.loops.loop import Output
 from jaxact.loops.samples import expand
 from jaxact.simulation import envelope, execute, metrics, verdicts
@@ -286,9 +289,12 @@ def _shaped(**rows):
     return {name: jnp.asarray(value, float) for name, value in rows.items()}
 
 
-def _of(amplitudes, growth, count=1e-3, farthest=1e-2, frequency=10.0, plant=True, leaving=True):
+def _of(
+    amplitudes, growth, count=1e-3, farthest=1e-2, frequency=10.0, plant=True, leaving=True,
+    span=1e-2,
+):  # fmt: skip
     motion = Motion(
-        **_shaped(amplitude=amplitudes, frequency=frequency, farthest=farthest, span=1e-2),
+        **_shaped(amplitude=amplitudes, frequency=frequency, farthest=farthest, span=span),
         turning=jnp.asarray(np.isfinite(frequency)),
         leaving=jnp.asarray(leaving),
         valid=jnp.asarray(True),
@@ -355,6 +361,79 @@ def test_the_worst_start_counts():
     assert worst(still, still, still)[0] == Verdict.UNSTABLE
     assert worst(still, cycling, still)[0] == Verdict.LIMIT_CYCLE
     assert worst(still, cycling, cycling) == (Verdict.LIMIT_CYCLE, pytest.approx(5e-3))
+
+
+def test_a_start_that_has_diverged_is_unstable_whatever_its_numbers_look_like():
+    """A kicked robot of two joints beyond 1e20 rad before a quarter of the time is over."""
+    still, scale = _of([1e-9] * 4, 15.0, count=0.0, plant=False, span=0.0, farthest=1e-9)
+    far = {"growth": 15.0, "count": 0.0, "plant": False, "span": 0.0, "frequency": np.nan}
+    halved = _of([2.3e20, 6.7e20, 3.9e20, 2.3e20], farthest=3.0e21, **far)[0]
+    level = _of([9.4e20, 3.9e21, 4.0e21, 4.0e21], farthest=2.6e22, **far)[0]
+    assert [int(one.verdict) for one in (halved, level)] == [Verdict.UNSTABLE] * 2
+    dying = _of([2e-3, 4e19, 3e20, 1e20], farthest=1e21, **far)[0]
+    for start in (halved, level, dying):
+        others = jax.tree.map(lambda leaf: leaf[None], start)
+        assert int(verdicts.together(still, others, scale).verdict) == Verdict.UNSTABLE
+        # A start that shakes only does not hide the one that has diverged.
+        shaking = _of([0.1] * 4, farthest=0.1, **far | {"frequency": 10.0})[0]
+        assert int(shaking.verdict) == Verdict.LIMIT_CYCLE
+        others = jax.tree.map(lambda *rows: jnp.stack(rows), shaking, start)
+        assert int(verdicts.together(still, others, scale).verdict) == Verdict.UNSTABLE
+    # A fall from rest is no divergence.
+    fallen = _of([0.5, 1.5, 0.2, 1e-3], farthest=2.0, **far)[0]
+    assert int(fallen.verdict) == Verdict.UNSTABLE and not bool(fallen.moving)
+
+
+# A leg on a vertical rail whose foot, with an elliptic cone and an unfinished solver, holds it up.
+LEG = """<mujoco>
+<option timestep="0.0005" cone="elliptic" solver="CG" impratio="10" iterations="50"/>
+<worldbody><geom type="plane" size="5 5 1"/>
+  <body pos="0 0 0.62"><joint name="z" type="slide" axis="0 0 1"/>
+    <geom size="0.1" mass="3" contype="0" conaffinity="0"/>
+    <body><joint name="a" axis="0 1 0" armature="0.01" damping="0.05"/>
+      <geom type="capsule" fromto="0 0 0 0.1 0 -0.28" size="0.02" mass="0.3" contype="0"
+            conaffinity="0"/>
+      <body pos="0.1 0 -0.28"><joint name="b" axis="0 1 0" armature="0.01"/>
+        <geom type="capsule" fromto="0 0 0 -0.1 0 -0.28" size="0.02" mass="0.2" contype="0"
+              conaffinity="0"/>
+        <geom pos="-0.1 0 -0.28" size="0.03" mass="0.05"/></body></body></body></worldbody>
+<actuator><position joint="a" kp="600" kv="15"/><position joint="b" kp="400" kv="10"/></actuator>
+</mujoco>"""
+
+
+def _kicked(posture, force):
+    """Largest deviation of the leg's joints [rad] in a second after a kick; C MuJoCo alone."""
+    model = mujoco.MjModel.from_xml_string(LEG)
+    off = mujoco.mjtDisableBit.mjDSBL_ACTUATION | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    model.opt.disableflags |= int(off)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[1:] = posture, [0.1, -0.1]
+    kp, kd, waiting, most = np.array([600, 400]), np.array([15, 10]), [force] * 5, 0.0
+    for _ in range(1000):
+        away = data.qpos[1:] - posture[1:]
+        waiting.append(force - kp * away - kd * data.qvel[1:])
+        for share in (0, 1):  # 4.5 ms are four periods and a half
+            data.qfrc_applied[1:] = waiting[share]
+            mujoco.mj_step(model, data)
+        waiting.pop(0)
+        most = max(most, float(np.abs(data.qpos[1:] - posture[1:]).max()))
+        if most > 1e6:
+            break
+    return most
+
+
+@pytest.mark.exhaustive
+def test_a_robot_that_c_mujoco_throws_out_of_the_world_is_not_called_bounded(tmp_path):
+    path = tmp_path / "leg.xml"
+    path.write_text(LEG)
+    leg = jx.robot(path, delay=[0.0, 4.5e-3])
+    found = jx.sweep(leg, duration=1.0, engine="mujoco")
+    scene = robots.scene(leg[1].kind.plant)
+    assert _kicked(scene.posture.qpos, scene.posture.force) > 1e6
+    assert found.verdict.values.tolist() == [Verdict.STABLE, Verdict.UNSTABLE]
+    assert np.isnan(found.limit_cycle_amplitude.values[1])
+    run = jx.simulate(leg[1], duration=1.0, engine="mujoco")
+    assert int(run.verdict) == Verdict.UNSTABLE and "stays bounded" not in run.report
 
 
 def test_counts_are_felt_as_positions():

@@ -81,18 +81,20 @@ def older(result: str) -> None:
 
 
 def overload(plant: Plant | None) -> None:
-    """Warn of a robot's posture that its joints are too weak to hold, or that limits hold.
+    """Warn of a robot's posture that its joints are too weak to hold, or that limits hold or touch.
 
     Nothing without a robot.
     """
     if plant is None:
         return
-    from jaxact.loops import robots
+    from jaxact.loops import edges, robots
 
     scene = robots.scene(plant)
     if stopped := robots.at_stops(scene.robot, scene.posture.qpos):
         advice = robots.keyframe_advice(robots.keyframes_within(scene.robot))
         warn(f"{robots.held_by_limits(stopped)}; {advice}")
+    for line in edges.said(scene):
+        warn(line)
     weak = robots.overloaded(scene)
     if weak:
         warn(

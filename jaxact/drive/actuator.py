@@ -36,6 +36,8 @@ class Actuator:
         force_rate_limit: largest rate of change of the force [N/s or N m/s]; inf for none.
         stall_force: force at standstill of the force-speed line [N or N m]; inf for none.
         no_load_speed: speed at which the force-speed line reaches zero [m/s or rad/s].
+        lowest_force, highest_force: range of the force that holds besides, for limits that are not
+            the same to both sides [N or N m]; None for none.
     """
 
     natural_frequency: jax.Array | float = inf
@@ -45,6 +47,8 @@ class Actuator:
     force_rate_limit: jax.Array | float = inf
     stall_force: jax.Array | float = inf
     no_load_speed: jax.Array | float = inf
+    lowest_force: jax.Array | float | None = None
+    highest_force: jax.Array | float | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -259,7 +263,7 @@ def limits(actuator: Actuator, velocity: jax.Array) -> tuple[jax.Array, jax.Arra
     """Smallest and largest force that the actuator can give at this velocity.
 
     The force-speed line ``f <= stall_force * (1 - v / no_load_speed)`` when driving in the
-    direction of motion, and the force limit everywhere.
+    direction of motion, the force limit everywhere, and the range of the force where there is one.
 
     Args:
         actuator: fields of shape (joints,).
@@ -276,4 +280,10 @@ def limits(actuator: Actuator, velocity: jax.Array) -> tuple[jax.Array, jax.Arra
     )
     highest = jnp.minimum(actuator.stall_force - slope * velocity, actuator.force_limit)
     lowest = jnp.maximum(-actuator.stall_force - slope * velocity, -actuator.force_limit)
-    return jnp.minimum(lowest, 0.0), jnp.maximum(highest, 0.0)
+    lowest, highest = jnp.minimum(lowest, 0.0), jnp.maximum(highest, 0.0)
+    if actuator.lowest_force is None:
+        return lowest, highest
+    return (
+        jnp.clip(lowest, actuator.lowest_force, actuator.highest_force),
+        jnp.clip(highest, actuator.lowest_force, actuator.highest_force),
+    )

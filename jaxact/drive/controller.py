@@ -5,7 +5,7 @@ u = kp (r - q) + kd (r' - v) + feedforward,     quantised to the resolution of t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +24,8 @@ class Controller:
         feedforward: constant force added to the command [N or N m].
         command_resolution: one step of the D/A converter [N or N m]; 0 for none.
         setpoint_delay: delay of the setpoint before the controller [s].
+        lowest_setpoint, highest_setpoint: positions that the controller accepts as setpoints, and
+            clamps them to [m or rad]; None for all.
     """
 
     kp: jax.Array | float
@@ -31,6 +33,8 @@ class Controller:
     feedforward: jax.Array | float = 0.0
     command_resolution: jax.Array | float = 0.0
     setpoint_delay: jax.Array | float = 0.0
+    lowest_setpoint: jax.Array | float | None = None
+    highest_setpoint: jax.Array | float | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -47,6 +51,12 @@ class Setpoint:
     position: jax.Array
     velocity: jax.Array | float = 0.0
     force: jax.Array | float = 0.0
+
+
+def accepted(controller: Controller, setpoint: Setpoint) -> Setpoint:
+    """The setpoint with its position clamped to what a controller with a range accepts."""
+    low, high = controller.lowest_setpoint, controller.highest_setpoint
+    return replace(setpoint, position=jnp.clip(setpoint.position, low, high))
 
 
 def step(

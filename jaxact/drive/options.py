@@ -55,6 +55,7 @@ class DriveOptions:
         limited: a force limit or a force-speed line exists.
         rate_limited: a force rate limit exists.
         held_setpoint: a policy gives setpoints more slowly than the controller ticks.
+        clamped_setpoint: the controller accepts setpoints within a range only.
         staged: results that several later ones need are computed once and kept, rather than left to
             the compiler, which on CPUs computes them anew for each; changes nothing else.
     """
@@ -68,6 +69,7 @@ class DriveOptions:
     limited: bool = False
     rate_limited: bool = False
     held_setpoint: bool = False
+    clamped_setpoint: bool = False
     staged: bool = False
 
     @property
@@ -104,6 +106,7 @@ class DriveOptions:
             limited=False,
             rate_limited=False,
             held_setpoint=False,
+            clamped_setpoint=False,
         )
 
 
@@ -147,7 +150,9 @@ def options(drive: Drive, *, substeps: int = 1, differenced: bool = False) -> Dr
             quantise=used(sensor.position_resolution, sensor.velocity_resolution),
         ),
         quantised_command=used(drive.controller.command_resolution),
-        limited=finite(actuator.force_limit, actuator.stall_force),
+        limited=finite(actuator.force_limit, actuator.stall_force)
+        or actuator.lowest_force is not None,
         rate_limited=finite(actuator.force_rate_limit),
+        clamped_setpoint=drive.controller.lowest_setpoint is not None,
         held_setpoint=bool(np.any(np.asarray(drive.policy_period) > 1.5 * np.asarray(period))),
     )

@@ -277,6 +277,8 @@ def tick(
     if state.measurements is not None:
         where = coefficients.measurement_at
         position, velocity = (_delay.read(line, where) for line in state.measurements)
+    if options.clamped_setpoint:
+        setpoint = _controller.accepted(coefficients.drive.controller, setpoint)
     held, setpoints = state.held, state.setpoints
     if held is not None:
         held = _setpoint.hold(held, setpoint, coefficients.policy_ticks)

@@ -144,7 +144,8 @@ def drive_around(
             are the actuators' means over that physics step, not those at its end.
         loop: gains, actuator, delays, sensing, limits and control rate, of which a value is a
             number or has the shape (joints,); the plant's own parameters do not count. Of
-            `jaxact.robot`, the driven joints' in their order.
+            `jaxact.robot`, the driven joints' in their order; setpoints beyond what a position
+            servo of its model accepts are clamped there.
         measure: state -> joint positions [m or rad] and velocities, shape (joints,) each.
         physics_step: of the simulator [s]; the control period is a multiple of it.
         joints: number of driven joints, None for a robot's own, and otherwise for a single one

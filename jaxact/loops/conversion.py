@@ -26,6 +26,7 @@ from jaxact.loops import checks
 from jaxact.loops.axes import NO_AXIS, Axis
 from jaxact.loops.control_loop import ControlLoop, is_traced
 from jaxact.loops.given import ACTUATOR
+from jaxact.loops.joint_ranges import RANGES
 from jaxact.loops.joint_units import with_units
 from jaxact.loops.reading import explained
 from jaxact.loops.samples import Coordinate, Samples
@@ -94,7 +95,10 @@ def total_delay(values: Mapping[str, Any]) -> Any:
 
 
 def drive_of(values: Mapping[str, Any]) -> Drive:
-    """The drive with these parameters, by their short names; scalars or arrays alike."""
+    """The drive with these parameters, by their short names; scalars or arrays alike.
+
+    Ranges of a robot's joints (`RANGES`) are among them where its model has any.
+    """
     return Drive(
         controller=Controller(
             kp=values[KP],
@@ -102,12 +106,14 @@ def drive_of(values: Mapping[str, Any]) -> Drive:
             feedforward=values[FEEDFORWARD],
             command_resolution=values[COMMAND_RESOLUTION],
             setpoint_delay=values[SETPOINT_DELAY],
+            **{name: values[name] for name in RANGES[2:] if name in values},
         ),
         actuator=Actuator(
             natural_frequency=values[WN],
             damping_ratio=values[ZETA],
             delay=values[DELAY],
             **{name: values[name] for name in LIMITS},
+            **{name: values[name] for name in RANGES[:2] if name in values},
         ),
         sensor=Sensor(
             delay=values[MEASUREMENT_DELAY], **{name: values[name] for name in _OF_SENSOR}

@@ -18,6 +18,8 @@ import numpy as np
 
 from jaxact import files
 from jaxact.errors import UserError, nearest
+from jaxact.loops import joint_ranges
+from jaxact.loops.joint_ranges import RANGES
 from jaxact.loops.specification import Plant
 from jaxact.parameters import (
     DELAY,
@@ -152,7 +154,8 @@ def overloaded(scene: Scene) -> tuple[str, ...]:
     stopped = {text.partition(" (")[0] for text in at_stops(scene.robot, scene.posture.qpos)}
     hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
     for joint, force in zip(scene.robot.joints, scene.posture.force, strict=True):
-        if joint.name not in stopped and not joint.force_low <= force <= joint.force_high:
+        within = joint.force_low <= force <= joint.force_high
+        if joint.name not in stopped and not within and not joint_ranges.on_limit(joint, force):
             limit = joint.force_high if force > 0.0 else joint.force_low
             unit = "N m" if scene.robot.model.jnt_type[joint.joint] == hinge else "N"
             found.append(
@@ -163,7 +166,7 @@ def overloaded(scene: Scene) -> tuple[str, ...]:
 
 # Beyond its range by more than this share of it, a joint is held by its limit: one that rests
 # against a stop is so by less.
-_BEYOND = 0.01
+BEYOND = 0.01
 
 
 def at_stops(robot: Robot, qpos: np.ndarray) -> tuple[str, ...]:
@@ -185,7 +188,7 @@ def at_stops(robot: Robot, qpos: np.ndarray) -> tuple[str, ...]:
     for joint in robot.joints:
         low, high = model.jnt_range[joint.joint]
         beyond = max(low - qpos[joint.qpos], qpos[joint.qpos] - high)
-        if model.jnt_limited[joint.joint] and beyond > _BEYOND * (high - low):
+        if model.jnt_limited[joint.joint] and beyond > BEYOND * (high - low):
             found.append(f"{joint.name} ({qpos[joint.qpos]:.3g}; range {low:.3g} to {high:.3g})")
     return tuple(found)
 
@@ -231,12 +234,15 @@ def matched(scene: Scene, key: str) -> np.ndarray:
 
 
 def brought(scene: Scene) -> dict[str, np.ndarray]:
-    """What the model brings of the drive's parameters, shape (joints,); NaN where nothing."""
+    """What the model brings of the drive's parameters, shape (joints,); NaN where nothing.
+
+    Ranges that are no parameters (`jaxact.loops.joint_ranges.RANGES`) are there where it has any.
+    """
     found = {}
     for name in OF_MODEL:
         if name == FORCE_LIMIT:
             limits = [
-                joint.force_high if joint.force_high == -joint.force_low else np.inf
+                np.inf if joint_ranges.one_sided(joint) else joint.force_high
                 for joint in scene.robot.joints
             ]
             found[name] = np.array(limits, float)
@@ -245,7 +251,7 @@ def brought(scene: Scene) -> dict[str, np.ndarray]:
         if name not in (KP, KD):
             own = np.where(np.isnan(own), PARAMETERS[name].default, own)
         found[name] = own
-    return found
+    return found | joint_ranges.of(scene.robot, scene.positions)
 
 
 def check(scene: Scene, keys: Sequence[str], given: set[str]) -> None:
@@ -300,9 +306,10 @@ def each_joint(
         masks: from `matched`, of every key for some joints.
 
     Returns:
-        By name, shape () or (joints,). Later keys win over earlier ones.
+        By name, shape () or (joints,), with the ranges of the joints. Later keys win over earlier
+        ones.
     """
-    found: dict[str, Any] = {}
+    found: dict[str, Any] = {name: defaults[name] for name in RANGES if name in defaults}
     for name in (key for key in values if "@" not in key):
         value = values[name]
         if name in defaults:
@@ -347,7 +354,8 @@ def spread(
         defaults: from `brought`.
 
     Returns:
-        By name, shape (3,): smallest, largest, largest or infinity.
+        By name, shape (3,): smallest, largest, largest or infinity; the ranges of the joints as
+        they are.
     """
     found: dict[str, list[np.ndarray]] = {}
     for key, values in along.items():
@@ -355,7 +363,8 @@ def spread(
         if np.isnan(values).any() and key in defaults:
             parts.append(defaults[key])
         parts.append(np.ravel(values))
-    return {name: _extremes(np.concatenate(parts)) for name, parts in found.items()}
+    ranges = {name: defaults[name] for name in RANGES if name in defaults}
+    return {name: _extremes(np.concatenate(parts)) for name, parts in found.items()} | ranges
 
 
 def _extremes(values: np.ndarray) -> np.ndarray:

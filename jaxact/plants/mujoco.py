@@ -98,8 +98,11 @@ class Simulations:
         self._places = _together([joint.qpos for joint in joints])
         self._dofs = _together([joint.dof for joint in joints])
         self._actuators = _together([joint.index for joint in joints])
-        self._low = np.array([joint.force_low for joint in joints])
-        self._high = np.array([joint.force_high for joint in joints])
+        self._limit = np.array([
+            one.force_high if one.force_high == -one.force_low else np.inf for one in joints
+        ])  # fmt: skip
+        self._rounded = self._limit.astype(np.float32).astype(float)
+        self._rounded_up = bool((self._rounded > self._limit).any())
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
         self._pushed = self._batch.bind("xfrc_applied")
@@ -141,8 +144,7 @@ class Simulations:
         A simulation that MuJoCo gives up keeps its state, which is not a number from then on.
         MuJoCo warns of it; see `jaxact.robots.silence`.
         """
-        limited = np.minimum(np.maximum(force[self._first], self._low), self._high)
-        self._ctrl[:, self._actuators] = limited
+        self._ctrl[:, self._actuators] = self._within(force[self._first])
         if self._impulse is not None:
             share = self._share(self._impulse.start, self._impulse.duration)
             self._pushed[:, self._impulse.body, :3] = share * self._impulse.force
@@ -155,6 +157,13 @@ class Simulations:
             self._qpos[error.ids] = np.nan
             self._qvel[error.ids] = np.nan
         self._steps += 1
+
+    def _within(self, force: np.ndarray) -> np.ndarray:
+        """The forces, none beyond the model's limit by the rounding of a drive in float32."""
+        if not self._rounded_up:
+            return force
+        there = np.abs(force) == self._rounded
+        return np.where(there, np.copysign(self._limit, force), force)
 
     def _share(self, start: float, duration: float) -> float:
         """Of this physics step, the share in which something that lasts so long is there."""

@@ -333,7 +333,7 @@ def _lifted(model: mujoco.MjModel, driven: Driven) -> list[Finding]:
     """What is said about the fields of a driven actuator that became the drive's."""
     law = driven.law
     where = actuators.label(model, law.index)
-    findings = []
+    findings = selection.shared_limit(model, driven)
     if law.delay > 0.0:
         which = "command delay" if law.commands == FORCE else "setpoint delay"
         given = float(model.actuator_delay[law.index])

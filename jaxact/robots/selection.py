@@ -13,7 +13,7 @@ import mujoco
 from jaxact.errors import UserError, nearest, shown
 from jaxact.robots import actuators
 from jaxact.robots.actuators import POSITION, VELOCITY, Law, UndrivableError
-from jaxact.robots.findings import Finding, named, refused
+from jaxact.robots.findings import EMULATED, Finding, named, refused
 from jaxact.robots.parity import switched_off
 
 
@@ -133,8 +133,17 @@ def joint_limits(model: mujoco.MjModel, driven: Driven) -> tuple[float, float]:
     the drive, they are not the drive's own, and only the model's.
     """
     joint = driven.law.joint
-    if not model.jnt_actfrclimited[joint] or model.jnt_actgravcomp[joint]:
+    if not model.jnt_actfrclimited[joint] or _shares(model, driven):
         return -math.inf, math.inf
+    low, high = model.jnt_actfrcrange[joint]
+    return float(low), float(high)
+
+
+def _shares(model: mujoco.MjModel, driven: Driven) -> bool:
+    """Whether gravity compensation or another actuator acts on the joint through its limit."""
+    joint = driven.law.joint
+    if model.jnt_actgravcomp[joint]:
+        return True
     own = {law.index for law in (driven.law, *driven.partners)}
     for index in set(range(model.nactuator)) - own:
         try:
@@ -142,9 +151,25 @@ def joint_limits(model: mujoco.MjModel, driven: Driven) -> tuple[float, float]:
         except UndrivableError:
             shared = True
         if shared:
-            return -math.inf, math.inf
+            return True
+    return False
+
+
+def shared_limit(model: mujoco.MjModel, driven: Driven) -> list[Finding]:
+    """What is said of a joint whose limit its drive shares with other forces."""
+    joint = driven.law.joint
+    if not model.jnt_actfrclimited[joint] or not _shares(model, driven):
+        return []
     low, high = model.jnt_actfrcrange[joint]
-    return float(low), float(high)
+    others = "gravity compensation" if model.jnt_actgravcomp[joint] else "other actuators"
+    return [
+        Finding(
+            named("joint", model.joint(joint).name, joint), "actuatorfrcrange",
+            f"{low:g} {high:g}", "simulates it", EMULATED,
+            f"it limits the sum of the drive's force and {others}: motions are those under it, and "
+            "the forces that are reported are the drive's own, before it",
+        )
+    ]  # fmt: skip
 
 
 def own(model: mujoco.MjModel, law: Law) -> dict[str, float]:

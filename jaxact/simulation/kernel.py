@@ -18,6 +18,7 @@ import numpy as np
 from jaxact.drive.controller import Setpoint
 from jaxact.drive.step import Drive, DriveOptions
 from jaxact.engines import Engine
+from jaxact.loops import joint_ranges
 from jaxact.loops import loop as _loop
 from jaxact.loops import template as _template
 from jaxact.loops.conversion import drive_of
@@ -200,7 +201,8 @@ def begun(
         values[INITIAL_VELOCITY],
         command=force,
     )
-    return prepared, state, Setpoint(rest + values[SETPOINT], force=force)
+    asked = joint_ranges.within(values, rest + values[SETPOINT])
+    return prepared, state, Setpoint(asked, force=force)
 
 
 def setpoints(template: Template, values: Values, ticks: int) -> Setpoint | None:
@@ -216,7 +218,8 @@ def setpoints(template: Template, values: Values, ticks: int) -> Setpoint | None
         over_time = jnp.asarray(template.profile, rest.dtype).reshape((ticks, *(1,) * rest.ndim))
         moved = over_time * jnp.broadcast_to(values[SETPOINT], rest.shape)[None]
     zero, force = jnp.zeros(shape, rest.dtype), jnp.asarray(template.force, rest.dtype)
-    return Setpoint(rest[None] + moved, zero, force[None] + zero)
+    asked = joint_ranges.within(values, rest[None] + moved)
+    return Setpoint(asked, zero, force[None] + zero)
 
 
 def linear_part(case: Case, setting: Setting) -> tuple[Case, Setting]:

@@ -22,7 +22,7 @@ from jaxact.drive import step as _drive
 from jaxact.drive.controller import Setpoint
 from jaxact.drive.step import Coefficients
 from jaxact.engines import MUJOCO
-from jaxact.loops import robots
+from jaxact.loops import joint_ranges, robots
 from jaxact.loops.conversion import drive_of
 from jaxact.loops.robots import Scene
 from jaxact.loops.specification import Setting
@@ -301,7 +301,8 @@ def _prepare(*, case: Case, setting: Setting) -> Callable:
         velocity = jnp.broadcast_to(resolved[INITIAL_VELOCITY], rest.shape)
         state = _drive.init(coefficients, case.drive, position, velocity, command=force)
         zero = jnp.zeros_like(rest)
-        setpoint = Setpoint(rest + resolved[SETPOINT], zero, force)
+        asked = joint_ranges.within(resolved, rest + resolved[SETPOINT])
+        setpoint = Setpoint(asked, zero, force)
         return (
             coefficients,
             state,

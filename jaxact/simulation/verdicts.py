@@ -28,6 +28,9 @@ _OF_THE_LIMIT = 1e-3
 _ROUNDING = 64.0
 # A motion this many times as large as all scales of the loop has diverged.
 _DIVERGED = 1e3
+# The first motion of a robot at rest is a scale for what follows up to this size [m or rad]: one
+# that has diverged within the first segment would otherwise be measured by itself.
+_FIRST = 10.0
 # An envelope that grows by this factor from segment to segment, twice, is not bounded.
 _GROWING = 1.1
 # What friction ends is at most this part of what it was a segment ago.
@@ -219,6 +222,16 @@ def of_growth(growth_rate: jax.Array, like: jax.Array) -> Judgement:
     )
 
 
+def _diverged(motion: Motion, scale: Scale) -> jax.Array:
+    """Whether a motion left everything behind that the loop is measured with, shape (joints,)."""
+    # Of a robot at rest, the first motion is rounding, and no scale for what follows.
+    first = motion.amplitude[0]
+    first = jnp.where(scale.plant_linear, first, jnp.minimum(first, _FIRST))
+    size = jnp.where(motion.span > 0.0, motion.span, first)
+    size = jnp.maximum(size, jnp.maximum(scale.limit, jnp.maximum(scale.count, scale.floor)))
+    return motion.farthest > _DIVERGED * jnp.where(size > 0.0, size, 1.0)
+
+
 def of_motion(
     motion: Motion, scale: Scale, growth_rate: jax.Array, segment: jax.Array
 ) -> Judgement:
@@ -234,10 +247,7 @@ def of_motion(
     # A robot's joint that no stiffness holds stays where it is put, as a wheel: nothing grows.
     neutral = ~scale.plant_linear & (growth_rate == 0.0)
     growth_rate = jnp.where(neutral, -jnp.finfo(last.dtype).tiny, growth_rate)
-    # Of a robot at rest, the first motion is rounding, and no scale for what follows.
-    size = jnp.where(motion.span > 0.0, motion.span, motion.amplitude[0])
-    size = jnp.maximum(size, jnp.maximum(scale.limit, jnp.maximum(scale.count, scale.floor)))
-    diverged = motion.farthest > _DIVERGED * jnp.where(size > 0.0, size, 1.0)
+    diverged = _diverged(motion, scale)
     growing = (last > _GROWING * previous) & (previous > _GROWING * before)
     # Counts and noise make irregular motions, but none without bound.
     growing &= (last > _FEW * jnp.maximum(scale.count, scale.rest)) | (growth_rate >= 0.0)
@@ -268,6 +278,8 @@ def of_motion(
     ending &= ~scale.plant_linear
     ending |= slow & ~beyond
     moving = ~(resting | ending | ((growth_rate < 0.0) & decaying))
+    # Beyond all bounds numbers are arbitrary, and may look like rest.
+    moving |= diverged
     verdict = jnp.where(moving, Verdict.LIMIT_CYCLE, Verdict.STABLE)
     # A perturbation that grows, but has not had the time to, or dies in what the plant has of its
     # own: a larger one would not.

@@ -13,6 +13,7 @@ from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop, demand
 from jaxact.loops.samples import Samples
 from jaxact.simulation import engines, single
+from jaxact.simulation.clamping import tell_clamped
 from jaxact.status import Verdict
 from jaxact.sweeping.variables import VARIABLES
 from jaxact.units import joint_units
@@ -42,7 +43,8 @@ def simulate(
     Args:
         loop: from `jaxact.joint` or `jaxact.robot`; loops of a batch need the same physics step.
         setpoint: height of the step at time 0 [m or rad], or amplitude of a robot's motion, a
-            number or an array that broadcasts; None for the loop's own.
+            number or an array that broadcasts; None for the loop's own. What a position servo of a
+            robot's model does not accept is clamped, with an `InexactWarning`.
         duration: simulated time [s].
         engine: of a joint "mass" (exact, the default) or "mjx"; of a robot "mujoco", "mjx", "warp"
             or "auto" (the default), the one expected to be the fastest.
@@ -87,7 +89,9 @@ def runs(
     asked = engines.resolved(conversion.specification(loop, **options))
     if asked.engine == ROBOT_IN_MJX.name:
         engines.tell_inexact(asked.plant)
-    return single.simulate_all(asked, conversion.samples(loop))
+    samples = conversion.samples(loop)
+    tell_clamped(asked, samples.along)
+    return single.simulate_all(asked, samples)
 
 
 def _dataset(loop: ControlLoop, runs: list[Single]) -> xr.Dataset:

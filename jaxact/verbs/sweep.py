@@ -20,8 +20,10 @@ from jaxact.loops import reading
 from jaxact.loops.axes import SPACINGS, Axis, check_range, read_axis
 from jaxact.loops.control_loop import ControlLoop, demand, is_traced
 from jaxact.loops.conversion import described, preset_axis
+from jaxact.loops.samples import expand
 from jaxact.loops.specification import Sampling, Specification
 from jaxact.parameters import PARAMETERS, WN, ZETA, canonical, known
+from jaxact.simulation.clamping import tell_clamped
 from jaxact.simulation.engines import check_name, tell_inexact
 from jaxact.sweeping import execution, location
 from jaxact.verbs import showing
@@ -144,6 +146,8 @@ def sweep(
     asked = settled(asked, where, how, say if workers == "local" else None)
     if asked.engine == engines.ROBOT_IN_MJX.name:
         tell_inexact(asked.plant)
+    if asked.plant is not None:
+        tell_clamped(asked, expand(asked).along)
     from jaxact.verbs import results  # with xarray, which is slow to import
 
     by = computed_by(how, workers=workers, address=address, budget=memory, say=say)

@@ -26,7 +26,7 @@ from jaxact.plants.mjx.step import mjx as mjx
 from jaxact.plants.variation import Variation
 from jaxact.robots import model as _model
 from jaxact.robots import posture as _posture
-from jaxact.robots.model import Joint, Robot
+from jaxact.robots.model import Robot
 from jaxact.robots.posture import Posture
 
 SLIDE = Path(__file__).with_name("slide.xml")
@@ -91,8 +91,6 @@ class MjxPlant:
         variation: what differs from the model.
         push: on a body, or None.
         qpos, dofs, actuators: where the driven joints are; static.
-        limits: lowest and highest force of each driven joint where the model's are not the same to
-            both sides [N or N m]; else infinite, and the drive's own limit serves; static.
         bodies: bodies that the driven joints move; static.
         payload_body: the body that carries a payload; static.
         kinds: MuJoCo's type of every joint; static.
@@ -112,7 +110,6 @@ class MjxPlant:
     qpos: tuple[int, ...]
     dofs: tuple[int, ...]
     actuators: tuple[int, ...]
-    limits: tuple[tuple[float, float], ...]
     bodies: tuple[int, ...]
     payload_body: int
     kinds: tuple[int, ...]
@@ -200,15 +197,11 @@ class MjxPlant:
 
     def loaded(self, state: MjxState, force: Force) -> Any:
         """MJX's data with a state and what acts on it filled in."""
-        mean = force.mean
-        low, high = np.array(self.limits, mean.dtype).T
-        if np.isfinite(low).any() or np.isfinite(high).any():
-            mean = jnp.clip(mean, low, high)
         data = self.data.replace(
             qpos=state.qpos,
             qvel=state.qvel,
             act=state.act,
-            ctrl=self.data.ctrl.at[np.array(self.actuators)].set(mean),
+            ctrl=self.data.ctrl.at[np.array(self.actuators)].set(force.mean),
         )
         if state.warmstart is not None:
             data = data.replace(qacc_warmstart=state.warmstart)
@@ -243,7 +236,7 @@ jax.tree_util.register_dataclass(
     Push, data_fields=["force", "start", "duration"], meta_fields=["body"]
 )
 STATIC = (
-    "qpos", "dofs", "actuators", "limits", "bodies", "payload_body", "kinds", "impl", "corrected",
+    "qpos", "dofs", "actuators", "bodies", "payload_body", "kinds", "impl", "corrected",
 )  # fmt: skip
 """Fields of a plant that are no arrays."""
 
@@ -320,7 +313,6 @@ def place(
         qpos=tuple(joint.qpos for joint in robot.joints),
         dofs=dofs,
         actuators=tuple(joint.index for joint in robot.joints),
-        limits=tuple(_limits(joint) for joint in robot.joints),
         bodies=tuple(joint.body for joint in robot.joints),
         payload_body=heaviest if payload_body is None else payload_body,
         kinds=tuple(int(kind) for kind in model.jnt_type),
@@ -355,12 +347,6 @@ def _put_in_warp(robot: Robot, model: mujoco.MjModel, start: mujoco.MjData) -> t
             f"{robot.path.name}: MJX-Warp cannot simulate this model: {reason}; choose the engine"
             " `mujoco`"
         ) from error
-
-
-def _limits(joint: Joint) -> tuple[float, float]:
-    if joint.force_low == -joint.force_high:
-        return -np.inf, np.inf
-    return joint.force_low, joint.force_high
 
 
 def _with_friction(model: mujoco.MjModel, dofs: tuple[int, ...]) -> mujoco.MjModel:
