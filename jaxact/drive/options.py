@@ -54,6 +54,7 @@ class DriveOptions:
         quantised_command: the D/A converter has a resolution.
         limited: a force limit or a force-speed line exists.
         rate_limited: a force rate limit exists.
+        speed_limited: a force-speed line exists.
         held_setpoint: a policy gives setpoints more slowly than the controller ticks.
         staged: results that several later ones need are computed once and kept, rather than left to
             the compiler, which on CPUs computes them anew for each; changes nothing else.
@@ -67,6 +68,7 @@ class DriveOptions:
     quantised_command: bool = False
     limited: bool = False
     rate_limited: bool = False
+    speed_limited: bool = False
     held_setpoint: bool = False
     staged: bool = False
 
@@ -103,6 +105,7 @@ class DriveOptions:
             quantised_command=False,
             limited=False,
             rate_limited=False,
+            speed_limited=False,
             held_setpoint=False,
         )
 
@@ -149,5 +152,6 @@ def options(drive: Drive, *, substeps: int = 1, differenced: bool = False) -> Dr
         quantised_command=used(drive.controller.command_resolution),
         limited=finite(actuator.force_limit, actuator.stall_force),
         rate_limited=finite(actuator.force_rate_limit),
+        speed_limited=finite(actuator.stall_force),
         held_setpoint=bool(np.any(np.asarray(drive.policy_period) > 1.5 * np.asarray(period))),
     )
