@@ -75,6 +75,26 @@ class Free:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class Span:
+    """What limits need to know of a step; see `jaxact.drive.limiting`.
+
+    Attributes:
+        older_for, newer_for: time under each command [s], shape (joints,).
+        before, after: free responses over these times; None without a rate limit.
+        sag: how far the force-speed line falls by the end of the step, in the mean and in the
+            moment, by the force that accelerates the joint [-]; each of shape (joints,). None
+            without a line, or where the inertia is not known.
+    """
+
+    older_for: jax.Array
+    newer_for: jax.Array
+    before: Free | None
+    after: Free | None
+    sag: tuple[jax.Array, jax.Array, jax.Array] | None
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class Response:
     """Response over one step in which the input goes from an older to a newer held value.
 
@@ -85,6 +105,7 @@ class Response:
     Attributes:
         force, rate, mean, moment: triples (e, g, d) of coefficients, each of shape (joints,).
         joint: of a joint with damping and stiffness of its own; None of any other plant.
+        limits: of what limits need beside; None where they need nothing.
     """
 
     force: tuple[jax.Array, jax.Array, jax.Array]
@@ -92,6 +113,7 @@ class Response:
     mean: tuple[jax.Array, jax.Array, jax.Array]
     moment: tuple[jax.Array, jax.Array, jax.Array]
     joint: Rows | None = None
+    limits: Span | None = None
 
 
 def _series(x: jax.Array, zeta: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -259,7 +281,18 @@ def impulse(
     return newer + _row(response.mean, e, rate, d), newer + _row(response.moment, e, rate, d)
 
 
-def limits(actuator: Actuator, velocity: jax.Array) -> tuple[jax.Array, jax.Array]:
+def slope(actuator: Actuator) -> jax.Array:
+    """Slope of the force-speed line [N s/m or N m s/rad], shape (joints,); 0 without one."""
+    none = jnp.isinf(actuator.stall_force)
+    return jnp.where(none, 0.0, jnp.where(none, 1.0, actuator.stall_force) / actuator.no_load_speed)
+
+
+def limits(
+    actuator: Actuator,
+    velocity: jax.Array,
+    sag: jax.Array | None = None,
+    resistance: jax.Array | float = 0.0,
+) -> tuple[jax.Array, jax.Array]:
     """Smallest and largest force that the actuator can give at this velocity.
 
     The force-speed line ``f <= stall_force * (1 - v / no_load_speed)`` when driving in the
@@ -268,18 +301,23 @@ def limits(actuator: Actuator, velocity: jax.Array) -> tuple[jax.Array, jax.Arra
     Args:
         actuator: fields of shape (joints,).
         velocity: [m/s or rad/s], shape (joints,).
+        sag: share of the accelerating force by which the line falls from there on [-], shape
+            (joints,); None for the line at this velocity.
+        resistance: part of the force that does not accelerate the joint [N or N m].
 
     Returns:
         (lowest, highest) [N or N m], each of shape (joints,).
     """
-    slope = jnp.where(
-        jnp.isinf(actuator.stall_force),
-        0.0,
-        jnp.where(jnp.isinf(actuator.stall_force), 1.0, actuator.stall_force)
-        / actuator.no_load_speed,
-    )
-    highest = jnp.minimum(actuator.stall_force - slope * velocity, actuator.force_limit)
-    lowest = jnp.maximum(-actuator.stall_force - slope * velocity, -actuator.force_limit)
+    falls = slope(actuator) * velocity
+    high, low = actuator.stall_force - falls, -actuator.stall_force - falls
+    if sag is not None:
+        none = jnp.isinf(actuator.stall_force)
+        high, low = (
+            line - sag * (jnp.where(none, 0.0, inside) - resistance)
+            for line, inside in ((high, jnp.maximum(high, 0.0)), (low, jnp.minimum(low, 0.0)))
+        )
+    highest = jnp.minimum(high, actuator.force_limit)
+    lowest = jnp.maximum(low, -actuator.force_limit)
     lowest, highest = jnp.minimum(lowest, 0.0), jnp.maximum(highest, 0.0)
     if actuator.lowest_force is None:
         return lowest, highest

@@ -148,13 +148,37 @@ def motion(
     return Motion(of(rows.position), of(rows.velocity))
 
 
-def held_back(rows: Rows, motion: Motion, clipped: jax.Array, mean: jax.Array) -> Motion:
-    """The motion where the force is `clipped`: that of the `mean` that is left [N or N m]."""
+def held_back(
+    rows: Rows, motion: Motion, clipped: jax.Array, mean: jax.Array, moment: jax.Array
+) -> Motion:
+    """The motion where the force is `clipped`: that of what is left of it.
 
-    def of(part: tuple[jax.Array, jax.Array, jax.Array], row: Row):
-        return part[0], part[1], jnp.where(clipped, row[5] * mean, part[2])
+    Exact where that is constant; else the velocity is that of its mean and the position that of its
+    moment, (2/h^2) int_0^h (h - t) f dt, which for a bare mass is exact, too.
 
-    return Motion(of(motion.position, rows.position), of(motion.velocity, rows.velocity))
+    Args:
+        rows, motion: of the step.
+        clipped: bool, shape (joints,).
+        mean, moment: of the force that is left [N or N m], shape (joints,).
+    """
+
+    def of(part: tuple[jax.Array, jax.Array, jax.Array], row: Row, force: jax.Array):
+        return part[0], part[1], jnp.where(clipped, row[5] * force, part[2])
+
+    return Motion(
+        of(motion.position, rows.position, moment), of(motion.velocity, rows.velocity, mean)
+    )
+
+
+def pushed(rows: Rows, motion: Motion, mean: jax.Array, moment: jax.Array) -> Motion:
+    """The motion under a force beside; its mean and moment as for `held_back`."""
+
+    def of(part: tuple[jax.Array, jax.Array, jax.Array], row: Row, force: jax.Array):
+        return part[0], part[1], part[2] + row[5] * force
+
+    return Motion(
+        of(motion.position, rows.position, moment), of(motion.velocity, rows.velocity, mean)
+    )
 
 
 def moved(motion: Motion, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 
 from jaxact.drive import actuator as _actuator
+from jaxact.drive import limiting as _limiting
 from jaxact.drive.actuator import Response
 from jaxact.drive.joint_motion import Joint
 from jaxact.drive.options import Drive, DriveOptions
@@ -46,6 +47,7 @@ def capture_at(
     switched: tuple[jax.Array, jax.Array],
     remainder: jax.Array,
     joint: Joint | None = None,
+    body: Joint | None = None,
 ) -> Capture:
     """Where the measurement falls: `remainder` before the end of a period."""
     actuator = drive.actuator
@@ -56,14 +58,15 @@ def capture_at(
     index = jax.lax.stop_gradient(index)
     offset = instant - index * step
     older = older_for(offset, switched, index)
+    response = _actuator.response(
+        jnp.asarray(actuator.natural_frequency),
+        jnp.asarray(actuator.damping_ratio),
+        offset,
+        older,
+        joint,
+    )
     return Capture(
         here=jnp.stack([(index == i).astype(offset.dtype) for i in range(options.substeps)]),
         offset=offset,
-        response=_actuator.response(
-            jnp.asarray(actuator.natural_frequency),
-            jnp.asarray(actuator.damping_ratio),
-            offset,
-            older,
-            joint,
-        ),
+        response=replace(response, limits=_limiting.span(options, actuator, offset, older, body)),
     )

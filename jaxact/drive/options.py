@@ -54,6 +54,7 @@ class DriveOptions:
         quantised_command: the D/A converter has a resolution.
         limited: a force limit or a force-speed line exists.
         rate_limited: a force rate limit exists.
+        speed_limited: a force-speed line exists.
         held_setpoint: a policy gives setpoints more slowly than the controller ticks.
         clamped_setpoint: the controller accepts setpoints within a range only.
         staged: results that several later ones need are computed once and kept, rather than left to
@@ -68,6 +69,7 @@ class DriveOptions:
     quantised_command: bool = False
     limited: bool = False
     rate_limited: bool = False
+    speed_limited: bool = False
     held_setpoint: bool = False
     clamped_setpoint: bool = False
     staged: bool = False
@@ -105,6 +107,7 @@ class DriveOptions:
             quantised_command=False,
             limited=False,
             rate_limited=False,
+            speed_limited=False,
             held_setpoint=False,
             clamped_setpoint=False,
         )
@@ -154,5 +157,6 @@ def options(drive: Drive, *, substeps: int = 1, differenced: bool = False) -> Dr
         or actuator.lowest_force is not None,
         rate_limited=finite(actuator.force_rate_limit),
         clamped_setpoint=drive.controller.lowest_setpoint is not None,
+        speed_limited=finite(actuator.stall_force),
         held_setpoint=bool(np.any(np.asarray(drive.policy_period) > 1.5 * np.asarray(period))),
     )

@@ -23,6 +23,7 @@ from jaxact.drive import actuator as _actuator
 from jaxact.drive import controller as _controller
 from jaxact.drive import delay as _delay
 from jaxact.drive import joint_motion as _joint
+from jaxact.drive import limiting as _limiting
 from jaxact.drive import sensor as _sensor
 from jaxact.drive import setpoint_path as _setpoint
 from jaxact.drive.actuator import Response
@@ -61,7 +62,7 @@ class DriveState:
         commands: line of held commands [N or N m].
         older, newer: delayed command before and after its switch in this period [N or N m].
         force, rate: state of the force loop [N or N m] and per second.
-        applied: force given in the last step, after the limits [N or N m] (rate limit only).
+        applied: force at the end of the last step, after the limits [N or N m] (rate limit only).
         sensor: state of the sensor.
         measurements: lines of positions and velocities as they were captured.
         setpoints: line of setpoints.
@@ -95,6 +96,8 @@ class Coefficients:
         policy_ticks: control ticks in a period of the policy [-]; None where it is as fast.
         capture: where the measurement is taken; None without measurement delay.
         sensor: coefficients of the sensor.
+        body: that the force accelerates, where its inertia is known and the force-speed line of
+            `jaxact.drive.limiting` asks for it; else None.
     """
 
     drive: Drive
@@ -108,6 +111,7 @@ class Coefficients:
     policy_ticks: jax.Array | None
     capture: Capture | None
     sensor: SensorCoefficients
+    body: _joint.Joint | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -146,6 +150,7 @@ def prepare(
     options: DriveOptions,
     shape: tuple[int, ...] = (),
     joint: _joint.Joint | None = None,
+    body: _joint.Joint | None = None,
 ) -> Coefficients:
     """All coefficients of a drive, computed once, before the scan over time.
 
@@ -155,6 +160,8 @@ def prepare(
         shape: of the joints, (joints,) or (), where no leaf has it.
         joint: that the drive moves, if it has damping or stiffness of its own; see
             `jaxact.plants.mass`.
+        body: the joint, bare or not, where the force accelerates nothing else: of such a one the
+            force-speed line is that of each moment, of another one that of each step's beginning.
 
     Returns:
         The coefficients that `tick` and `actuate` take.
@@ -165,16 +172,20 @@ def prepare(
     whole, switch = _delay.split(actuator.delay + drive.output_delay, period)
     switched = _delay.split(switch, step)
     older = jnp.stack([older_for(step, switched, i) for i in range(options.substeps)])
-    responses = jax.vmap(
-        lambda share: _actuator.response(
-            actuator.natural_frequency, actuator.damping_ratio, step, share, joint
-        )
-    )(older)
+    body = jax.tree.map(lambda leaf: jnp.asarray(leaf, step.dtype), body)
+    body = body if options.speed_limited else None
+
+    def response(share: jax.Array) -> Response:
+        wn, zeta = actuator.natural_frequency, actuator.damping_ratio
+        own = _actuator.response(wn, zeta, step, share, joint)
+        return replace(own, limits=_limiting.span(options, actuator, step, share, body))
+
+    responses = jax.vmap(response)(older)
     measurement_at = capture = setpoint_at = share = None
     if options.measurement_slots:
         late, remainder = _delay.split(drive.sensor.delay, period)
         measurement_at = _delay.weights(late, options.measurement_slots)
-        capture = capture_at(drive, options, step, switched, remainder, joint)
+        capture = capture_at(drive, options, step, switched, remainder, joint, body)
     if options.setpoint_slots:
         late, remainder = _delay.split(drive.controller.setpoint_delay, period)
         setpoint_at = (
@@ -198,6 +209,7 @@ def prepare(
         ),
         capture=capture,
         sensor=_sensor.prepare(drive.sensor, period),
+        body=body,
     )
 
 
@@ -326,6 +338,7 @@ def actuate(
     state: DriveState,
     response: Response,
     velocity: jax.Array,
+    position: jax.Array | None = None,
 ) -> tuple[DriveState, Force]:
     """Move the force loop by one physics step; exact for the held, delayed command.
 
@@ -335,51 +348,37 @@ def actuate(
         state: of the drive, after the tick of this period.
         response: of this physics step, from `at_substep`.
         velocity: of the plant now [m/s or rad/s], shape (joints,); for the force-speed line.
+        position: of the plant now [m or rad], shape (joints,); for the force-speed line of a body
+            with stiffness only.
 
     Returns:
-        The next state, and the force on the plant over this step. Limits act on the mean and the
-        moment: exact except in the steps in which a limit is reached or left, where the error of
-        the impulse is of second order in the step.
+        The next state, and the force on the plant over this step. What limits leave of it is of
+        second order in the step, and exact in some cases, see `jaxact.drive.limiting`; but the
+        force-speed line of a plant whose inertia the drive does not know is of first order.
     """
     inputs = state.force, state.rate, state.older, state.newer
-    mean, moment = _actuator.impulse(response, *inputs)
-    partial = motion = partial_motion = until = None
+    resistance: jax.Array | float = 0.0
+    if coefficients.body is not None and position is not None:
+        resistance = coefficients.body.damping * velocity + coefficients.body.stiffness * position
+
+    def over(span: Response) -> tuple:
+        """Mean and moment, motion, and the limited force at the end, over a span."""
+        pair = _actuator.impulse(span, *inputs)
+        motion = None if span.joint is None else _joint.motion(span.joint, *inputs)
+        if options.unlimited:
+            return pair, motion, None
+        actuator, applied = coefficients.drive.actuator, state.applied
+        return _limiting.held(
+            options, actuator, span, inputs, applied, velocity, resistance, motion
+        )
+
+    (mean, moment), motion, end = over(response)
+    partial = partial_motion = None
     if coefficients.capture is not None:
-        until = coefficients.capture.response
-        partial = _actuator.impulse(until, *inputs)
-    if response.joint is not None:
-        motion = _joint.motion(response.joint, *inputs)
-        if until is not None:
-            partial_motion = _joint.motion(until.joint, *inputs)
+        partial, partial_motion, _ = over(coefficients.capture.response)
     force, rate = _actuator.advance(response, *inputs)
-    applied = state.applied
-    if options.limited or options.rate_limited:
-        low, high = _limits(coefficients, options, applied, velocity)
-        pair = mean, moment
-        mean, moment = jnp.clip(mean, low, high), jnp.clip(moment, low, high)
-        if motion is not None:
-            clipped = (mean != pair[0]) | (moment != pair[1])
-            motion = _joint.held_back(response.joint, motion, clipped, mean)
-        if partial is not None:
-            pair = partial
-            partial = jnp.clip(partial[0], low, high), jnp.clip(partial[1], low, high)
-            if partial_motion is not None:
-                clipped = (partial[0] != pair[0]) | (partial[1] != pair[1])
-                partial_motion = _joint.held_back(until.joint, partial_motion, clipped, partial[0])
-        if options.rate_limited:
-            applied = mean
     acting = Force(mean, moment, partial, motion, partial_motion)
-    return replace(state, force=force, rate=rate, applied=applied), acting
-
-
-def _limits(coefficients, options, applied, velocity):
-    """Bounds of the force in one step: force limit, force-speed line, rate limit."""
-    actuator = coefficients.drive.actuator
-    low, high = _actuator.limits(actuator, velocity)
-    if options.rate_limited:
-        reach = actuator.force_rate_limit * coefficients.step
-        low, high = (jnp.clip(bound, applied - reach, applied + reach) for bound in (low, high))
-    return low, high
+    return replace(state, force=force, rate=rate, applied=end), acting
 
 
 def capture(state: DriveState, position: jax.Array, velocity: jax.Array) -> DriveState:

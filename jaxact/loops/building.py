@@ -40,7 +40,8 @@ def joint(
         actuator: preset that sets wn and zeta, "ideal", "hyq" or "starleth"; or several.
         velocity: that the controller sees, "sampled" or the "differenced" position; None for what
             the drive says of the controller of its log, else "sampled".
-        physics_step: of the plant [s]; None for the control period.
+        physics_step: of the plant [s]; None for the control period, or as small a part of it as
+            limits of the force need.
         unit: of its position: "rad" of a rotary joint, whose numbers are in N m, N m/rad, kg m^2,
             as everything that is said of it; None for m, or for rad where `inertia` is given
             instead of `mass`.

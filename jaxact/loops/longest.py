@@ -105,6 +105,7 @@ def _lacking(own: DriveOptions, given: DriveOptions) -> list[str]:
         "resolution of the command": own.quantised_command > given.quantised_command,
         "force limit": own.limited > given.limited,
         "force rate limit": own.rate_limited > given.rate_limited,
+        "torque-speed line": own.speed_limited > given.speed_limited,
         "policy rate": own.held_setpoint > given.held_setpoint,
     }
     return [name for name, is_missing in missing.items() if is_missing]

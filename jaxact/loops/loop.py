@@ -101,8 +101,8 @@ def prepare(loop: Loop, options: DriveOptions) -> Prepared:
         loop: parameters; leaves scalars or of shape (joints,), may be traced.
         options: static, from `jaxact.drive.step.options`.
     """
-    joint = getattr(loop.plant, "joint", None)
-    coefficients = _drive.prepare(loop.drive, options, loop.plant.shape, joint)
+    joint, body = (getattr(loop.plant, name, None) for name in ("joint", "body"))
+    coefficients = _drive.prepare(loop.drive, options, loop.plant.shape, joint, body)
     dtype = coefficients.step.dtype
     plant = jax.tree.map(
         lambda leaf: jnp.asarray(leaf, dtype) if isinstance(leaf, float) else leaf, loop.plant
@@ -151,7 +151,9 @@ def _physics(prepared: Prepared, options: DriveOptions, carry, at):
     response, here = at
     before = state.plant
     position, velocity = prepared.plant.measure(before)
-    drive, force = _drive.actuate(prepared.drive, options, state.drive, response, velocity)
+    drive, force = _drive.actuate(
+        prepared.drive, options, state.drive, response, velocity, position
+    )
     force = stage(options, force)
     after = stage(options, prepared.plant.advance(before, force))
     if here is not None:

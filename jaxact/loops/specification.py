@@ -146,7 +146,8 @@ class Specification:
         plant: the robot of the MuJoCo engines, None for the built-in slide joint.
         motion: of the setpoint, None for a step.
         push: on a robot, None for none.
-        physics_step: step of the plant [s]; None: the control period for mass, 0.25 ms for mjx.
+        physics_step: step of the plant [s]; None: the control period for mass, 0.25 ms for mjx,
+            cut finer for limits, see `jaxact.simulation.limited_steps`.
         integrator_correction: take back the half physics step by which MuJoCo's integrator has its
             positions ahead of its velocities; the mass is exact without it.
         velocity: of the controller, "sampled" by a sensor or the "differenced" position.

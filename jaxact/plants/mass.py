@@ -46,8 +46,11 @@ class Mass:
     @property
     def joint(self) -> Joint | None:
         """The joint that the drive is prepared for; None for a bare mass."""
-        if self.damping is None and self.stiffness is None:
-            return None
+        return None if self.damping is None and self.stiffness is None else self.body
+
+    @property
+    def body(self) -> Joint:
+        """What the force accelerates, bare or not."""
         c, k = (0.0 if a is None else a for a in (self.damping, self.stiffness))
         return Joint(self.mass, c, k)
 

@@ -9,7 +9,7 @@ sample.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import jax
@@ -29,7 +29,7 @@ from jaxact.parameters import (
     SETPOINT,
     base,
 )
-from jaxact.simulation import engines, kernel
+from jaxact.simulation import engines, kernel, limited_steps
 from jaxact.simulation import rollout as _rollout
 from jaxact.simulation import starts as _starts
 from jaxact.simulation.growth.rate import GrowthOptions
@@ -81,8 +81,18 @@ class Plan:
         return _starts.steps(self.case)
 
 
-def substeps(specification: Specification, control_rate: np.ndarray) -> np.ndarray:
+def substeps(
+    specification: Specification,
+    control_rate: np.ndarray,
+    along: Mapping[str, np.ndarray] | None = None,
+) -> np.ndarray:
     """Physics steps in a control period for these control rates [Hz].
+
+    Args:
+        specification: checked.
+        control_rate: shape (n,).
+        along: parameters of all samples, whose limits a single joint's own steps are made finer
+            for, see `jaxact.simulation.limited_steps`; None: of a robot.
 
     Raises:
         UserError: a control period is not a multiple of the physics step.
@@ -92,7 +102,8 @@ def substeps(specification: Specification, control_rate: np.ndarray) -> np.ndarr
     if step is None:
         # The largest step that divides the control period and is no longer than the model's own.
         longest = kernel.longest_step(specification.setting)
-        return fewest(control_rate, longest)
+        whole = fewest(control_rate, longest)
+        return whole if engine.robot or along is None else _finer(whole, control_rate, along)
     ratio = 1.0 / (control_rate * step)
     whole = np.maximum(np.round(ratio), 1.0)
     wrong = np.abs(ratio - whole) > _ROUNDING * whole
@@ -102,7 +113,15 @@ def substeps(specification: Specification, control_rate: np.ndarray) -> np.ndarr
             f"control_rate = {rate:g} Hz: its period of {1.0 / rate:g} s is not a multiple of "
             f"physics_step = {step:g} s"
         )
-    return whole.astype(int)
+    whole = whole.astype(int)
+    own = specification.physics_step is None and not engine.robot and along is not None
+    return _finer(whole, control_rate, along) if own else whole
+
+
+def _finer(
+    whole: np.ndarray, control_rate: np.ndarray, along: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    return whole * limited_steps.finer(along, 1.0 / (control_rate * whole))
 
 
 def fewest(control_rate: np.ndarray | float, longest: float) -> np.ndarray:
@@ -173,7 +192,7 @@ def groups(
     specification = engines.resolved(specification)
     _refuse_deadlock(specification)
     rates = samples.along[CONTROL_RATE].ravel()
-    steps = substeps(specification, rates)
+    steps = substeps(specification, rates, samples.along)
     engine = engines.of(specification)
     # A robot is linearised, and compiled, for its own physics step.
     kinds = rates if engine.robot else steps

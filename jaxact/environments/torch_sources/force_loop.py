@@ -69,3 +69,57 @@ def _closed_form(x: torch.Tensor, zeta: torch.Tensor) -> tuple[torch.Tensor, tor
     half = torch.where(ringing, decay * torch.cos(angle), 0.5 * (slow + fast))
     s, half = torch.where(near, decay * sinhc, s), torch.where(near, decay * cosh, half)
     return s, half + y * s
+
+
+def part_rows(wn: torch.Tensor, zeta: torch.Tensor, time: torch.Tensor) -> torch.Tensor:
+    """What `followed` needs of the part of a step under one command, 7 rows."""
+    wn, zeta, time = torch.broadcast_tensors(wn, zeta, time)
+    c, s, Ic, Is, rate_g, w = free_response(wn, zeta, time)
+    length = torch.where(time > 0.0, time, 1.0)
+    return torch.stack([time, c, s, -w * w * s, rate_g, Ic / length, Is / length])
+
+
+def followed(
+    parts: torch.Tensor, state: dict[str, torch.Tensor], rate_limit: torch.Tensor,
+    target: torch.Tensor, low: torch.Tensor, high: torch.Tensor,
+) -> tuple[torch.Tensor, torch.Tensor]:  # fmt: skip
+    """What is left of the force in a step where it changes no faster than a rate limit.
+
+    Args:
+        parts: rows of the parts of the step, under the older and the newer command.
+        state: of the drive; its "applied" is the force at the beginning of the step.
+        rate_limit: [N/s or N m/s], may be inf.
+        target: mean without the rate limit.
+        low, high: other limits of the force.
+
+    Returns:
+        Mean over the step and force at its end. The force to follow is taken as a straight line in
+        each part; where it is followed, the mean is the target's.
+    """
+    unlimited = torch.isinf(rate_limit)
+    fastest = torch.where(unlimited, 0.0, rate_limit)
+    free, rate, force = state["force"], state["rate"], state["applied"]
+    step, mean, line_mean, share, end = parts[0] + parts[7], 0.0, 0.0, 0.0, free
+    for row, command in ((parts[:7], state["older"]), (parts[7:], state["newer"])):
+        time, c, s, rate_e, rate_g, mean_e, mean_g = row
+        e = free - command
+        average = (command + mean_e * e + mean_g * rate).clamp(low, high)
+        free, rate = command + c * e + s * rate, rate_e * e + rate_g * rate
+        end = free.clamp(low, high)
+        first = (2.0 * average - end).clamp(low, high)
+        rise = (end - first) / torch.where(time > 0.0, time, 1.0)
+        gap = first - force
+        side = torch.sign(gap)
+        closing = fastest - side * rise
+        meets = closing > 0.0
+        until = torch.where(meets, gap.abs() / torch.where(meets, closing, 1.0), time)
+        until = torch.minimum(torch.where(gap == 0.0, 0.0, until), time)
+        rest = time - until
+        after = rise.clamp(-fastest, fastest)
+        change = side * fastest * (until * time - 0.5 * until * until) + 0.5 * after * rest * rest
+        mean = mean + (force * time + change) / step
+        line_mean = line_mean + 0.5 * (first + end) * time / step
+        share = share + torch.where(rise.abs() <= fastest, rest, 0.0) / step
+        force = force + side * fastest * until + after * rest
+    mean = mean + share * (target - line_mean)
+    return torch.where(unlimited, target, mean), torch.where(unlimited, end, force)

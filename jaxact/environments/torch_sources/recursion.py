@@ -19,7 +19,7 @@ from typing import Any
 
 import torch
 
-from jaxact.environments.torch_sources.force_loop import free_response
+from jaxact.environments.torch_sources.force_loop import followed, free_response, part_rows
 
 Number = float | tuple[float, float]
 """A number, or a range (low, high), from which every environment draws uniformly at its reset."""
@@ -208,6 +208,10 @@ class Drive:
             "slope": torch.where(line, own["stall_force"] / own["no_load_speed"], 0.0),
             **own,
         }  # fmt: skip
+        if any(math.isfinite(end) for end in self._ends["force_rate_limit"]):
+            found["parts"] = torch.cat([
+                part_rows(own["wn"], own["zeta"], time) for time in (older, h - older)
+            ])  # fmt: skip
         for name, value in found.items():
             value = value.to(torch.long if name.endswith("_at") else self._like.dtype)
             if name in self._tables:  # environments are the last axis but one
@@ -245,9 +249,9 @@ class Drive:
         force_e, force_g, rate_e, rate_g, mean_e, mean_g = known["response"]
         force_d, rate_d, mean_d = known["switching"][:, self._place, self._environments]
         free = state["newer"] + mean_e * e + mean_g * g + mean_d * d
+        mean = self._limited(free, limit, velocity)
         state["force"] = state["newer"] + force_e * e + force_g * g + force_d * d
         state["rate"] = rate_e * e + rate_g * g + rate_d * d
-        mean = state["applied"] = self._limited(free, limit, velocity)
         self._place = torch.remainder(self._place + 1, self.substeps)
         state["position"], state["velocity"] = position.clone(), velocity.clone()
         return mean, free
@@ -255,17 +259,18 @@ class Drive:
     def _limited(
         self, force: torch.Tensor, limit: torch.Tensor, velocity: torch.Tensor
     ) -> torch.Tensor:
-        """The force within its limit, the force-speed line and the rate limit."""
+        """The mean force within its limit, the force-speed line and the rate limit."""
         known = self._tables
         limit, stall = torch.minimum(limit, known["force_limit"]), known["stall_force"]
         low = torch.maximum(-stall - known["slope"] * velocity, -limit).clamp(max=0.0)
         high = torch.minimum(stall - known["slope"] * velocity, limit).clamp(min=0.0)
-        reach, applied = known["force_rate_limit"] * self.physics_step, self._state["applied"]
-        low, high = (
-            torch.minimum(torch.maximum(bound, applied - reach), applied + reach)
-            for bound in (low, high)
-        )
-        return torch.minimum(torch.maximum(force, low), high)
+        mean = torch.minimum(torch.maximum(force, low), high)
+        if "parts" in known:
+            parts = known["parts"][:, self._place, self._environments]
+            mean, self._state["applied"] = followed(
+                parts, self._state, known["force_rate_limit"], mean, low, high
+            )
+        return mean
 
     def _measure(self, position: torch.Tensor, velocity: torch.Tensor) -> None:
         """The state at the measuring instant, where it was in the physics step that ends now."""

@@ -1,0 +1,208 @@
+"""What limits leave of a force over a span of time: a bound, a force-speed line, a rate limit.
+
+A rate limit makes the force follow what the force loop gives, and it follows from where it was:
+
+    f' = R sign(g - f) until f meets g,   then f' = g' as far as |g'| <= R
+
+so its mean over a step is not that of g, clipped to what the force may change in a step: a force
+that slews over a whole step gives half of that change. Over each part of a step under one held
+command, g is taken as the straight line that has its mean and its end; then f is known in closed
+form. For an ideal actuator that is exact, for another one of second order in the step.
+
+The force-speed line of a joint whose inertia is known falls while the force accelerates it:
+
+    m v' + c v + k q = f = F - s v,   s = stall force / no-load speed
+
+exact while the line holds (the spring force k q as it was at the beginning of the step), and no
+faster than the no-load speed whatever the step. Of any other plant the line is that of the velocity
+at the beginning of the step.
+"""
+
+from __future__ import annotations
+
+from math import factorial
+
+import jax
+import jax.numpy as jnp
+
+from jaxact.drive.actuator import Actuator, Response, Span, free_response, impulse, limits, slope
+from jaxact.drive.joint_motion import Joint, Motion, held_back, pushed
+from jaxact.drive.options import DriveOptions
+
+# Below it the closed forms of the phi functions lose digits, and this many terms suffice.
+_SERIES_BELOW = 1.0
+_TERMS = 18
+
+Pair = tuple[jax.Array, jax.Array]
+
+
+def _phi(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """phi_1, phi_2 and phi_3 of -x, where phi_k(z) = sum z^j / (j + k)!.
+
+    Source: Hochbruck, Ostermann, "Exponential integrators", Acta Numerica 19, 2010, section 2.1.
+    """
+    short = jnp.abs(x) < _SERIES_BELOW
+    near, far = jnp.where(short, x, 0.0), jnp.where(short, 1.0, x)
+    # by Horner's rule, each sum_j (-x)^j / (j + k)!
+    sums = [jnp.zeros_like(x)] * 3
+    for j in range(_TERMS, -1, -1):
+        sums = [1.0 / factorial(j + k) - near * total for k, total in enumerate(sums, 1)]
+    one = -jnp.expm1(-far) / far
+    two = (1.0 - one) / far
+    closed = one, two, (0.5 - two) / far
+    first, second, third = (jnp.where(short, *both) for both in zip(sums, closed, strict=True))
+    return first, second, third
+
+
+def span(
+    options: DriveOptions,
+    actuator: Actuator,
+    step: jax.Array,
+    older_for: jax.Array,
+    body: Joint | None = None,
+) -> Span | None:
+    """Coefficients of the limits over a span with the older command for `older_for`.
+
+    Args:
+        options: static.
+        actuator: fields of shape (joints,).
+        step: length of the span [s], shape (joints,) or ().
+        older_for: [s], shape (joints,), between 0 and `step`.
+        body: that the force accelerates, for the force-speed line; None where it is not known.
+
+    Returns:
+        The coefficients; None where the limits need none.
+    """
+    line = options.speed_limited and body is not None
+    if not (options.rate_limited or line):
+        return None
+    newer_for, before, after, sag = step - older_for, None, None, None
+    if options.rate_limited:
+        before, after = (
+            free_response(actuator.natural_frequency, actuator.damping_ratio, time)
+            for time in (older_for, newer_for)
+        )
+    if line and body is not None:
+        falls = slope(actuator) / body.mass * step
+        first, second, third = _phi(falls + body.damping / body.mass * step)
+        sag = falls * first, falls * second, 2.0 * falls * third
+    return Span(older_for, newer_for, before, after, sag)
+
+
+def held(
+    options: DriveOptions,
+    actuator: Actuator,
+    response: Response,
+    inputs: tuple[jax.Array, jax.Array, jax.Array, jax.Array],
+    applied: jax.Array | None,
+    velocity: jax.Array,
+    resistance: jax.Array | float,
+    motion: Motion | None,
+) -> tuple[Pair, Motion | None, jax.Array | None]:
+    """What limits leave of the force over a span.
+
+    Args:
+        options: static; with a limit.
+        actuator: fields of shape (joints,).
+        response: of the force loop over the span.
+        inputs: force [N or N m], rate, older and newer command, each of shape (joints,).
+        applied: force at the beginning of the span [N or N m], shape (joints,); rate limit only.
+        velocity: of the joint then [m/s or rad/s], shape (joints,).
+        resistance: force that the joint's own damping and stiffness take then [N or N m].
+        motion: of the joint over the span without limits; None where the plant computes its own.
+
+    Returns:
+        Mean and moment of the force, as in `jaxact.drive.step.Force`; the motion; the force at the
+        end of the span, None without a rate limit.
+    """
+    free = impulse(response, *inputs)
+    sag = None if response.limits is None else response.limits.sag
+
+    def bounds(falls: jax.Array | float | None = None) -> Pair:
+        return limits(actuator, velocity, falls, resistance)
+
+    mean, moment = (
+        jnp.clip(value, *bounds(None if sag is None else sag[i])) for i, value in enumerate(free, 1)
+    )
+    if motion is not None:
+        clipped = (mean != free[0]) | (moment != free[1])
+        motion = held_back(response.joint, motion, clipped, mean, moment)
+    if not options.rate_limited:
+        return (mean, moment), motion, None
+    pair = mean, moment
+    mean, moment, end = _followed(actuator, response, inputs, applied, bounds, pair)
+    if motion is not None:
+        motion = pushed(response.joint, motion, mean - pair[0], moment - pair[1])
+    return (mean, moment), motion, end
+
+
+def _followed(actuator, response, inputs, applied, bounds, target: Pair):
+    """Mean, moment and end of a force that follows its target no faster than the rate limit."""
+    span = response.limits
+    step, sag = span.older_for + span.newer_for, span.sag
+    unlimited = jnp.isinf(actuator.force_rate_limit)
+    fastest = jnp.where(unlimited, 0.0, actuator.force_rate_limit)
+    mean = moment = line_mean = line_moment = share = 0.0
+    force, begun = applied, 0.0
+    for time, average, last in _parts(span, inputs):
+        # The bounds fall evenly from the beginning of the span to its end, or nearly so.
+        places = (begun, begun + 0.5 * time, begun + time)
+        start, middle, end = (
+            bounds(None if sag is None else sag[0] * (place / step)) for place in places
+        )
+        last = jnp.clip(last, *end)
+        first = jnp.clip(2.0 * jnp.clip(average, *middle) - last, *start)
+        rise = (last - first) / jnp.where(time > 0.0, time, 1.0)
+        own, line, follows, force = _ramp(force, first, rise, fastest, time)
+        left = step - begun - time
+        mean, moment = mean + own[0], moment + own[1] + own[0] * left
+        line_mean, line_moment = line_mean + line[0], line_moment + line[1] + line[0] * left
+        share, begun = share + follows / step, begun + time
+    # Where the force follows, it has the target's own curve and not the straight line's.
+    half = 0.5 * step * step
+    mean = mean / step + share * (target[0] - line_mean / step)
+    moment = moment / half + share * (target[1] - line_moment / half)
+    return tuple(
+        jnp.where(unlimited, free, own)
+        for free, own in zip((*target, last), (mean, moment, force), strict=True)
+    )
+
+
+def _parts(span: Span, inputs):
+    """Length, mean and end of the force loop's force, under the older command and the newer one."""
+    force, rate, older, newer = inputs
+    assert span.before is not None and span.after is not None
+    for free, time, command in (
+        (span.before, span.older_for, older),
+        (span.after, span.newer_for, newer),
+    ):
+        e = force - command
+        impulse = command * time + free.Ic * e + free.Is * rate
+        force, rate = command + free.c * e + free.s * rate, free.rate_e * e + free.rate_g * rate
+        yield time, impulse / jnp.where(time > 0.0, time, 1.0), force
+
+
+def _ramp(force, first, rise, fastest, time):
+    """How a force follows the line `first + rise t` no faster than `fastest`, from `force`.
+
+    Returns:
+        (int_0^T f, int_0^T (T - t) f dt) of the force and of the line, how long the force is on it
+        and not held back, and the force at the end.
+    """
+    gap = first - force
+    side = jnp.sign(gap)
+    closing = fastest - side * rise
+    meets = closing > 0.0
+    until = jnp.where(meets, jnp.abs(gap) / jnp.where(meets, closing, 1.0), time)
+    until = jnp.minimum(jnp.where(gap == 0.0, 0.0, until), time)
+    rest = time - until
+    speed, after = side * fastest, jnp.clip(rise, -fastest, fastest)
+    half, sixth = 0.5 * time * time, time * time * time / 6.0
+    late, later = 0.5 * rest * rest, rest * rest * rest / 6.0
+    own = (
+        force * time + speed * (half - late) + after * late,
+        force * half + speed * (sixth - later) + after * later,
+    )
+    line = first * time + rise * half, first * half + rise * sixth
+    follows = jnp.where(jnp.abs(rise) <= fastest, rest, 0.0)
+    return own, line, follows, force + speed * until + after * rest
