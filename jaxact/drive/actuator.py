@@ -36,8 +36,8 @@ class Actuator:
         force_rate_limit: largest rate of change of the force [N/s or N m/s]; inf for none.
         stall_force: force at standstill of the force-speed line [N or N m]; inf for none.
         no_load_speed: speed at which the force-speed line reaches zero [m/s or rad/s].
-        lowest_force, highest_force: range of the force that holds besides, for limits that are not
-            the same to both sides [N or N m]; None for none.
+        lowest_force, highest_force: range of the force that holds too, for limits that differ by
+            direction [N or N m]; None where there is no such range.
     """
 
     natural_frequency: jax.Array | float = inf

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from jaxact.loops import joint_ranges
-from jaxact.loops.robots import BEYOND, Scene
+from jaxact.loops.robots import BEYOND, Scene, beyond_ranges
 from jaxact.robots.robot import Joint, Robot
 
 # Within its range by less than this share of it, a joint is at its end.
@@ -45,17 +45,11 @@ def at_ends(robot: Robot, qpos: np.ndarray) -> tuple[str, ...]:
     Returns:
         Of each its name, where it is, and its range.
     """
-    model = robot.model
-    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_LIMIT:
-        return ()
-    found = []
-    for joint in robot.joints:
-        low, high = model.jnt_range[joint.joint]
-        beyond = max(low - qpos[joint.qpos], qpos[joint.qpos] - high)
-        near = -_AT_END * (high - low) <= beyond <= BEYOND * (high - low)
-        if model.jnt_limited[joint.joint] and near:
-            found.append(f"{joint.name} ({qpos[joint.qpos]:.3g}; range {low:.3g} to {high:.3g})")
-    return tuple(found)
+    return tuple(
+        told
+        for told, beyond, width in beyond_ranges(robot, qpos)
+        if -_AT_END * width <= beyond <= BEYOND * width
+    )
 
 
 def on_limits(scene: Scene) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """Ranges of a robot's joints that no parameter of a drive has: they come with the model.
 
-A force limit that is not the same to both sides, or that the joint itself keeps whatever its drive
-would exert; and the setpoints that a position servo of the model accepts.
+A force limit that differs by direction, and the setpoints that a position servo of the model
+accepts.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _ROUNDING = 1e-6
 
 
 def one_sided(joint: Joint) -> bool:
-    """Whether a joint's force limit is no `force_limit`: not the same to both sides."""
+    """Whether a joint's force limit differs by direction, which `force_limit` cannot say."""
     return joint.force_low != -joint.force_high
 
 
@@ -49,8 +49,8 @@ def of(robot: Robot, position: np.ndarray) -> dict[str, np.ndarray]:
             posture beyond a servo's range is fed forward: it stays where it is.
 
     Returns:
-        By key of `RANGES`, [N or N m] and [m or rad], shape (joints,). Of robots whose limits are
-        all alike to both sides none of force, so that nothing is computed for them.
+        By key of `RANGES`, [N or N m] and [m or rad], shape (joints,). Without
+        the range of force where no limit differs by direction: nothing is computed for it then.
     """
     found: dict[str, np.ndarray] = {}
     if any(map(one_sided, robot.joints)):

@@ -181,16 +181,33 @@ def at_stops(robot: Robot, qpos: np.ndarray) -> tuple[str, ...]:
     Returns:
         Of each its name, where it is, and its range.
     """
+    return tuple(
+        told for told, beyond, width in beyond_ranges(robot, qpos) if beyond > BEYOND * width
+    )
+
+
+def beyond_ranges(robot: Robot, qpos: np.ndarray) -> list[tuple[str, float, float]]:
+    """How far beyond its range each driven joint with a limit is.
+
+    Args:
+        robot: from `jaxact.robots.model.read`.
+        qpos: as MuJoCo orders it.
+
+    Returns:
+        Of each its name, where it is and its range in words; how far beyond, negative within the
+        range; and the width of the range [m or rad].
+    """
     model = robot.model
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_LIMIT:
-        return ()
+        return []
     found = []
     for joint in robot.joints:
         low, high = model.jnt_range[joint.joint]
-        beyond = max(low - qpos[joint.qpos], qpos[joint.qpos] - high)
-        if model.jnt_limited[joint.joint] and beyond > BEYOND * (high - low):
-            found.append(f"{joint.name} ({qpos[joint.qpos]:.3g}; range {low:.3g} to {high:.3g})")
-    return tuple(found)
+        if model.jnt_limited[joint.joint]:
+            told = f"{joint.name} ({qpos[joint.qpos]:.3g}; range {low:.3g} to {high:.3g})"
+            beyond = max(low - qpos[joint.qpos], qpos[joint.qpos] - high)
+            found.append((told, float(beyond), float(high - low)))
+    return found
 
 
 def keyframes_within(robot: Robot) -> list[str]:
