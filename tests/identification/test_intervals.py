@@ -1,9 +1,8 @@
 """Intervals of fits whose residuals hang together cover the truth as often as they say."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import pytest
+from linear_fits import Linear, Solved
 from scipy.signal import lfilter
 
 from jaxact.identification import uncertainty
@@ -11,27 +10,6 @@ from jaxact.identification.problem import Unknown
 
 ROWS = 1500
 SEEDS = 200
-
-
-@dataclass(frozen=True)
-class _Linear:
-    """What of a problem the intervals look at."""
-
-    unknowns: tuple
-    lengths: tuple
-
-
-@dataclass(frozen=True)
-class _Solved:
-    problem: _Linear
-    point: np.ndarray
-    residuals: np.ndarray
-    slopes: np.ndarray
-    at_bounds: tuple = field(default=())
-
-    @property
-    def square_sum(self):
-        return float(self.residuals @ self.residuals)
 
 
 def _coloured(generator, rows, pole):
@@ -58,9 +36,9 @@ def _regression(seed, pole, logs=1, event=0):
     truth = np.array([0.3, -1.2])
     point = np.linalg.lstsq(slopes, slopes @ truth + noise, rcond=None)[0]
     unknowns = tuple(Unknown(name, "1", -9.0, 9.0, (0.0,)) for name in ("a", "b"))
-    problem = _Linear(unknowns, (ROWS // logs,) * logs)
+    problem = Linear(unknowns, (ROWS // logs,) * logs)
     rest = slopes @ (point - truth) - noise
-    return _Solved(problem, point, rest, slopes), truth
+    return Solved(problem, point, rest, slopes), truth
 
 
 @pytest.mark.parametrize(("pole", "logs"), [(0.0, 1), (0.8, 1), (0.9, 1), (0.8, 8)])

@@ -1,10 +1,11 @@
 """Numbers whose model lacks something: what goes with the motion is seen, and allowed for."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import driven_joint
 import numpy as np
 import pytest
+from linear_fits import Linear, Solved
 from scipy.signal import lfilter
 
 import jaxact as jx
@@ -12,27 +13,6 @@ from jaxact.identification import knowledge, misfit, uncertainty
 from jaxact.identification.problem import Unknown
 
 ROWS, SEEDS = 2000, 60
-
-
-@dataclass(frozen=True)
-class _Linear:
-    """What of a problem the intervals look at."""
-
-    unknowns: tuple
-    lengths: tuple
-
-
-@dataclass(frozen=True)
-class _Solved:
-    problem: _Linear
-    point: np.ndarray
-    residuals: np.ndarray
-    slopes: np.ndarray
-    at_bounds: tuple = field(default=())
-
-    @property
-    def square_sum(self):
-        return float(self.residuals @ self.residuals)
 
 
 def _regression(seed, lacking, logs=1):
@@ -50,8 +30,8 @@ def _regression(seed, lacking, logs=1):
     measured = motion + 0.5 * noise + lacking(motion)
     point = np.linalg.lstsq(slopes, measured, rcond=None)[0]
     unknowns = tuple(Unknown(name, "1", -9.0, 9.0, (0.0,)) for name in ("gain", "offset"))
-    problem = _Linear(unknowns, (ROWS // logs,) * logs)
-    return _Solved(problem, point, slopes @ point - measured, slopes)
+    problem = Linear(unknowns, (ROWS // logs,) * logs)
+    return Solved(problem, point, slopes @ point - measured, slopes)
 
 
 def _nothing(motion):
