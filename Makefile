@@ -66,7 +66,7 @@ test-all: $(STAMP) $(ENVIRONMENTS)/.complete $(TORCH)/.complete
 	PYTHONPATH=$(ENVIRONMENTS) $(BIN)/python -m pytest -n auto
 
 docs: $(STAMP) $(SITE)/.complete $(ENVIRONMENTS)/.complete
-	PYTHONPATH=$(CURDIR)/$(SITE):$(CURDIR)/$(ENVIRONMENTS) $(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
+	PYTHONPATH=$(CURDIR)/$(SITE):$(CURDIR)/$(ENVIRONMENTS) $(BIN)/python -m sphinx -W --keep-going -j 3 -b html docs docs/_build/html
 
 lint: $(STAMP)
 	$(BIN)/python -m ruff check .

@@ -179,22 +179,10 @@ README = PAGES["README.md"]
 LONGEST_README = 10_000  # characters; the rest is in docs/
 
 
-def _blocks(*kinds):
-    """Code of a kind in all pages, with the name of its page."""
-    for name, text in PAGES.items():
-        for kind, block in re.findall(
-            r"^```(\w*)\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL
-        ):
-            if kind in kinds:
-                yield name, block
-
-
-def _programs():
-    """The Python code of each page that has any; blocks of a page follow each other."""
-    programs = {}
-    for page, block in _blocks("python"):
-        programs[page] = programs.get(page, "") + block
-    return programs
+def _blocks(page, kind):
+    """Code of a kind in a page."""
+    fences = re.findall(r"^```(\w*)\n(.*?)^```", PAGES[page], flags=re.MULTILINE | re.DOTALL)
+    return [block for name, block in fences if name == kind]
 
 
 def test_readme_is_short_and_opens_with_the_map_and_the_two_commands():
@@ -231,7 +219,8 @@ def test_every_page_has_an_example_that_runs(page):
 
 def test_commands_of_the_pages_exist():
     made = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
-    lines = [line for _, block in _blocks("sh") for line in block.splitlines()]
+    blocks = [block for page in PAGES for block in _blocks(page, "sh")]
+    lines = [line for block in blocks for line in block.splitlines()]
     assert lines
     for line in lines:
         words = shlex.split(line, comments=True)
@@ -245,51 +234,26 @@ def test_commands_of_the_pages_exist():
             assert words[1] != "sweep" or (ROOT / words[2]).is_file(), line
 
 
-def _chains():
-    """The commands of the pages by the result they make or read, others by their verb."""
-    chains = {}
-    for line in (line for _, block in _blocks("sh") for line in block.splitlines()):
-        words = shlex.split(line, comments=True)
-        if words[:1] == ["jaxact"]:
-            result = re.search(r"results/\w+|(?<= )\w+\.toml", line)
-            chains.setdefault(result[0] if result else words[1], []).append(words[1:])
-    return chains
+# The commands and the code of the other pages run when the site is built.
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("commands", [pytest.param(c, id=name) for name, c in _chains().items()])
-def test_commands_of_the_pages_run(commands, tmp_path):
+def test_commands_of_the_readme_run(tmp_path):
     shutil.copytree(ROOT / "experiments", tmp_path / "experiments")
-    fewer = ("axes.kp.num=6", "axes.kd.num=6", "delay=[0.0, 0.001]", "duration=0.25")
-    smaller = [word for setting in fewer for word in ("--set", setting)]
+    environment = os.environ | ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
+    sh = "".join(_blocks("README.md", "sh"))
+    lines = [shlex.split(line, comments=True) for line in sh.splitlines()]
+    commands = [words[1:] for words in lines if words[:1] == ["jaxact"]]
+    assert commands
     for words in commands:
-        if "--width" in words:
-            words[words.index("--width") + 1] = "0.2"
-        ran = subprocess.run(
-            [sys.executable, "-m", "jaxact", *words, *smaller * (words[0] == "sweep")],
-            capture_output=True, text=True, cwd=tmp_path,
-            env=os.environ | ENVIRONMENT | {"PYTHONPATH": str(ROOT)},
-        )  # fmt: skip
+        program = [sys.executable, "-m", "jaxact", *words]
+        ran = subprocess.run(program, capture_output=True, text=True, cwd=tmp_path, env=environment)
         assert ran.returncode == 0, f"{words}: {ran.stderr}"
-        for option, name in zip(words, words[1:], strict=False):
-            if option == "--out":
-                assert (tmp_path / name).exists(), f"{words}: {name} was not written"
 
 
-@pytest.mark.parametrize(
-    "code",
-    [
-        pytest.param(code, id=page, marks=[pytest.mark.exhaustive] * (page != "README.md"))
-        for page, code in _programs().items()
-    ],
-)
-def test_examples_of_the_pages_run(code):
-    extras = {"mujoco_playground": "playground", "gymnasium": "gymnasium", "anywidget": "notebook"}
-    for name, extra in extras.items():
-        if f"import {name}" in code or f"from {name}" in code:
-            pytest.importorskip(name, reason=f"needs jaxact[{extra}]")
-    as_users_have_it = {"JAX_NUMPY_RANK_PROMOTION": "allow"}  # mujoco.mjx relies on it
-    ran = _python(code, **ENVIRONMENT, **as_users_have_it)
+def test_code_of_the_readme_runs():
+    code = "".join(_blocks("README.md", "python"))
+    # mujoco.mjx relies on broadcasting of ranks
+    ran = _python(code, **ENVIRONMENT, JAX_NUMPY_RANK_PROMOTION="allow")
     assert ran.returncode == 0, ran.stderr
     said = [line for line in code.splitlines() if "# prints " in line]
     # What mujoco.mjx says of Warp when somebody imports it themselves.

@@ -2,7 +2,8 @@
 
 A page is Markdown with fenced blocks. On the site
 
-    ```python                    is a cell, whose output stands below it,
+    ```python                    is a cell, whose output stands below it and has every line that
+                                 its code announces with `# prints LINE`,
     ```sh                        too: its commands run one after the other,
     <!-- picture: NAME.png -->   shows a picture that a command above has made,
 
@@ -32,10 +33,11 @@ kernelspec:
 BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 # Pages of the repository that are not of the site, such as results: to be read as they are.
 OUTSIDE = re.compile(r"\]\((?=(?:\.\./)+(?:README\.md|(?:results|experiments)/[^)#]*\.md))")
+ANNOUNCED = re.compile(r"# prints (.*)$", flags=re.MULTILINE)
 PICTURE = re.compile(r"^<!-- picture: (\S+) -->$", flags=re.MULTILINE)
 BEGIN = """```{{code-cell}} ipython3
 :tags: [remove-cell]
-import contextlib, os
+import contextlib, io, os
 os.chdir({folder!r})
 for name in ("FORCE_COLOR", "CLICOLOR_FORCE", "CLICOLOR"):  # which the kernel sets
     os.environ.pop(name, None)
@@ -43,6 +45,12 @@ os.environ["TERM"] = "dumb"
 get_ipython().ast_node_interactivity = "none"  # only what is printed or drawn
 with contextlib.redirect_stdout(None):  # what it says of Warp when it is imported
     import mujoco.mjx
+printed = []
+def print(*values, print=print, **options):
+    text = io.StringIO()
+    print(*values, file=text)
+    printed.extend(text.getvalue().splitlines())
+    print(*values, **options)
 ```
 
 """
@@ -63,7 +71,19 @@ def _cell(match: re.Match[str]) -> str:
     if re.search(r"^make ", code, flags=re.MULTILINE):
         return match[0]
     head = "%%sh -e\n" if kind == "sh" else ""
-    return f"```{{code-cell}} ipython3\n{head}{code}```"
+    return f"```{{code-cell}} ipython3\n{head}{code}```{_checked(ANNOUNCED.findall(code))}"
+
+
+def _checked(lines: list[str]) -> str:
+    """A cell that fails unless these lines were printed, in this order, others between them."""
+    if not lines:
+        return ""
+    check = (
+        "lines, printed[:] = iter(list(printed)), []\n"
+        f"for line in {lines!r}:\n"
+        "    assert line in lines, f'not printed: {line}'\n"
+    )
+    return f"\n\n```{{code-cell}} ipython3\n:tags: [remove-cell]\n{check}```"
 
 
 def _picture(match: re.Match[str]) -> str:
@@ -90,4 +110,4 @@ def setup(app: Any) -> dict[str, bool]:
     app.jaxact_pages = tempfile.mkdtemp(prefix="jaxact-docs-")
     app.connect("source-read", _read)
     app.connect("build-finished", _done)
-    return {"parallel_read_safe": False}
+    return {"parallel_read_safe": True}

@@ -107,4 +107,4 @@ def setup(app: Any) -> dict[str, bool]:
     """Sphinx's entry point."""
     app.connect("builder-inited", _write)
     app.connect("autodoc-process-docstring", _escaped)
-    return {"parallel_read_safe": False}
+    return {"parallel_read_safe": True}

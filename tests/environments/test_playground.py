@@ -1,6 +1,7 @@
 """The drive inside environments of MuJoCo Playground, against drives stepped by hand."""
 
 import dataclasses
+import functools
 import operator
 
 import jax
@@ -98,6 +99,13 @@ def actions(count, envs=()):
 
 def by_hand(text, data, controls, values, gains=(KP, KD)):
     """Joint forces after each control, from `jaxact.drive_around` a step of MJX with motors."""
+    gains = jnp.asarray(gains)
+    begin = data.qpos, data.qvel, data.time, data.qacc_warmstart
+    return np.asarray(_by_hand(text, begin, jnp.asarray(controls), values, gains))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _by_hand(text, begin, controls, values, gains):
     motors = text.replace(f'<position joint="hip" kp="{KP}" kv="{KD}" ctrlrange="-1 1" gear="2"/>',
                           '<motor joint="hip"/>')  # fmt: skip
     motors = motors.replace(f'<position joint="knee" kp="{KP}" kv="{KD}"', '<motor joint="knee"')
@@ -107,21 +115,23 @@ def by_hand(text, data, controls, values, gains=(KP, KD)):
     def advance(data, force):
         return mjx.step(model, data.replace(ctrl=force))
 
-    loop = jx.joint(unit="rad", control_rate=1 / STEP, kp=kp, kd=kd, force_limit=[np.inf, 9.0],
-                    **values)  # fmt: skip
+    fixed = {"unit": "rad", "control_rate": 1 / STEP, "force_limit": [np.inf, 9.0]}
+    loop = jx.joint(**fixed, kp=kp, kd=kd, **values)
+    longest = jx.joint(**fixed, kp=KP, kd=KD, **dict.fromkeys(values, 1.0) | {"delay": 0.02})
     drive = jx.drive_around(advance, loop, measure=lambda data: (data.qpos, data.qvel),
-                            physics_step=STEP, joints=2)  # fmt: skip
+                            physics_step=STEP, joints=2, longest=longest)  # fmt: skip
     setpoints = controls / np.array([2.0, 1.0])
-    first = kp * (setpoints[0] - data.qpos) - kd * data.qvel + values.get("feedforward", 0.0)
-    fresh = mjx.make_data(model).replace(qpos=data.qpos, qvel=data.qvel, time=data.time,
-                                         qacc_warmstart=data.qacc_warmstart)  # fmt: skip
+    qpos, qvel, time, warmstart = begin
+    first = kp * (setpoints[0] - qpos) - kd * qvel + values.get("feedforward", 0.0)
+    fresh = mjx.make_data(model).replace(qpos=qpos, qvel=qvel, time=time,
+                                         qacc_warmstart=warmstart)  # fmt: skip
 
     def control(state, setpoint):
         state, _ = jax.lax.scan(lambda s, _: drive.step(s, setpoint), state, None, length=SUBSTEPS)
         return state, state.simulator.qfrc_actuator
 
     state = drive.init(fresh, command=first)
-    return np.asarray(jax.lax.scan(control, state, jnp.asarray(setpoints))[1])
+    return jax.lax.scan(control, state, setpoints)[1]
 
 
 def test_without_delay_it_is_an_explicit_pd():
