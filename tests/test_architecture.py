@@ -237,6 +237,7 @@ def test_commands_of_the_pages_exist():
 # The commands and the code of the other pages run when the site is built.
 
 
+@pytest.mark.exhaustive
 def test_commands_of_the_readme_run(tmp_path):
     shutil.copytree(ROOT / "experiments", tmp_path / "experiments")
     environment = os.environ | ENVIRONMENT | {"PYTHONPATH": str(ROOT)}

@@ -296,7 +296,8 @@ def check(scene: Scene, keys: Sequence[str], given: set[str]) -> None:
             joint = scene.robot.joints[int(missing[0])]
             raise UserError(
                 f"{name}: joint '{joint.name}' needs one, its actuator in the model "
-                f"({joint.kind}) brings none; give {name}, or {name}@{joint.name}"
+                f"({joint.kind}) brings none; give {name}, or {name}@{joint.name} (in Python "
+                f"{name}={{{joint.name!r}: ...}})"
             )
 
 

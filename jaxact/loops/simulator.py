@@ -59,9 +59,13 @@ class Simulator:
         ):  # fmt: skip
             given = " and ".join(_described(part) for part in parts) or "nothing"
             given = given if isinstance(found, tuple | list) else f"one {type(found).__name__}"
+            remedy = ""
+            if position is not None and velocity is not None:
+                flat = position.ndim == 1 and position.shape == velocity.shape
+                remedy = f"; give joints={position.size}" if flat else ""
             raise UserError(
                 f"measure: gives {given}; needed are (positions, velocities) of shape {self.shape} "
-                f"each, as joints = {self.joints}"
+                f"each, as joints = {self.joints}{remedy}"
             )
         return position, velocity
 

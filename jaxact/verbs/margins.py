@@ -203,7 +203,9 @@ def margins(
         engine: of a robot, "mujoco" linearises C MuJoCo by differences, "mjx" differentiates MJX.
 
     Returns:
-        The margins; printed, they are the command line's table.
+        The margins, of a joint a `LoopMargins`, of the loop's shape, of a robot a
+        `RobotLoopMargins`; printed, they are the command line's table. NaN where a loop is
+        unstable; `stable` tells.
 
     Raises:
         UserError: what is not a loop, parameters or arguments that do not fit each other; of a

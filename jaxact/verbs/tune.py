@@ -106,9 +106,9 @@ def tune(
             notebook; or a function that is called with what is being done and what is to come, how
             much of the former is done, and how much there is at most (0 and 0 where that is not
             known).
-        bounds: of the goal: max_peak (1.6 where nothing is given; of "disk-margin" none), min_kp,
-            max_kp, min_disk_margin, of a joint also min_gain_margin, min_delay_margin,
-            max_noise_gain, risk.
+        bounds: of the goal: max_peak (of the sensitivity and the complementary sensitivity alike,
+            1.6 where nothing is given; of "disk-margin" none), min_kp, max_kp, min_disk_margin, of
+            a joint also min_gain_margin, min_delay_margin, max_noise_gain, risk.
 
     Returns:
         The tuned loop; where the goal cannot be met, the closest that was found, not certified.
