@@ -26,6 +26,7 @@ _PUBLIC = {
     "drive_around": "jaxact.loops.around",
     "environments": "jaxact.environments",
     "export": "jaxact.verbs.export",
+    "GainsWarning": "jaxact.errors",
     "Goal": "jaxact.tuning.goal",
     "identify": "jaxact.verbs.identify",
     "joint": "jaxact.loops.building",

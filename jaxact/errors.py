@@ -13,6 +13,13 @@ class InexactWarning(UserWarning):
     """
 
 
+class GainsWarning(UserWarning):
+    """A file of gains names joints that the robot has not: a misspelt name, or another robot's.
+
+    The command line says it with all else that is not taken from the file.
+    """
+
+
 class UserError(Exception):
     """A mistake in what the user gave: says in one line what, where, and what to do.
 

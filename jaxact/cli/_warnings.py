@@ -9,10 +9,14 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from jaxact.cli import _options
-from jaxact.errors import InexactWarning
+from jaxact.errors import GainsWarning, InexactWarning
 
 if TYPE_CHECKING:
     from jaxact.loops.specification import Plant
+
+
+# Files of gains of which a line has been said.
+_GAINS_SAID: set[str] = set()
 
 
 def warn(text: str) -> None:
@@ -40,19 +44,32 @@ def posture(plant: Plant | None) -> None:
 
 @contextlib.contextmanager
 def as_lines() -> Iterator[None]:
-    """What the library warns of, as a line like every other warning."""
+    """What the library warns of, as a line like every other warning; of gains what is not said yet.
+
+    Verbs that compute with gains say more of their file themselves, with `gains`.
+    """
+    unsaid: set[str] = set()
     with warnings.catch_warnings():
-        warnings.simplefilter("always", InexactWarning)
+        for category in (InexactWarning, GainsWarning):
+            warnings.simplefilter("always", category)
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
-            if issubclass(category, InexactWarning):
+            if issubclass(category, GainsWarning):
+                unsaid.add(str(message))
+            elif issubclass(category, InexactWarning):
                 warn(str(message))
             else:
                 others(message, category, *where)
 
         warnings.showwarning = show  # type: ignore[assignment]
-        yield
+        _GAINS_SAID.clear()
+        try:
+            yield
+        finally:
+            for text in sorted(unsaid):
+                if not _GAINS_SAID:
+                    warn(text)
 
 
 def gains(plant: Plant | None) -> None:
@@ -64,6 +81,7 @@ def gains(plant: Plant | None) -> None:
     for found in robots.scene(plant).robot.findings:
         if found.where == "gains" and ";" in found.advice:  # more than what was asked for
             warn(f"{plant.gains}: {found.advice}")
+            _GAINS_SAID.add(plant.gains)
 
 
 def older(result: str) -> None:

@@ -27,7 +27,8 @@ def playground(
 
     The action stays what it was. Position servos of the model become the drive's controller, with
     their gains; of motors the drive delays and filters the force. It has held the first command for
-    ever when an episode begins. Randomised models bring their own gains, limits and damping.
+    ever when an episode begins. Randomised models bring their own gains, limits, ranges of the
+    controls, and damping.
 
     Args:
         env: of Playground, wrapped or not; before `wrap_for_brax_training`.
@@ -45,9 +46,10 @@ def playground(
         The environment, whose `drive` has what was understood.
 
     Raises:
-        UserError: an actuator that no drive can take over, a control period that is not a multiple
-            of the physics step, an environment that does not step through `mjx_env.step`; its
-            message names the joint.
+        UserError: what is no single environment of Playground, an actuator that no drive can take
+            over (its message names the joint), a stiffness of one without position setpoints, a
+            control period that is not a multiple of the physics step, an environment that does not
+            step through `mjx_env.step`.
         ModuleNotFoundError: Playground is not installed (`jaxact[playground]`).
     """
     from jaxact.environments import playground_wrapper

@@ -7,6 +7,7 @@ joint, gear G and control u, is G clip(u, forcerange).
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from jaxact.drive.controller import Setpoint
 from jaxact.errors import UserError
 from jaxact.robots import selection
 from jaxact.robots.actuators import FORCE, POSITION, VELOCITY, Law, UndrivableError, law
+from jaxact.robots.selection import Driven
 
 _FAR = 1e30  # a range of the control that nothing reaches
 
@@ -31,21 +33,21 @@ class Actuators:
         names: of their joints.
         controls: places among the controls.
         indices: places among the actuators.
+        joints: ids of their joints.
         positions, velocities: addresses of their joints in qpos and qvel.
         commands: of each "position", "velocity" or "force": what its control asks for.
-        low, high: range that MuJoCo clamps the control to, +-inf where none.
-        force_limit: of the force at the joint, symmetric ones only; inf where there is none.
+        shared: whether gravity compensation acts on the joint through its own limit as well, or
+            another actuator, so that the limit is not the drive's.
     """
 
     names: tuple[str, ...]
     controls: np.ndarray
     indices: np.ndarray
+    joints: np.ndarray
     positions: np.ndarray
     velocities: np.ndarray
     commands: tuple[str, ...]
-    low: np.ndarray
-    high: np.ndarray
-    force_limit: np.ndarray
+    shared: np.ndarray
 
     def _are(self, kind: str) -> np.ndarray:
         return np.array([one == kind for one in self.commands])
@@ -69,7 +71,7 @@ class Actuators:
             control: all controls, shape (nu,).
             numeric: module of arrays, `numpy` or `jax.numpy`.
         """
-        control = numeric.clip(control[self.controls], self.low, self.high)
+        control = numeric.clip(control[self.controls], *self._accepted(model, numeric))
         moment = self.moments(model)
         gain = model.actuator_gainprm[self.indices, 0]
         bias = model.actuator_biasprm[self.indices]
@@ -80,6 +82,41 @@ class Actuators:
             velocity=numeric.where(damp, asked / numeric.where(damp, -bias[:, 2] * moment, 1), 0),
             force=numeric.where(self._are(FORCE), asked * moment, 0),
         )
+
+    def _accepted(self, model: Any, numeric: Any) -> tuple[Any, Any]:
+        """Range that MuJoCo clamps the controls to, +-inf where there is none."""
+        return _range(self._clamped(model), model.actuator_ctrlrange[self.controls], numeric)
+
+    def _clamped(self, model: Any) -> np.ndarray:
+        """Whether MuJoCo clamps the controls."""
+        return model.actuator_ctrllimited[self.controls].astype(bool) & _clamps(model)
+
+    def forces(self, model: Any, numeric: Any) -> tuple[Any, Any]:
+        """Lowest and highest force at the joints that the model allows the actuators now.
+
+        By `forcerange`, of motors also by what their `ctrlrange` lets be asked for, and by the
+        joint's `actuatorfrcrange` where that is the drive's alone.
+
+        Args:
+            model: of MuJoCo or MJX, which may be traced.
+            numeric: module of arrays, `numpy` or `jax.numpy`.
+
+        Returns:
+            [N or N m], +-inf where there is no limit, each of shape (joints,).
+        """
+        at, asked, moment = self.indices, self.controls, self.moments(model)
+        gain, offset = model.actuator_gainprm[at, 0], model.actuator_biasprm[at, 0]
+        motors = self._clamped(model) & self._are(FORCE)
+        alone = model.jnt_actfrclimited[self.joints].astype(bool) & ~self.shared
+        ranges = (
+            _range(model.actuator_forcelimited[at], model.actuator_forcerange[at], numeric, moment),
+            _range(
+                motors, model.actuator_ctrlrange[asked], numeric, gain * moment, offset * moment
+            ),
+            _range(alone, model.jnt_actfrcrange[self.joints], numeric),
+        )
+        lows, highs = zip(*ranges, strict=True)
+        return functools.reduce(numeric.maximum, lows), functools.reduce(numeric.minimum, highs)
 
     def as_motors(self, model: Any, *, damping: bool) -> dict[str, Any]:
         """The fields of a model in which the driven actuators are motors.
@@ -111,6 +148,15 @@ def _with(values: Any, places: np.ndarray, new: Any) -> Any:
     return values.at[places].set(new)
 
 
+def _range(
+    limited: Any, bounds: Any, numeric: Any, scale: Any = 1.0, offset: Any = 0.0
+) -> tuple[Any, Any]:
+    """Ends of `offset + scale x` for x within bounds of shape (joints, 2); +-inf where none."""
+    one, other = offset + scale * bounds[:, 0], offset + scale * bounds[:, 1]
+    low, high = numeric.minimum(one, other), numeric.maximum(one, other)
+    return numeric.where(limited, low, -np.inf), numeric.where(limited, high, np.inf)
+
+
 def find(model: mujoco.MjModel, patterns: Sequence[str], where: str) -> Actuators:
     """The actuators of the joints that patterns choose.
 
@@ -138,22 +184,15 @@ def find(model: mujoco.MjModel, patterns: Sequence[str], where: str) -> Actuator
             name = model.joint(one.joint).name
             raise UserError(f"{where}: {name}: several actuators act on it; drive other `joints`")
     controls = np.array([model.actuator_ctrladr[one.index] for one in found])
-    limits = [min(-one.force_low, one.force_high) for one in found]
-    symmetric = [one.force_high == -one.force_low for one in found]
-    bounds = np.where(
-        model.actuator_ctrllimited[controls].astype(bool) & _clamps(model),
-        model.actuator_ctrlrange[controls].T, [[-np.inf], [np.inf]],
-    )  # fmt: skip
     return Actuators(
         names=tuple(model.joint(one.joint).name for one in found),
         controls=controls,
         indices=np.array([one.index for one in found]),
+        joints=np.array(taken),
         positions=np.array([model.jnt_qposadr[one.joint] for one in found]),
         velocities=np.array([model.jnt_dofadr[one.joint] for one in found]),
         commands=tuple(one.commands for one in found),
-        low=bounds[0],
-        high=bounds[1],
-        force_limit=np.where(symmetric, limits, np.inf),
+        shared=np.array([selection.shares(model, Driven(one, ())) for one in found]),
     )
 
 
@@ -176,5 +215,6 @@ def _demand_plain(model: mujoco.MjModel, own: Law, where: str) -> None:
             )
 
 
-def _clamps(model: mujoco.MjModel) -> bool:
-    return not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+def _clamps(model: Any) -> bool:
+    """Whether a model of MuJoCo or MJX clamps controls at all."""
+    return not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)

@@ -21,6 +21,7 @@ from jaxact.environments.actuators import Actuators
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import given as _given
 from jaxact.loops.conversion import drive_of
+from jaxact.loops.joint_ranges import HIGHEST_FORCE, LOWEST_FORCE
 from jaxact.parameters import (
     COMMAND_RESOLUTION,
     CONTROL_RATE,
@@ -39,6 +40,7 @@ from jaxact.parameters import (
     ZETA,
     canonical,
 )
+from jaxact.robots.actuators import POSITION
 
 _OWN = (KP, KD)  # of the model where they are not given
 _TAKEN = (
@@ -94,11 +96,14 @@ class EnvironmentDrive:
         return threefry.uniform(jax.random.key_data(key), self.draws, jnp.result_type(float))
 
     def values(self, draws: jax.Array, model: Any) -> dict[str, Any]:
-        """The parameters that were drawn, by short name, shape () or (joints,).
+        """The parameters that were drawn, by short name, and the range of force of the model.
 
         Args:
             draws: from `draw`.
-            model: of MuJoCo or MJX, which brings the gains; may be traced.
+            model: of MuJoCo or MJX, which brings the gains and limits; may be traced.
+
+        Returns:
+            Each of shape () or (joints,); the force limit no larger than the model's.
         """
         joints = len(self.actuators.names) if self.each_joint else 1
         shares = draws.reshape(len(self.varied), joints)
@@ -116,8 +121,10 @@ class EnvironmentDrive:
         scale = found.pop(GAIN_SCALE)
         for name, own in ((KP, kp), (KD, kd)):
             found[name] = scale * jnp.where(jnp.isnan(found[name]), own, found[name])
-        limit = jnp.minimum(found[FORCE_LIMIT], self.actuators.force_limit)
-        return {POLICY_RATE: np.inf, **found, FORCE_LIMIT: limit}
+        low, high = self.actuators.forces(model, jnp)
+        limit = jnp.minimum(found[FORCE_LIMIT], jnp.maximum(-low, high))
+        of_model = {LOWEST_FORCE: low, HIGHEST_FORCE: high}
+        return {POLICY_RATE: np.inf, **found, FORCE_LIMIT: limit, **of_model}
 
     def drive(self, draws: jax.Array, model: Any) -> Drive:
         """The drive that was drawn; arguments as for `values`."""
@@ -174,6 +181,8 @@ def build(
     for name, value, known in (("damping", damping, _DAMPING), ("velocity", velocity, _VELOCITIES)):
         if value not in known:
             raise UserError(f"`{name}` = {shown(value)}; {nearest(value, known)}")
+    if not isinstance(each_joint, bool):
+        raise UserError(f"`each_joint` = {shown(each_joint)}; allowed: True, False")
     patterns = (joints,) if isinstance(joints, str) else tuple(joints)
     found = _actuators.find(model, patterns, where)
     step = float(model.opt.timestep)
@@ -183,6 +192,7 @@ def build(
     defaults = {name: np.asarray(PARAMETERS[name].default, float) for name in _TAKEN}
     defaults |= dict.fromkeys(_OWN, np.asarray(np.nan)) | {CONTROL_RATE: np.asarray(1.0 / step)}
     low, high = ranges(given, found.names, defaults)
+    _demand_setpoints(found, np.fmax(abs(low[KP]), abs(high[KP])), where)
     substeps = _substeps(float(low[CONTROL_RATE]), float(high[CONTROL_RATE]), step)
     own = np.zeros(len(found.names))
     longest = {name: np.fmax(low[name], high[name]) for name in low}
@@ -191,7 +201,8 @@ def build(
         name: np.stack([np.broadcast_to(side, own.shape) for side in (longest[name], low[name])])
         for name in low
     }
-    ends[FORCE_LIMIT] = np.minimum(ends[FORCE_LIMIT], found.force_limit)
+    # limits may come into a model later: the drive has a place for them in any case
+    ends |= dict(zip((LOWEST_FORCE, HIGHEST_FORCE), found.forces(model, np), strict=True))
     static = {**ends, POLICY_RATE: np.inf, CONTROL_RATE: float(low[CONTROL_RATE])}
     options = _options.options(
         drive_of(static), substeps=substeps, differenced=velocity == "differenced"
@@ -199,16 +210,30 @@ def build(
     return EnvironmentDrive(found, low, high, options, step, damping == "drive", each_joint)
 
 
+def _demand_setpoints(found: Actuators, kp: np.ndarray, where: str) -> None:
+    """Raise UserError for a stiffness of joints without a setpoint to hold them to."""
+    stiff = np.broadcast_to(kp > 0.0, len(found.names))
+    for name, commands, one in zip(found.names, found.commands, stiff, strict=True):
+        if one and commands != POSITION:
+            raise UserError(
+                f"{where}: {name}: its actuator asks for a {commands}, so {KP} would be a spring"
+                " about position 0; leave it out there, or make it a position servo of the model"
+            )
+
+
 def _of_file(gains: str | Path, model: mujoco.MjModel, found: Actuators) -> dict[str, Any]:
     """Tables of the parameters that a file of gains has."""
-    from jaxact.gains import reading
-    from jaxact.gains.table import matched
+    from jaxact.gains import applying, reading
+    from jaxact.gains.table import READ, matched
 
     names = [(name, model.actuator(int(index)).name)
              for name, index in zip(found.names, found.indices, strict=True)]  # fmt: skip
-    own = matched(reading.read(gains), names).parameters
+    file = reading.read(gains)
+    own = matched(file, names)
+    applying.warn_of_strangers(file.path, own)
+    # limits that differ by direction are the model's own here, which says them at every step
     return {name: {re.escape(joint): value for joint, value in rows.items()}
-            for name, rows in own.items()}  # fmt: skip
+            for name, rows in own.parameters.items() if name in READ}  # fmt: skip
 
 
 def _substeps(low: float, high: float, step: float) -> int:
@@ -261,9 +286,15 @@ def ranges(
                 )
             ends[name] = array
         sides.append(ends)
-    for name in sides[0]:
-        if np.any(sides[0][name] > sides[1][name]):
+    for name, low in sides[0].items():
+        high = sides[1][name]
+        if np.any(low > high):
             raise UserError(f"`{name}`: its range ends below where it begins; give (low, high)")
+        if np.any((low != high) & np.isinf(high)):
+            raise UserError(
+                f"`{name}`: its range has no end, so nothing can be drawn from it; give a finite"
+                " (low, high)"
+            )
     return sides[0], sides[1]
 
 

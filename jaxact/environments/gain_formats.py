@@ -16,6 +16,10 @@ from xml.sax.saxutils import quoteattr
 from jaxact.loops import toml as _toml
 from jaxact.parameters import FORCE_LIMIT, KD, KP
 
+Range = tuple[float, float]
+_NO_RANGE = (-math.inf, math.inf)
+_FAR = 1e30  # in place of an infinite end, which MJCF does not know
+
 
 @dataclass(frozen=True)
 class JointGains:
@@ -25,6 +29,10 @@ class JointGains:
         names: of the joints.
         kp, kd: [N m/rad, N m s/rad; of slides N/m, N s/m], as many.
         force_limit: [N m or N], inf where there is none, as many.
+        force_range: lowest and highest force of joints whose limit differs by direction, +-inf of
+            others, as many; () where no joint's does. Both limits hold.
+        setpoint_range: positions that the model's servos clamp setpoints to [rad or m], +-inf where
+            they do not, as many; () where none does.
         position: that the joints rest at [rad or m], as many; () where it is not known.
         period: of the setpoints [s]; nan where it is not known.
     """
@@ -33,6 +41,8 @@ class JointGains:
     kp: tuple[float, ...]
     kd: tuple[float, ...]
     force_limit: tuple[float, ...]
+    force_range: tuple[Range, ...] = ()
+    setpoint_range: tuple[Range, ...] = ()
     position: tuple[float, ...] = ()
     period: float = math.nan
 
@@ -40,6 +50,12 @@ class JointGains:
     def limited(self) -> bool:
         """Whether a joint has a force limit."""
         return any(math.isfinite(one) for one in self.force_limit)
+
+    def forces(self, which: int) -> Range:
+        """Lowest and highest force of a joint by all of its limits, +-inf where there is none."""
+        low, high = self.force_range[which] if self.force_range else _NO_RANGE
+        limit = self.force_limit[which]
+        return max(low, -limit), min(high, limit)
 
 
 UNITS = ("kp in N m/rad, kd in N m s/rad; of slides N/m, N s/m",)
@@ -61,9 +77,22 @@ def text(joints: JointGains, kind: str, source: str, more: Sequence[str] = ()) -
 def lost(joints: JointGains, kind: str) -> list[str]:
     """What the format has no place for, or what is not known that it asks for; sentences."""
     said = []
+    nowhere = "Left out, this format has no place for them"
     if joints.limited and kind in ("deploy-yaml", "rl-gym", "legged-gym"):
         limits = ", ".join(f"{one:g}" for one in joints.force_limit)
-        said.append(f"Left out, this format has no place for them: force limits {limits}")
+        said.append(f"{nowhere}: force limits {limits}")
+    ranges = {
+        "force limits that differ by direction": joints.force_range,
+        "setpoint limits": joints.setpoint_range,
+    }
+    for what, own in ranges.items():
+        rows = [
+            f"{name} {low:g} to {high:g}"
+            for name, (low, high) in zip(joints.names, own, strict=False)
+            if (low, high) != _NO_RANGE
+        ]  # fmt: skip
+        if rows and kind != "mjcf":
+            said.append(f"{nowhere}: {what}, {', '.join(rows)}")
     if kind in ("deploy-yaml", "rl-gym") and not joints.position:
         said.append("The positions at rest are not known without the model")
     if kind in ("deploy-yaml", "rl-gym") and math.isnan(joints.period):
@@ -82,11 +111,16 @@ def _own(joints: JointGains, comments: Sequence[str]) -> str:
 
 def _mjcf(joints: JointGains, comments: Sequence[str]) -> str:
     elements = []
-    for name, kp, kd, limit in _rows(joints):
+    for which, (name, kp, kd, _) in enumerate(_rows(joints)):
         written = {"name": name, "joint": name, KP: repr(kp), "kv": repr(kd)}
-        written["forcelimited"] = "true" if math.isfinite(limit) else "false"
-        if math.isfinite(limit):
-            written["forcerange"] = f"{-limit!r} {limit!r}"
+        asked = joints.setpoint_range[which] if joints.setpoint_range else _NO_RANGE
+        for key, own in (("force", joints.forces(which)), ("ctrl", asked)):
+            limited = own != _NO_RANGE
+            if limited:
+                ends = (min(max(end, -_FAR), _FAR) for end in own)
+                written[f"{key}range"] = " ".join(map(repr, ends))
+            if limited or key == "force":
+                written[f"{key}limited"] = str(limited).lower()
         inside = " ".join(f"{key}={quoteattr(value)}" for key, value in written.items())
         elements.append(f"    <position {inside}/>\n")
     notes = "".join(f"  <!-- {one.replace('--', '- -')} -->\n" for one in comments)

@@ -23,12 +23,17 @@ from jaxact.environments import environment_drive
 from jaxact.environments.actuators import Actuators
 from jaxact.environments.driven_step import held
 from jaxact.environments.environment_drive import EnvironmentDrive
-from jaxact.errors import UserError
+from jaxact.errors import UserError, shown
 from jaxact.loops.conversion import drive_of
 from jaxact.plants.linear import hermite
 
 _STEP = "_step_mujoco_simulation"
-_FIELDS = ("actuator_gear", "actuator_gainprm", "actuator_biasprm", "dof_damping")
+# What a drive's gains and limits follow from.
+_FIELDS = (
+    "actuator_gear", "actuator_gainprm", "actuator_biasprm", "actuator_forcelimited",
+    "actuator_forcerange", "actuator_ctrllimited", "actuator_ctrlrange", "jnt_actfrclimited",
+    "jnt_actfrcrange", "dof_damping",
+)  # fmt: skip
 Pair = tuple[jax.Array, jax.Array]
 
 
@@ -65,10 +70,6 @@ class DrivenEnvironment(gymnasium.Wrapper):
         self._carry: Carry | None = None
         self._draws, self._key, self._calls = jnp.zeros(drive.draws), jax.random.PRNGKey(0), 0
         self._known: tuple[bytes, ...] = ()
-        shape = (len(drive.actuators.names),)
-        self._prepare = jax.jit(lambda v: _drive.prepare(drive_of(v), drive.options, shape))
-        self._begin = jax.jit(functools.partial(_begun, drive.options))
-        self._force = jax.jit(functools.partial(_forced, drive.options), static_argnames="place")
 
     def reset(self, **options: Any) -> Any:
         """As the environment does, with drives that have not begun, and parameters drawn anew."""
@@ -94,11 +95,13 @@ class DrivenEnvironment(gymnasium.Wrapper):
     def _look(self, model: mujoco.MjModel) -> None:
         """The drive's parameters, again where the model's gains are others than before."""
         known = tuple(getattr(model, name).tobytes() for name in _FIELDS)
+        known = (*known, b"%d" % model.opt.disableflags)
         if known != self._known:
             found = self.drive.values(self._draws, model)
             dtype = jnp.result_type(float)
             self._known, self.values = known, {k: jnp.asarray(v, dtype) for k, v in found.items()}
-            self._coefficients = self._prepare(self.values)
+            joints = len(self.drive.actuators.names)
+            self._coefficients = _prepared(self.drive.options, joints, self.values)
 
     def _driven(self, control: Any, frames: int) -> None:
         """In place of the environment's own: physics steps under the drive."""
@@ -110,14 +113,15 @@ class DrivenEnvironment(gymnasium.Wrapper):
         moments = own.moments(model)
         setpoint = own.setpoint(model, np.asarray(control, float), np)
         if self._carry is None:
-            self._carry = self._begin(self._coefficients, setpoint, *_joints(data, own))
+            begun = _begun(self.drive.options, self._coefficients, setpoint, *_joints(data, own))
+            self._carry = begun
         data.ctrl[:] = control
         with _as_motors(model, own, damping=self.drive.damping):
             for frame in range(frames):
                 place = frame % self.drive.options.substeps
-                self._carry, force = self._force(
-                    self._coefficients, self._carry, setpoint, *_joints(data, own), self._key,
-                    place=place,
+                self._carry, force = _forced(
+                    self.drive.options, self._coefficients, self._carry, setpoint,
+                    *_joints(data, own), self._key, place=place,
                 )  # fmt: skip
                 data.ctrl[own.controls] = np.asarray(force, float) / moments
                 mujoco.mj_step(model, data)
@@ -130,6 +134,14 @@ def _joints(data: mujoco.MjData, own: Actuators) -> tuple[np.ndarray, np.ndarray
     return data.qpos[own.positions], data.qvel[own.velocities]
 
 
+# Compiled for all environments whose drives are alike; one of an environment's own could not be
+# pickled with it.
+@functools.partial(jax.jit, static_argnames=("options", "joints"))
+def _prepared(options: DriveOptions, joints: int, values: dict[str, Any]) -> Coefficients:
+    return _drive.prepare(drive_of(values), options, (joints,))
+
+
+@functools.partial(jax.jit, static_argnames="options")
 def _begun(
     options: DriveOptions, coefficients: Coefficients, setpoint: Setpoint, position: jax.Array,
     velocity: jax.Array,
@@ -141,6 +153,7 @@ def _begun(
     return Carry(state, jnp.zeros((), jnp.int32), now, now)
 
 
+@functools.partial(jax.jit, static_argnames=("options", "place"))
 def _forced(
     options: DriveOptions, coefficients: Coefficients, carry: Carry, setpoint: Setpoint,
     position: jax.Array, velocity: jax.Array, key: jax.Array, *, place: int,
@@ -198,6 +211,11 @@ def _as_motors(model: mujoco.MjModel, own: Any, *, damping: bool) -> Iterator[No
 
 def wrap(env: gymnasium.Env, **options: Any) -> DrivenEnvironment:
     """See `jaxact.environments.gymnasium`."""
+    if not isinstance(env, gymnasium.Env):
+        raise UserError(
+            f"env: {shown(env)} of type {type(env).__name__} is not an environment of gymnasium;"
+            ' make one, e.g. gymnasium.make("Ant-v5")'
+        )
     inner = env.unwrapped
     name = type(inner).__name__
     for needed in (_STEP, "model", "data", "frame_skip"):

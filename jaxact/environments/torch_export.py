@@ -16,6 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from jaxact.loops.joint_ranges import (
+    HIGHEST_FORCE,
+    HIGHEST_SETPOINT,
+    LOWEST_FORCE,
+    LOWEST_SETPOINT,
+)
 from jaxact.parameters import (
     CONTROL_RATE,
     DELAYS,
@@ -38,8 +44,14 @@ RANGED = (
 """The parameters of a drive that a range can be given of."""
 TAKEN = (KP, KD, CONTROL_RATE, *RANGED)
 """The parameters that such a file has a place for."""
+NO_RANGES = {
+    LOWEST_FORCE: -math.inf, HIGHEST_FORCE: math.inf, LOWEST_SETPOINT: -math.inf,
+    HIGHEST_SETPOINT: math.inf,
+}  # fmt: skip
+"""What a joint's ranges of force and setpoint are where it has none."""
+_DEFAULTS = {name: PARAMETERS[name].default for name in TAKEN} | NO_RANGES
 _GAINS = (KP, KD, FORCE_LIMIT)  # of the framework's own class
-_PARTS = ("force_loop", "recursion")
+_PARTS = ("force_loop", "parameters", "recursion")
 _PACKAGE = "jaxact.environments.torch_sources"
 
 
@@ -75,7 +87,8 @@ class JointDrives:
 
     Attributes:
         patterns: one for each joint, that matches its name in full.
-        low, high: ends of each parameter's range by short name, shape (joints,).
+        low, high: ends of each parameter's range by short name, and of the names of `NO_RANGES`
+            the joints' own, alike in both; shape (joints,).
         velocity: that the controllers see, "sampled" or "differenced".
         left_out: what a drive in such a file has no place for, in words.
     """
@@ -88,13 +101,17 @@ class JointDrives:
 
     @property
     def bare(self) -> bool:
-        """Whether there is nothing beyond gains and a force limit."""
-        own = (name for name in self.low if name not in (*_GAINS, CONTROL_RATE))
+        """Whether there is nothing beyond gains, a force limit, and ranges of the joints."""
+        few = (*_GAINS, CONTROL_RATE, *NO_RANGES)
+        own = (name for name in self.low if name not in few)
         return self.velocity == "sampled" and all(
-            np.all(side[name] == PARAMETERS[name].default)
-            for name in own
-            for side in (self.low, self.high)
+            np.all(side[name] == _DEFAULTS[name]) for name in own for side in (self.low, self.high)
         )
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether a force limit differs by direction, which gains have no place for."""
+        return bool(np.isfinite([self.low[LOWEST_FORCE], self.low[HIGHEST_FORCE]]).any())
 
 
 def text(drives: JointDrives, kind: str, comments: Sequence[str]) -> str:
@@ -152,17 +169,19 @@ def _groups(drives: JointDrives, patterns: str) -> list[dict[str, Any]]:
     """Fields of the configurations of joints that are alike."""
     found: dict[tuple[Any, ...], list[str]] = {}
     for i, pattern in enumerate(drives.patterns):
-        ends = tuple((float(drives.low[name][i]), float(drives.high[name][i])) for name in TAKEN)
+        ends = tuple(
+            (float(drives.low[name][i]), float(drives.high[name][i])) for name in _DEFAULTS
+        )
         found.setdefault(ends, []).append(pattern)
     groups = []
     for ends, own in found.items():
         low, high = (
-            {name: e[side] for name, e in zip(TAKEN, ends, strict=True)} for side in (0, 1)
+            {name: e[side] for name, e in zip(_DEFAULTS, ends, strict=True)} for side in (0, 1)
         )
         parts = {
             name: _number(low[name], high[name])
-            for name in (*RANGED, CONTROL_RATE)
-            if (low[name], high[name]) != (PARAMETERS[name].default,) * 2 or name == CONTROL_RATE
+            for name in (*RANGED, *NO_RANGES, CONTROL_RATE)
+            if (low[name], high[name]) != (_DEFAULTS[name],) * 2 or name == CONTROL_RATE
         }
         limit = parts.pop(FORCE_LIMIT) if low[FORCE_LIMIT] == high[FORCE_LIMIT] < math.inf else ""
         if drives.velocity != "sampled":

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+from jaxact.errors import GainsWarning
 from jaxact.gains import reading
-from jaxact.gains.table import Matched, matched
+from jaxact.gains.table import FORCE_HIGH, FORCE_LOW, Matched, matched
 from jaxact.parameters import FORCE_LIMIT, KD, KP
 from jaxact.robots.conversion import IN_JOINT
 from jaxact.robots.findings import ASKED, Finding
@@ -30,6 +33,7 @@ def applied(robot: Robot, file: str) -> Robot:
     """
     source = reading.read(file)
     found = matched(source, [(joint.name, joint.actuator) for joint in robot.joints])
+    warn_of_strangers(source.path, found)
     joints = tuple(_joint(joint, found) for joint in robot.joints)
     numbers = repr(sorted((name, sorted(own.items())) for name, own in found.parameters.items()))
     digest = hashlib.sha256((robot.digest + numbers).encode()).hexdigest()
@@ -48,7 +52,8 @@ def _joint(joint: Joint, found: Matched) -> Joint:
     }
     limit = own.get(FORCE_LIMIT)
     if limit is not None:
-        changed |= {"force_low": -limit, "force_high": limit}
+        changed |= {FORCE_LOW: -limit, FORCE_HIGH: limit}
+    changed |= {name: own[name] for name in (FORCE_LOW, FORCE_HIGH) if own.get(name) is not None}
     return replace(joint, **changed)
 
 
@@ -70,12 +75,28 @@ def _beside(robot: Robot, joints: tuple[Joint, ...]) -> list[str]:
     ]
 
 
+def strangers(found: Matched) -> str:
+    """In words, what of a file is for none of the robot's joints."""
+    return f"of none of the robot's joints: {', '.join(found.unmatched)}"
+
+
+def warn_of_strangers(path: Path, found: Matched) -> None:
+    """Warn of names in a file, perhaps misspelt, that are for none of the robot's joints."""
+    if found.unmatched:
+        warnings.warn(f"{path}: {strangers(found)}", GainsWarning, stacklevel=2)
+
+
 def said(kind: str, found: Matched) -> str:
     """In one sentence, what was taken from a file and what was not."""
-    what = "gains and force limits" if found.parameters.get(FORCE_LIMIT) else "gains"
-    parts = [f"of format {kind}: {what} of {len(found.parameters[KP])} joints"]
+    limited = any(found.parameters.get(name) for name in (FORCE_LIMIT, FORCE_LOW))
+    what = "gains and force limits" if limited else "gains"
+    count = len({name for one in (KP, KD) for name in found.parameters.get(one, {})})
+    parts = [f"of format {kind}: {what} of {count} joint{'s' if count != 1 else ''}"]
+    for parameter, names in found.partly.items():
+        if names:
+            parts.append(f"no {parameter} of {', '.join(names)}, which stays as the model has it")
     if found.without:
         parts.append(f"none of {', '.join(found.without)}, which stay as the model has them")
     if found.unmatched:
-        parts.append(f"of none of the robot's joints: {', '.join(found.unmatched)}")
+        parts.append(strangers(found))
     return "; ".join([*parts, *found.notes])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
@@ -9,12 +10,14 @@ from pathlib import Path
 
 from jaxact.errors import UserError, shown
 from jaxact.gains.deployment import number
-from jaxact.gains.table import READ, Entry, GainFile
+from jaxact.gains.table import FORCE_HIGH, FORCE_LOW, READ, Entry, GainFile
 from jaxact.parameters import FORCE_LIMIT, KD, KP
 
 
 def toml(path: Path, text: str) -> GainFile:
-    """Tables `[kp]` and `[kd]`, and perhaps `[force_limit]`: joint, or pattern, = number.
+    """Tables `[kp]` and `[kd]`, or one of them, and perhaps `[force_limit]`: joint = number.
+
+    A joint may be a pattern.
 
     Raises:
         UserError: it is not TOML, or has no such tables.
@@ -24,12 +27,12 @@ def toml(path: Path, text: str) -> GainFile:
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise UserError(f"{path}: is not TOML: {error}") from None
     tables = {name: document[name] for name in READ if isinstance(document.get(name), Mapping)}
-    if not {KP, KD} <= set(tables):
+    if not {KP, KD} & set(tables):
         if isinstance(document.get("gains"), Mapping):
             raise UserError(
                 f"{path}: has the gains of a single joint; give them with --kp and --kd"
             )
-        raise UserError(f"{path}: has no tables [kp] and [kd] of joint = number")
+        raise UserError(f"{path}: has no table [kp] or [kd] of joint = number")
     entries = tuple(
         Entry(name, key, number(path, f"{name}.{key}", value))
         for name, table in tables.items()
@@ -52,15 +55,15 @@ def mjcf(path: Path, text: str) -> GainFile:
         raise UserError(f"{path}: <{shown(root.tag)[1:-1]}> is not MJCF; gains are read from MJCF")
     whole = root.find("worldbody") is not None or root.find("include") is not None
     entries = tuple(_of_model(path) if whole else _of_section(path, root))
+    clamped = [one for one in root.iterfind("actuator/position") if one.get("ctrlrange")]
+    notes = () if whole or not clamped else ("limits of its setpoints (ctrlrange) are not taken",)
     if not any(one.parameter == KP for one in entries):
         raise UserError(f"{path}: has no position actuators with gains")
-    return GainFile(path, "mjcf", entries, "name")
+    return GainFile(path, "mjcf", entries, "name", notes)
 
 
 def _of_model(path: Path) -> Iterator[Entry]:
     """Gains at the joints, as MuJoCo compiles them, classes and gears and all."""
-    import math
-
     from jaxact.robots import model
 
     for joint in model.read(path).joints:
@@ -68,8 +71,7 @@ def _of_model(path: Path) -> Iterator[Entry]:
             continue
         yield Entry(KP, joint.name, joint.kp)
         yield Entry(KD, joint.name, joint.kd)
-        if math.isfinite(joint.force_high) and joint.force_high == -joint.force_low:
-            yield Entry(FORCE_LIMIT, joint.name, joint.force_high)
+        yield from _limits(joint.name, joint.force_low, joint.force_high)
 
 
 def _of_section(path: Path, root: ElementTree.Element) -> Iterator[Entry]:
@@ -89,8 +91,16 @@ def _of_section(path: Path, root: ElementTree.Element) -> Iterator[Entry]:
             yield Entry(parameter, name, _number(path, where, key, value) * gear**2)
         if one.get("forcelimited", "true") == "true" and one.get("forcerange"):
             low, high = sorted(gear * end for end in _pair(path, where, one.get("forcerange", "")))
-            if high == -low:
-                yield Entry(FORCE_LIMIT, name, high)
+            yield from _limits(name, low, high)
+
+
+def _limits(joint: str, low: float, high: float) -> Iterator[Entry]:
+    """The force limit of a joint, or its range where that differs by direction."""
+    if high != -low:
+        yield Entry(FORCE_LOW, joint, low)
+        yield Entry(FORCE_HIGH, joint, high)
+    elif math.isfinite(high):
+        yield Entry(FORCE_LIMIT, joint, high)
 
 
 def _number(path: Path, where: str, key: str, text: str) -> float:

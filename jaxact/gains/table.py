@@ -19,6 +19,8 @@ joints from 0, which must be as many, or numbers of motors, which are such place
 
 # The drive's parameters that such files have.
 READ = (KP, KD, FORCE_LIMIT)
+# Ends of a joint's range of force where it differs by direction; called as in `robots.robot.Joint`.
+FORCE_LOW, FORCE_HIGH = "force_low", "force_high"
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,8 @@ class Entry:
     """A number, and the joints that it is for.
 
     Attributes:
-        parameter: kp [N m/rad], kd [N m s/rad] or force_limit [N m]; of slides N and m.
+        parameter: kp [N m/rad], kd [N m s/rad], force_limit, force_low or force_high [N m]; of
+            slides N and m.
         key: as `Keys` says.
         value: of the parameter.
         within: patterns; only joints that one of them matches are meant.
@@ -62,6 +65,8 @@ class GainFile:
 
     def __post_init__(self) -> None:
         for one in self.entries:
+            if one.parameter in (FORCE_LOW, FORCE_HIGH):
+                continue
             if not math.isfinite(one.value) and one.parameter != FORCE_LIMIT or one.value < 0.0:
                 raise UserError(
                     f"{self.path}: {one.parameter} of {shown(one.key)} is {one.value:g}; give a"
@@ -77,12 +82,14 @@ class Matched:
         parameters: name of the parameter -> name of the joint -> its value.
         unmatched: keys of the file that are for none of the joints.
         without: driven joints that the file gives no gains.
+        partly: kp and kd -> the driven joints that it gives only the other one.
         notes: of the file, and of how names were matched.
     """
 
     parameters: Mapping[str, Mapping[str, float]]
     unmatched: tuple[str, ...]
     without: tuple[str, ...]
+    partly: Mapping[str, tuple[str, ...]]
     notes: tuple[str, ...]
 
 
@@ -115,14 +122,18 @@ def matched(file: GainFile, joints: Sequence[tuple[str, str]]) -> Matched:
             by[one.parameter, name] = one
             found.setdefault(one.parameter, {})[name] = one.value
     names = [name for name, _ in joints]
-    if not found.get(KP):
+    if not any(found.get(one) for one in (KP, KD)):
         given = list(dict.fromkeys(str(one.key) for one in file.entries))
         raise UserError(
             f"{file.path}: none of its joints ({_few(given)}) is one of the robot's ({_few(names)})"
         )
     unmatched = dict.fromkeys(str(one.key) for one in file.entries if not meant[_id(one)])
-    without = [name for name in names if not all(name in found.get(one, {}) for one in (KP, KD))]
-    return Matched(found, tuple(unmatched), tuple(without), tuple(notes))
+    lacking = {one: [name for name in names if name not in found.get(one, {})] for one in (KP, KD)}
+    without = [name for name in names if all(name in own for own in lacking.values())]
+    partly = {
+        one: tuple(name for name in own if name not in without) for one, own in lacking.items()
+    }
+    return Matched(found, tuple(unmatched), tuple(without), partly, tuple(notes))
 
 
 def _conflict(path: Path, joint: str, first: Entry, second: Entry) -> str:

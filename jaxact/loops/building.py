@@ -115,7 +115,7 @@ def robot(
             that it rests there with any gains and does not sag under soft ones.
         gains: file of gains instead of the model's: jaxact's own TOML, MJCF, a deployment's YAML, a
             configuration of legged_gym, Isaac Lab or mjlab, see docs/gains.md. Joints are matched
-            by name; what does not match is said by `jaxact.check`.
+            by name; names that match none are a `GainsWarning`, and `jaxact.check` says all.
         payload_body: that carries the payload, None for the heaviest.
         actuator: preset of all joints that sets wn and zeta.
         velocity: that the controllers see; None for that of the drive, as for `jaxact.joint`.

@@ -133,13 +133,13 @@ def joint_limits(model: mujoco.MjModel, driven: Driven) -> tuple[float, float]:
     the drive, they are not the drive's own, and only the model's.
     """
     joint = driven.law.joint
-    if not model.jnt_actfrclimited[joint] or _shares(model, driven):
+    if not model.jnt_actfrclimited[joint] or shares(model, driven):
         return -math.inf, math.inf
     low, high = model.jnt_actfrcrange[joint]
     return float(low), float(high)
 
 
-def _shares(model: mujoco.MjModel, driven: Driven) -> bool:
+def shares(model: mujoco.MjModel, driven: Driven) -> bool:
     """Whether gravity compensation or another actuator acts on the joint through its limit."""
     joint = driven.law.joint
     if model.jnt_actgravcomp[joint]:
@@ -158,7 +158,7 @@ def _shares(model: mujoco.MjModel, driven: Driven) -> bool:
 def shared_limit(model: mujoco.MjModel, driven: Driven) -> list[Finding]:
     """What is said of a joint whose limit its drive shares with other forces."""
     joint = driven.law.joint
-    if not model.jnt_actfrclimited[joint] or not _shares(model, driven):
+    if not model.jnt_actfrclimited[joint] or not shares(model, driven):
         return []
     low, high = model.jnt_actfrcrange[joint]
     others = "gravity compensation" if model.jnt_actgravcomp[joint] else "other actuators"

@@ -269,7 +269,8 @@ def test_a_result_that_was_tuned_is_exported(model, tmp_path):
 def test_what_does_not_match_is_listed(model, tmp_path):
     file = tmp_path / "gains.toml"
     file.write_text("[kp]\nleft_hip_joint = 5\nneck = 3\n[kd]\nleft_hip_joint = 1\nneck = 1\n")
-    robot = robots.read(jx.robot(model, gains=file).kind.plant)
+    with pytest.warns(jx.GainsWarning, match="gains.toml: of none of the robot's joints: neck"):
+        robot = robots.read(jx.robot(model, gains=file).kind.plant)
     words = robot.findings[-1].advice
     assert "neck" in words and "right_knee_joint" in words
     assert robot.joints[0].kp == 5.0 and robot.joints[3].kp == 40.0  # the model's own

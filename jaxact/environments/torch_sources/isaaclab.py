@@ -11,7 +11,8 @@ from isaaclab.sim import SimulationContext
 from isaaclab.utils import configclass
 from isaaclab.utils.types import ArticulationActions
 
-from jaxact.environments.torch_sources.recursion import Drive, DriveParameters
+from jaxact.environments.torch_sources.parameters import DriveParameters
+from jaxact.environments.torch_sources.recursion import Drive
 
 
 class DriveActuator(IdealPDActuator):

@@ -8,7 +8,8 @@ from typing import Any
 import torch
 from mjlab.actuator import ActuatorCmd, IdealPdActuator, IdealPdActuatorCfg
 
-from jaxact.environments.torch_sources.recursion import Drive, DriveParameters
+from jaxact.environments.torch_sources.parameters import DriveParameters
+from jaxact.environments.torch_sources.recursion import Drive
 
 
 @dataclass(kw_only=True)

@@ -14,73 +14,12 @@ positions and velocities. Times are in seconds, forces in N or N m.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
 from typing import Any
 
 import torch
 
 from jaxact.environments.torch_sources.force_loop import followed, free_response, part_rows
-
-Number = float | tuple[float, float]
-"""A number, or a range (low, high), from which every environment draws uniformly at its reset."""
-
-
-@dataclass(kw_only=True)
-class DriveParameters:
-    """A drive behind the PD gains of an actuator; what is not given is not there.
-
-    Attributes:
-        wn, zeta: natural frequency [rad/s] and damping ratio of the force loop; inf: ideal.
-        delay, output_delay: of the command, and of the force [s].
-        measurement_delay, setpoint_delay: of the sensed state, and of the setpoint [s].
-        force_limit: [N or N m]; the actuator's own limit counts as well.
-        force_rate_limit: [N/s or N m/s].
-        stall_force, no_load_speed: of the force-speed line [N or N m, m/s or rad/s].
-        gain_scale: factor on both gains.
-        feedforward: constant force [N or N m].
-        position_resolution, velocity_resolution, command_resolution: one count; 0: none.
-        position_noise, velocity_noise: standard deviation of each sample.
-        position_bias, velocity_bias: constant errors.
-        position_bias_walk, velocity_bias_walk: standard deviation of the bias after 1 s.
-        velocity_filter: cutoff of the differenced velocity [rad/s]; inf: none.
-        control_rate: [Hz].
-        velocity: that the controller sees, "sampled" or "differenced" positions.
-        each_joint: every joint draws from ranges for itself; else all joints share a number, those
-            of other groups with the same `seed`, too.
-        seed: of what is drawn from ranges.
-    """
-
-    wn: Number = math.inf
-    zeta: Number = 1.0
-    delay: Number = 0.0
-    output_delay: Number = 0.0
-    measurement_delay: Number = 0.0
-    setpoint_delay: Number = 0.0
-    force_limit: Number = math.inf
-    force_rate_limit: Number = math.inf
-    stall_force: Number = math.inf
-    no_load_speed: Number = math.inf
-    gain_scale: Number = 1.0
-    feedforward: Number = 0.0
-    position_resolution: Number = 0.0
-    velocity_resolution: Number = 0.0
-    command_resolution: Number = 0.0
-    position_noise: Number = 0.0
-    velocity_noise: Number = 0.0
-    position_bias: Number = 0.0
-    velocity_bias: Number = 0.0
-    position_bias_walk: Number = 0.0
-    velocity_bias_walk: Number = 0.0
-    velocity_filter: Number = math.inf
-    control_rate: float = 1000.0
-    velocity: str = "sampled"
-    each_joint: bool = False
-    seed: int = 0
-
-    def ends(self) -> dict[str, tuple[float, float]]:
-        """Both ends of the range of every number, by name."""
-        kept = {one.name: getattr(self, one.name) for one in fields(self)[:-4]}
-        return {n: (v, v) if isinstance(v, int | float) else tuple(v) for n, v in kept.items()}
+from jaxact.environments.torch_sources.parameters import DriveParameters
 
 
 class Drive:
@@ -93,13 +32,15 @@ class Drive:
         device: of all tensors.
 
     Raises:
-        ValueError: the control period is not a multiple of the physics step.
+        ValueError: a parameter is not what it may be, or the control period is not a multiple of
+            the physics step.
     """
 
     def __init__(
         self, parameters: DriveParameters, physics_step: float, num_envs: int, num_joints: int,
         device: Any,
     ) -> None:  # fmt: skip
+        parameters.check()  # again: a framework may have set one since it was made
         self.period, self.physics_step = 1.0 / parameters.control_rate, physics_step
         ratio = self.period / physics_step
         self.substeps = round(ratio)
@@ -239,7 +180,8 @@ class Drive:
         known, state = self._tables, self._state
         self._measure(position, velocity)
         kp, kd = known["gain_scale"] * kp, known["gain_scale"] * kd
-        target = torch.stack([setpoint, setpoint_velocity, effort])
+        accepted = _within(setpoint, known["lowest_setpoint"], known["highest_setpoint"])
+        target = torch.stack([accepted, setpoint_velocity, effort])
         if self._any_fresh:
             self._begin(kp, kd, target, position, velocity)
         new = (self._place == 0).unsqueeze(-1)
@@ -264,6 +206,9 @@ class Drive:
         limit, stall = torch.minimum(limit, known["force_limit"]), known["stall_force"]
         low = torch.maximum(-stall - known["slope"] * velocity, -limit).clamp(max=0.0)
         high = torch.minimum(stall - known["slope"] * velocity, limit).clamp(min=0.0)
+        low, high = (
+            _within(one, known["lowest_force"], known["highest_force"]) for one in (low, high)
+        )
         mean = torch.minimum(torch.maximum(force, low), high)
         if "parts" in known:
             parts = known["parts"][:, self._place, self._environments]
@@ -377,6 +322,10 @@ def _split(time: torch.Tensor, unit: float) -> tuple[torch.Tensor, torch.Tensor]
     ratio = time / unit
     whole = torch.floor(ratio + 64 * torch.finfo(ratio.dtype).eps * (1.0 + ratio))
     return whole, (time - whole * unit).clamp(min=0.0)
+
+
+def _within(value: torch.Tensor, low: torch.Tensor, high: torch.Tensor) -> torch.Tensor:
+    return torch.minimum(torch.maximum(value, low), high)
 
 
 def _pushed(line: torch.Tensor, value: torch.Tensor, new: torch.Tensor) -> torch.Tensor:

@@ -1,0 +1,135 @@
+"""What people give to environments by mistake is said in a line; and what they may do with them."""
+
+import pickle
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from mujoco import mjx
+
+import jaxact as jx
+from jaxact import environments
+from jaxact.errors import UserError
+
+pytest.importorskip("gymnasium", reason="needs jaxact[gymnasium]; `make test` has it")
+pytest.importorskip("mujoco_playground", reason="needs jaxact[playground]; `make test` has it")
+
+import gymnasium as gym
+from ml_collections import config_dict
+from mujoco_playground._src import mjx_env
+from mujoco_playground._src.wrapper import Wrapper, wrap_for_brax_training
+
+ROWS = {
+    "motor": '<motor joint="hip"/>',
+    "velocity": '<velocity joint="hip" kv="2"/>',
+    "position": '<position joint="hip" kp="9" kv="1"/>',
+}
+
+
+class Hinge(mjx_env.MjxEnv):
+    """One joint, which a motor moves, or a servo."""
+
+    def __init__(self, actuator="motor"):
+        super().__init__(config_dict.create(ctrl_dt=0.004, sim_dt=0.002))
+        self._mj_model = mujoco.MjModel.from_xml_string(
+            '<mujoco><worldbody><body><joint name="hip"/><geom size="0.1"/></body></worldbody>'
+            f"<actuator>{ROWS[actuator]}</actuator></mujoco>"
+        )
+        self._mjx_model = mjx.put_model(self._mj_model, impl="jax")
+
+    def reset(self, rng):
+        data = mjx_env.make_data(self._mj_model, impl="jax")
+        return mjx_env.State(data, data.qpos, jnp.zeros(()), jnp.zeros(()), {}, {})
+
+    def step(self, state, action):
+        data = mjx_env.step(self._mjx_model, state.data, action, self.n_substeps)
+        return state.replace(data=data)
+
+    xml_path = ""
+    action_size = property(lambda self: 1)
+    mj_model = property(lambda self: self._mj_model)
+    mjx_model = property(lambda self: self._mjx_model)
+
+
+@pytest.fixture(autouse=True)
+def as_users_have_it():
+    """Mujoco.mjx relies on NumPy's broadcasting of ranks."""
+    with jax.numpy_rank_promotion("allow"):
+        yield
+
+
+def said(call, words):
+    with pytest.raises(UserError) as caught:
+        call()
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+NO_ENVIRONMENTS = {
+    "put the drive in first": lambda: wrap_for_brax_training(Hinge()),
+    "'CartpoleBalance' of type str": lambda: "CartpoleBalance",
+    "of type NoneType": lambda: None,
+    "not an environment of MuJoCo Playground": lambda: gym.make("CartPole-v1"),
+}
+
+
+@pytest.mark.parametrize("words", NO_ENVIRONMENTS)
+def test_what_is_no_environment_of_playground(words):
+    said(lambda: environments.playground(NO_ENVIRONMENTS[words](), delay=0.01), words)
+
+
+def test_what_is_no_environment_of_gymnasium():
+    for given, words in (
+        ("Ant-v5", "'Ant-v5' of type str is not an environment of gymnasium"),
+        (None, "of type NoneType"),
+        (Hinge(), "of type Hinge"),
+    ):
+        said(lambda given=given: environments.gymnasium(given), words)
+
+
+def test_a_state_or_an_action_of_another_environment():
+    env = environments.playground(Wrapper(Hinge()))
+    state, action = env.reset(jax.random.PRNGKey(0)), jnp.zeros(1)
+    said(lambda: env.step(Hinge().reset(jax.random.PRNGKey(0)), action), "begin with its own reset")
+    said(lambda: env.step(state, jnp.zeros(2)), "an action of shape (2,); give (1,)")
+    said(lambda: jax.jit(env.step)(state, jnp.zeros(())), "an action of shape (); give (1,)")
+
+
+def test_a_range_without_an_end_and_a_word_for_yes():
+    for given in ({"wn": (100.0, np.inf)}, {"force_limit": {"hip": (2.0, np.inf)}}):
+        said(lambda given=given: environments.playground(Hinge(), **given), "its range has no end")
+    said(
+        lambda: environments.playground(Hinge(), each_joint="yes"), "`each_joint` = 'yes'; allowed"
+    )
+
+
+@pytest.mark.parametrize("actuator", ("motor", "velocity"))
+def test_a_stiffness_needs_setpoints(actuator):
+    words = "hip: its actuator asks for a"
+    for kp in (50.0, {"hip": (10.0, 50.0)}):
+        said(lambda kp=kp: environments.playground(Hinge(actuator), kp=kp), words)
+    drive = environments.playground(Hinge(actuator), kp=0.0, kd=2.0).drive
+    assert drive.values(jnp.zeros(0), Hinge(actuator).mj_model)["kd"] == 2.0
+
+
+def test_a_file_of_gains_may_have_one_gain_and_names_that_no_joint_has(tmp_path):
+    file = tmp_path / "gains.toml"
+    file.write_text("[kp]\nhp = 500\n[kd]\nhip = 10\n")
+    env = Hinge("position")
+    with pytest.warns(jx.GainsWarning, match=r"gains\.toml: of none of the robot's joints: hp"):
+        drive = environments.playground(env, gains=file).drive
+    values = drive.values(jnp.zeros(0), env.mj_model)
+    assert (values["kp"], values["kd"]) == (9.0, 10.0)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_an_environment_of_gymnasium_can_be_pickled():
+    def stepped(env):
+        env.reset(seed=4)
+        return np.array([env.step(np.full(1, 0.5))[0] for _ in range(5)])
+
+    env = environments.gymnasium(gym.make("InvertedPendulum-v5"), delay=(0.0, 0.04))
+    expected = stepped(env)
+    again = pickle.loads(pickle.dumps(env))
+    np.testing.assert_array_equal(stepped(again), expected)
