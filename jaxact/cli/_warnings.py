@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from jaxact.loops.specification import Plant
 
 
-# Files of gains of which a line has been said.
-_GAINS_SAID: set[str] = set()
+class _GainsAtLength(GainsWarning):
+    """All that a command says of a file of gains, of which the library says a part."""
 
 
 def warn(text: str) -> None:
@@ -48,28 +48,28 @@ def as_lines() -> Iterator[None]:
 
     Verbs that compute with gains say more of their file themselves, with `gains`.
     """
-    unsaid: set[str] = set()
+    said, unsaid = set(), set()
     with warnings.catch_warnings():
         for category in (InexactWarning, GainsWarning):
             warnings.simplefilter("always", category)
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
-            if issubclass(category, GainsWarning):
-                unsaid.add(str(message))
-            elif issubclass(category, InexactWarning):
-                warn(str(message))
+            text = str(message)
+            if issubclass(category, GainsWarning) and category is not _GainsAtLength:
+                unsaid.add(text)
+            elif issubclass(category, InexactWarning | GainsWarning):
+                said.add(category)
+                warn(text)
             else:
                 others(message, category, *where)
 
         warnings.showwarning = show  # type: ignore[assignment]
-        _GAINS_SAID.clear()
         try:
             yield
         finally:
-            for text in sorted(unsaid):
-                if not _GAINS_SAID:
-                    warn(text)
+            for text in sorted(unsaid) if _GainsAtLength not in said else ():
+                warn(text)
 
 
 def gains(plant: Plant | None) -> None:
@@ -80,8 +80,7 @@ def gains(plant: Plant | None) -> None:
 
     for found in robots.scene(plant).robot.findings:
         if found.where == "gains" and ";" in found.advice:  # more than what was asked for
-            warn(f"{plant.gains}: {found.advice}")
-            _GAINS_SAID.add(plant.gains)
+            warnings.warn(f"{plant.gains}: {found.advice}", _GainsAtLength, stacklevel=2)
 
 
 def older(result: str) -> None:
