@@ -28,7 +28,7 @@ _STRETCH = 0.5
 # Points that climb side by side; each tries four kinds of steps.
 CLIMBERS = 8
 # First and last size of a step, how it grows and shrinks, and most steps.
-_FIRST, _LAST, _GROW, _SHRINK, _STEPS = 0.2, 1e-4, 1.6, 0.35, 30
+_FIRST, _LAST, _GROW, _SHRINK, _STEPS = 0.2, 1e-5, 1.6, 0.35, 36
 # How far the surroundings of a point reach, in units of how far apart points are.
 _SURROUNDINGS = 1.0
 # No more climbs begin after so many rounds of steps, and as many again for every peak there is,
