@@ -157,7 +157,7 @@ def test_a_point_that_exceeds_its_bounds_is_led_inside(tmp_path):
     ("module", "name", "turn", "later"),
     [
         ("jaxact.tuning.optimise", "_descended", 1, 0.3),
-        ("jaxact.tuning.joint.search", "_interior", 1, 0.0),
+        ("jaxact.tuning.joint.exchange", "worst_inside", 1, 0.0),
     ],
 )
 def test_a_joints_tuning_ends_with_what_is_certified(tmp_path, module, name, turn, later):

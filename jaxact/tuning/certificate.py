@@ -202,8 +202,8 @@ def sentence(
             words.append(f"{certificate.corners} corners{point} included")
         return ", ".join(words)
     inside = -np.inf if certificate.interior is None else certificate.interior
-    if certificate.stable and inside > MET and all(check.met for check in certificate.checks):
-        return f"a point inside the box exceeds its bounds by {_percent(inside)}"
+    if inside > MET and not closest:
+        return _inside(certificate, inside)
     missed = [check for check in closest if not check.met]
     far = "" if effort is None else f", {effort}"
     kp = f" with kp >= {goal.min_kp:g}" if goal.min_kp > 0 else ""
@@ -222,6 +222,23 @@ def sentence(
         f"found infeasible: of all gains{kp} that were tried those nearest to the bounds have a "
         f"{metric} of {worst.value:.6g}, asked for {sign} {worst.bound:g} ({worst.constraint}), at "
         f"{worst.member}{far}; {_NO_PROOF} are none nearer"
+    )
+
+
+def _inside(certificate: Certificate, inside: float) -> str:
+    """In words, that the gains keep the bounds of some members, but not all over the box."""
+    if not certificate.checks:
+        return "a point inside the box exceeds its bounds"
+    worst = max(certificate.checks, key=lambda check: check.excess)
+    by = f"exceeds its bounds by {_percent(max(inside, worst.excess))}"
+    if not np.isfinite(max(inside, worst.excess)):
+        by = "is unstable"
+    where = f"a point inside the box {by}"
+    if not worst.met:
+        where = f"the worst point of the box that was found {by}: {worst.member}"
+    return (
+        f"{where}; no better gains were found, which may be for want of members or starts: more "
+        "samples of the box or more starts may lead to some, or make the box narrower"
     )
 
 

@@ -7,7 +7,7 @@ ln(metric / bound) <= 0, so that one per cent counts the same everywhere.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -100,6 +100,15 @@ class Goal:
             for name in self.active
             for metric, sign in CONSTRAINTS[name]
         )
+
+    def tightened(self, by: float) -> Goal:
+        """The same with every bound on a metric tighter.
+
+        Args:
+            by: ln of the factor.
+        """
+        sign = {name: metrics[0][1] for name, metrics in CONSTRAINTS.items()}
+        return replace(self, **{n: getattr(self, n) * math.exp(-sign[n] * by) for n in self.active})
 
     @property
     def wanted(self) -> tuple[str, ...]:

@@ -22,6 +22,8 @@ from jaxact.tuning.joint.spectrum import single_precision, tabulate
 _POINTS = 600
 GRID = 64
 _REFINEMENTS = 4
+# The least damping that is looked at, of a bare mass and of a sprung one [m / lag].
+_LEAST, _SPRUNG = 2e-2, 2e-5
 _TILE = 64
 # The tables' own error in ln of a peak.
 _SLACK = 2e-4
@@ -82,7 +84,9 @@ def _plane(case: Case) -> tuple[Table, np.ndarray, np.ndarray]:
     own = jax.tree.map(lambda a: a[0], joint.table([case]))
     data = replace(own, spectrum=single_precision(spectrum))
     lag, mass = joint.time_scale(case).max(), case.members.mass.min()
-    low = np.log([2e-4 * mass / lag**2, 2e-2 * mass / lag])
+    # A spring keeps a joint stable with hardly any damping from its drive.
+    damped = _SPRUNG if np.all(case.members.joint_stiffness > 0.0) else _LEAST
+    low = np.log([2e-4 * mass / lag**2, damped * mass / lag])
     high = np.log([1.5 * mass / lag**2, 1.6 * mass / lag])
     bounds = joint.log_bounds(case.goal)
     low[0], high[0] = max(low[0], bounds[0, 0]), max(min(high[0], bounds[1, 0]), bounds[0, 0])

@@ -15,10 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxact.parameters import KP
+from jaxact.tuning.box import sobol
+from jaxact.tuning.certificate import Metrics
 from jaxact.tuning.goal import Goal, tail_weights
 from jaxact.tuning.joint import metrics
 from jaxact.tuning.joint.ensemble import PLANT, Ensemble
 from jaxact.tuning.joint.metrics import Exact
+from jaxact.tuning.joint.response import timed as timed_of
 from jaxact.tuning.joint.spectrum import Spectrum, log_metrics, single_precision, tabulate
 from jaxact.tuning.objective import Smooth, combine
 from jaxact.tuning.polish import Problem, Rows
@@ -31,6 +34,8 @@ STARTS = (
 )  # fmt: skip
 # Between the points whose slopes make second derivatives [-].
 _APART = 1e-4
+# Where starts all over the plane lie, in the same units.
+_ALL_OVER = np.log([[1e-3, 3e-4], [0.8, 0.6]])
 # How much stiffer than what just keeps a joint upright the starts are, at least.
 _HELD = 1.5
 
@@ -80,6 +85,20 @@ def starts(case: Case, number: int) -> np.ndarray:
     kp = b + np.log(mass / lag**2)
     kp = np.log(np.exp(kp) + _HELD * toppling) if toppling else kp
     return np.stack([kp, a + np.log(mass / lag)], axis=1)
+
+
+def starts_all_over(case: Case, number: int, x: np.ndarray) -> np.ndarray:
+    """Log-gains x and others all over what could be stable, shape (number, 2).
+
+    Where the joint has a spring or a resonance the best gains may be far from a bare mass's.
+    """
+    lag, mass = time_scale(case).max(), case.members.mass.min()
+    spread = _ALL_OVER[0] + (_ALL_OVER[1] - _ALL_OVER[0]) * sobol(2, number, 0)
+    scale = np.log([mass / lag, mass / lag**2])
+    low, high = log_bounds(case.goal)
+    found = np.clip((spread + scale)[:, ::-1], low, high)
+    found[0] = x
+    return found
 
 
 def log_bounds(goal: Goal) -> np.ndarray:
@@ -184,6 +203,17 @@ def exact(cases: Sequence[Case], x: np.ndarray, timed: Any = None) -> Exact:
     first = cases[0]
     extra = tuple(name for name in first.goal.wanted if timed is None or name != timed.metric)
     return metrics.evaluate(x[:, :1], x[:, 1:], plants, first.members.sampling, extra, timed)
+
+
+def metrics_at(case: Case, x: np.ndarray) -> Metrics:
+    """Exact metrics of all members at log-gains x, shape (2,)."""
+    found = exact([case], x[None], timed_of(case.goal, [case.members]))
+    return Metrics(found.stable[0], {name: log[0] for name, log in found.log.items()})
+
+
+def gains(x: np.ndarray) -> tuple[float, float]:
+    """kp and kd of log-gains x, shape (2,)."""
+    return float(np.exp(x[0])), float(np.exp(x[1]))
 
 
 def rows_of(case_goals: Sequence[Goal], x: np.ndarray, found: Exact) -> Rows:

@@ -2,9 +2,9 @@
 
 tuned = tune(ensemble(0.7, 110.0, 0.9, 1e-3), Goal(max_peak=1.6))
 
-Over a box of what is not known, members are samples and corners. The worst point inside is found by
-ascent on the uncertain parameters; if it is worse than the members it becomes one, and the gains
-are polished again: a lucky sample cannot pass.
+Over a box of what is not known, members are samples and corners, and the worst points that climbing
+on the uncertain parameters finds; where these exceed their bounds the gains are polished for them
+and searched for again: a lucky sample cannot pass.
 """
 
 from __future__ import annotations
@@ -12,31 +12,31 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import jax
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.tuning.box import KNOWN, Box, Points, ascend, spread
+from jaxact.tuning.box import KNOWN, Box
 from jaxact.tuning.certificate import Effort, Metrics, beyond, certify
 from jaxact.tuning.course import INTERRUPTED, NOTHING, Course, Told, silent
 from jaxact.tuning.goal import Goal, check, peaks
 from jaxact.tuning.joint import brute, descent
 from jaxact.tuning.joint import problem as joint
 from jaxact.tuning.joint.clouds import in_clouds
-from jaxact.tuning.joint.ensemble import Ensemble, Uncertain, chosen, joined, uncertain
-from jaxact.tuning.joint.problem import Case
+from jaxact.tuning.joint.ensemble import Ensemble, Uncertain, uncertain
+from jaxact.tuning.joint.exchange import exchanged, worst_inside
+from jaxact.tuning.joint.problem import Case, metrics_at
 from jaxact.tuning.joint.rescue import SLOWER
 from jaxact.tuning.joint.response import timed as timed_of
 from jaxact.tuning.optimise import Descent, descend, no_path
-from jaxact.tuning.polish import MET, polish
+from jaxact.tuning.polish import polish
 from jaxact.tuning.result import Outcome, Tuned, judged, objective_value
 
 STARTS, SAMPLES, STEPS = 8, 32, 80
 # A metric of simulated time is rougher.
 _SIMULATED_STEPS = 150
-# How often the worst interior point may join the members, and from where it is looked for.
-_EXCHANGES, _ASCENTS = 6, 24
 
 
 def tune(
@@ -83,7 +83,8 @@ def tune(
     try:
         (found,) = _searched([case], given, starts, how, course)
         if plants is not None:
-            case, found = _exchanged(plants, case, found, given, starts, how, seed, course)
+            again = partial(_again, given=given, starts=starts, how=how, course=course)
+            case, found = exchanged(plants, case, found, again, seed, course)
             if goal.tail:
                 found = replace(found, interior=None, notes=(_outside(plants, goal, found),))
         course.case, course.best = case, found
@@ -115,7 +116,7 @@ def _so_far(case: Case, points: Sequence[np.ndarray], begun: float) -> Outcome |
     goal, members = case.goal, case.members
     best, least = None, -np.inf
     for x in points:
-        found, gains = _metrics(case, x), _gains(x)
+        found, gains = metrics_at(case, x), joint.gains(x)
         if not certify(goal, members, found, gains[0]).met:
             continue
         value = goal.sense * objective_value(goal, gains[0], found)
@@ -171,8 +172,13 @@ def _searched(
     starts: int,
     how: Descent | None,
     course: Course | None = None,
+    first: np.ndarray | None = None,
 ) -> list[Outcome]:
-    """Where the search for each case leads; the course is that of the first one."""
+    """Where the search for each case leads; the course is that of the first one.
+
+    Args:
+        first: log-gains to start from in place of the default ones, shape (cases, starts, 2).
+    """
     begun = time.perf_counter()
     course = course or Course()
     _check(cases, given, starts)
@@ -185,7 +191,8 @@ def _searched(
         else np.clip(np.log(np.asarray(given, float)), bounds[:, 0], bounds[:, 1])
     )
     back, rescues = (None, 0) if own is None else descent.rescued(cases, own, bounds)
-    first = np.stack([joint.starts(case, starts) for case in cases])
+    if first is None:
+        first = np.stack([joint.starts(case, starts) for case in cases])
     if back is not None:
         first = np.concatenate([first, back[:, None]], axis=1)
     smooth = joint.JointSurrogate(joint.family(cases[0].goal), timed)
@@ -203,10 +210,15 @@ def _searched(
     if lost.any():
         course.phase("looking for the closest gains")
     closest = descent.closest(cases, paths, bounds, timed, found) if lost.any() else found
+    if np.any(lost & closest.feasible):
+        # Gains that keep all bounds are there after all: on to the best ones near them.
+        closest = polish(joint.problem(cases, timed), closest.x, bounds[:, 0], bounds[:, 1])
+        polishing += closest.evaluations
     steps = how.steps + how.polish + polishing + rescues
     number = first.shape[1] * (how.steps + how.polish) + polishing + rescues
     effort = Effort(first.shape[1], brute.GRID**2)
     ends = np.where(lost[:, None], closest.x, found.x)
+    lost &= ~closest.feasible
     course.points.append(ends[0])
     metrics = _metrics_of_all(cases, ends)
     outcomes = []
@@ -215,26 +227,30 @@ def _searched(
         own_paths = jax.tree.map(lambda a, i=i: a[i], paths)
         tried = number * len(case.members)
         outcomes.append(
-            Outcome(_gains(x), not lost[i], metrics[i], own_paths, tried, steps, begun, effort)
+            Outcome(joint.gains(x), not lost[i], metrics[i], own_paths, tried, steps, begun, effort)
         )
     return outcomes
 
 
-def _gains(x: np.ndarray) -> tuple[float, float]:
-    return float(np.exp(x[0])), float(np.exp(x[1]))
-
-
-def _metrics(case: Case, x: np.ndarray) -> Metrics:
-    """Exact metrics of all members at log-gains x."""
-    found = joint.exact([case], x[None], timed_of(case.goal, [case.members]))
-    return Metrics(found.stable[0], {name: log[0] for name, log in found.log.items()})
+def _again(
+    case: Case,
+    x: np.ndarray,
+    given: Sequence[tuple[float, float]] | None,
+    starts: int,
+    how: Descent | None,
+    course: Course,
+) -> Outcome:
+    """Where a search leads that starts at log-gains x and from all over the plane."""
+    first = joint.starts_all_over(case, max(starts, 1), x)[None, :starts]
+    (found,) = _searched([case], given, starts, how, course, first)
+    return found
 
 
 def _metrics_of_all(cases: Sequence[Case], x: np.ndarray) -> list[Metrics]:
     """Exact metrics of all members of every case at its log-gains, shape (cases, 2)."""
     if timed_of(cases[0].goal, [cases[0].members]) is not None:
         # How long is simulated differs.
-        return [_metrics(case, own) for case, own in zip(cases, x, strict=True)]
+        return [metrics_at(case, own) for case, own in zip(cases, x, strict=True)]
     found = joint.exact(cases, x)
     return [
         Metrics(found.stable[i], {name: log[i] for name, log in found.log.items()})
@@ -261,88 +277,23 @@ def _judged(
             evaluations=found.evaluations + tried.evaluations * len(members),
         )  # fmt: skip
         if tried.value > ours + 1e-3:
-            found = replace(found, gains=_gains(tried.x), metrics=_metrics(case, tried.x))
+            found = replace(found, gains=joint.gains(tried.x), metrics=metrics_at(case, tried.x))
 
     def inside(gains: tuple[float, float]) -> float | None:
         if plants is None or goal.tail:
             return None
-        return _interior(plants, goal, np.log(gains), seed)[0]
+        return worst_inside(plants, case, np.log(gains), seed).largest
 
     return judged(
-        goal, members, found, lambda gains: _metrics(case, np.log(gains)), start=start,
+        goal, members, found, lambda gains: metrics_at(case, np.log(gains)), start=start,
         inside=inside,
     )  # fmt: skip
-
-
-def _exchanged(
-    plants: Uncertain,
-    case: Case,
-    found: Outcome,
-    given: Sequence[tuple[float, float]] | None,
-    starts: int,
-    how: Descent | None,
-    seed: int,
-    course: Course,
-) -> tuple[Case, Outcome]:
-    """Members and gains once more, with the worst points inside that were not members."""
-    goal = case.goal
-    low, high = joint.log_bounds(goal)
-    for turn in range(_EXCHANGES + 1):
-        x = np.log([found.gains])
-        course.phase("looking for the worst point of the box", turn, _EXCHANGES)
-        interior, worse = _interior(plants, goal, x[0], seed)
-        found = replace(found, interior=interior)
-        if goal.tail or interior <= MET or not found.met or turn == _EXCHANGES:
-            break
-        names = tuple(f"interior {turn}.{i}" for i in range(len(worse)))
-        case = replace(case, members=joined(case.members, replace(worse, names=names)))
-        course.case = case
-        course.phase("polishing for what is worst in the box", turn, _EXCHANGES)
-        problem = joint.problem([case], timed_of(goal, [case.members]))
-        polished = polish(problem, x, low[None], high[None])
-        if polished.feasible[0]:
-            again = replace(
-                found, gains=_gains(polished.x[0]), metrics=_metrics(case, polished.x[0]),
-                iterations=found.iterations + polished.evaluations,
-                evaluations=polished.evaluations * len(case.members),
-            )  # fmt: skip
-        else:
-            (again,) = _searched([case], given, starts, how, course)
-        evaluations = found.evaluations + again.evaluations
-        found = replace(again, evaluations=evaluations, begun=found.begun)
-        course.points.append(np.log(found.gains))
-    return case, found
-
-
-def _interior(plants: Uncertain, goal: Goal, x: np.ndarray, seed: int) -> tuple[float, Ensemble]:
-    """Largest excess in the box at log-gains x, and the members that exceed the bounds."""
-    size = len(plants.box)
-    columns, span = plants.columns, plants.high - plants.low
-
-    def over(u: np.ndarray) -> tuple[Ensemble, np.ndarray, np.ndarray]:
-        """Members, by how much each exceeds the bound it exceeds most, and that slope."""
-        members = plants.at(Points(u, ()))
-        found = joint.exact([Case(members, goal)], x[None])
-        over = np.stack([sign * (found.log[f][0] - np.log(b)) for _, f, sign, b in goal.rows])
-        slope = np.stack([sign * found.slope[f][0, :, 2:] for _, f, sign, b in goal.rows])
-        over = np.where(found.stable, over, np.nan)
-        row = np.argmax(np.where(np.isnan(over), np.inf, over), axis=0)
-        column = np.arange(len(row))
-        return members, over[row, column], slope[row, column][:, columns] * span
-
-    if not goal.rows:
-        return -np.inf, plants.at(Points(np.empty((0, size)), ()))
-    points = ascend(lambda u: over(u)[1:], spread(size, _ASCENTS, seed))
-    members, value, _ = over(points)
-    value = np.where(np.isnan(value), np.inf, value)
-    worse = [int(i) for i in np.argsort(-value)[:4] if value[i] > MET]
-    return float(value.max()), chosen(members, np.array(worse[:3], dtype=int))
 
 
 def _outside(plants: Uncertain, goal: Goal, found: Outcome) -> str:
     """What the worst corner and interior point are like, where they are not what counts."""
     corners = plants.at(plants.box.corners())
-    stable = _metrics(Case(corners, goal), np.log(found.gains)).stable
+    stable = metrics_at(Case(corners, goal), np.log(found.gains)).stable
     if not stable.all():
         return f"unstable at {corners.name(int(np.argmin(stable)))}"
     assert found.interior is not None

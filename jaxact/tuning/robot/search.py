@@ -19,6 +19,7 @@ import numpy as np
 
 from jaxact.analysis.robot.one_thread import one_thread
 from jaxact.errors import UserError
+from jaxact.loops import robots
 from jaxact.tuning.certificate import Effort
 from jaxact.tuning.course import INTERRUPTED, NOTHING, Course, Told, silent
 from jaxact.tuning.goal import Goal, check
@@ -323,6 +324,15 @@ def _check_verify(groups: int, *, verify: bool, weighed: bool) -> None:
         )
 
 
+def _check_posture(one: Situation) -> None:
+    """Refuse a posture in which limits hold joints: what their drives do is not seen there."""
+    assert one.specification.plant is not None
+    scene = robots.scene(one.specification.plant)
+    if stopped := robots.at_stops(scene.robot, scene.posture.qpos):
+        advice = robots.keyframe_advice(robots.keyframes_within(scene.robot))
+        raise UserError(f"{robots.held_by_limits(stopped)}; {advice}")
+
+
 def _check(
     situations: Sequence[Situation],
     goal: Goal,
@@ -343,6 +353,7 @@ def _check(
     if goal.objective == "stiffness" and not goal.active:
         raise UserError("nothing limits the gains; give `max_peak` or `min_disk_margin`")
     for one in situations:
+        _check_posture(one)
         joints = tuple(name for name, _ in one.names)
         if one.box != situations[0].box:
             raise UserError(f"'{one.name}': what is uncertain is not as for the others")
