@@ -230,7 +230,7 @@ def _of_file(gains: str | Path, model: mujoco.MjModel, found: Actuators) -> dict
              for name, index in zip(found.names, found.indices, strict=True)]  # fmt: skip
     file = reading.read(gains)
     own = matched(file, names)
-    applying.warn_of_strangers(file.path, own)
+    applying.warn_of_unmatched(file.path, own)
     # limits that differ by direction are the model's own here, which says them at every step
     return {name: {re.escape(joint): value for joint, value in rows.items()}
             for name, rows in own.parameters.items() if name in READ}  # fmt: skip

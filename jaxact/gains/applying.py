@@ -33,7 +33,7 @@ def applied(robot: Robot, file: str) -> Robot:
     """
     source = reading.read(file)
     found = matched(source, [(joint.name, joint.actuator) for joint in robot.joints])
-    warn_of_strangers(source.path, found)
+    warn_of_unmatched(source.path, found)
     joints = tuple(_joint(joint, found) for joint in robot.joints)
     numbers = repr(sorted((name, sorted(own.items())) for name, own in found.parameters.items()))
     digest = hashlib.sha256((robot.digest + numbers).encode()).hexdigest()
@@ -75,15 +75,15 @@ def _beside(robot: Robot, joints: tuple[Joint, ...]) -> list[str]:
     ]
 
 
-def strangers(found: Matched) -> str:
+def unmatched(found: Matched) -> str:
     """In words, what of a file is for none of the robot's joints."""
     return f"of none of the robot's joints: {', '.join(found.unmatched)}"
 
 
-def warn_of_strangers(path: Path, found: Matched) -> None:
+def warn_of_unmatched(path: Path, found: Matched) -> None:
     """Warn of names in a file, perhaps misspelt, that are for none of the robot's joints."""
     if found.unmatched:
-        warnings.warn(f"{path}: {strangers(found)}", GainsWarning, stacklevel=2)
+        warnings.warn(f"{path}: {unmatched(found)}", GainsWarning, stacklevel=2)
 
 
 def said(kind: str, found: Matched) -> str:
@@ -98,5 +98,5 @@ def said(kind: str, found: Matched) -> str:
     if found.without:
         parts.append(f"none of {', '.join(found.without)}, which stay as the model has them")
     if found.unmatched:
-        parts.append(strangers(found))
+        parts.append(unmatched(found))
     return "; ".join([*parts, *found.notes])
