@@ -51,6 +51,11 @@ __all__ = [
 _SMALL = "small"
 
 
+def __dir__() -> list[str]:
+    """The pictures alone, for completion."""
+    return __all__
+
+
 @on_axes
 def bode(
     loop: ControlLoop, *, sampled: bool = False, axes: Sequence[Axes] | None = None,
