@@ -97,7 +97,7 @@ Written by `make tuning`; not edited by hand. What is asked: [experiments/tuning
 The stiffest gains (geometric mean of kp over the 12 joints) whose Ms and Mt, peaks of the largest
 singular values, stay at or below {peak:g} in {situations} with every actuator of a box: HyQ's
 natural frequency and damping ratio to 10 %, 0.75 to 1.25 ms around the loop. {loops} loops: samples,
-corners, and the worst interior points that ascent found.
+corners, and the worst points of the box that were found.
 
 {verdict}. {agreeing:.0f} % of the starts agree within 1 % before the polish.
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,14 +39,10 @@ _REFUSED = {
     JOINT_FRICTION: "any dry friction at all holds a linearised joint alike, so that bounds say "
     "nothing of its amount; sweep it instead",
 }
-_ASCENTS = 24
 # Nobody knows a parameter so badly that it is surely this many times what it is taken for.
 _FAR = 5.0
 # Share of a range's end by which a value may be outside of it.
 _ROUNDING = 1e-9
-
-Rise = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Points of the unit box (n, d) -> values (n,) and slopes (n, d)."""
 
 
 @dataclass(frozen=True)
@@ -255,40 +251,3 @@ def sobol(dimensions: int, number: int, seed: int) -> np.ndarray:
 
     power = max(number - 1, 1).bit_length()
     return qmc.Sobol(dimensions, scramble=True, rng=seed).random_base2(power)[:number]
-
-
-def spread(dimensions: int, starts: int, seed: int) -> np.ndarray:
-    """The centre of a box and points all over it, as fractions, shape (starts + 1, dimensions)."""
-    return np.concatenate([np.full((1, dimensions), 0.5), sobol(dimensions, starts, seed)])
-
-
-def ascend(rise: Rise, u: np.ndarray, rounds: int = _ASCENTS) -> np.ndarray:
-    """Where projected ascent leads from each point of the unit box, shape (n, dimensions).
-
-    Args:
-        rise: NaN counts as worst.
-        u: where it begins, shape (n, dimensions).
-        rounds: most steps.
-
-    Returns:
-        The best point of every start; all of them, because they may belong to different peaks.
-    """
-    value, slope = _rise(rise, u)
-    radius = np.full(len(u), 0.25)
-    for _ in range(rounds):
-        # The largest linear step in a box of that radius: every parameter to its better side.
-        trial = np.clip(u + radius[:, None] * np.sign(slope), 0.0, 1.0)
-        there, there_slope = _rise(rise, trial)
-        taken = there > value
-        u = np.where(taken[:, None], trial, u)
-        value = np.where(taken, there, value)
-        slope = np.where(taken[:, None], there_slope, slope)
-        radius = np.where(taken, np.minimum(1.5 * radius, 0.5), 0.4 * radius)
-        if np.all(radius < 1e-4):
-            break
-    return u
-
-
-def _rise(rise: Rise, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    value, slope = rise(u)
-    return np.where(np.isnan(value), np.inf, value), np.nan_to_num(slope)

@@ -56,7 +56,7 @@ class Certificate:
         binding: members at which a constraint binds.
         members: how many were checked.
         corners: how many of them are corners of the uncertainty.
-        interior: largest excess that ascent on the uncertainty found, None where there is none.
+        interior: largest excess in the box that was found, None where there is none.
         agreeing: share of the starts that ended within 1 % of the best one's objective.
         gap: how much better brute force did, relative, None if not asked for.
         notes: what else is worth knowing, in sentences.
@@ -138,7 +138,7 @@ def certify(
         members: every loop that counts.
         found: their exact metrics with these gains.
         kp: stiffness of every joint [N/m or N m/rad].
-        interior: largest excess that ascent on the uncertainty found, None where there was none.
+        interior: largest excess in the box that was found, None where there was none.
     """
     checks, binding = [], []
     for name, metric, sign, bound in goal.rows:

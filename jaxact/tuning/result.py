@@ -157,7 +157,7 @@ class Outcome:
         iterations: steps of descent and polish.
         begun: time of the beginning [s].
         effort: of the search for the best gains, None where it only went on from some.
-        interior: largest excess that ascent on the uncertainty found, None where there was none.
+        interior: largest excess in the box that was found, None where there was none.
         gap: to brute force, None where that was not asked for.
         notes: for the certificate.
         interrupted: how the search was interrupted, "" where it was not.
@@ -196,7 +196,7 @@ def judged(
         outcome: of the search.
         look: from gains to exact metrics of all members.
         start: gains to be no worse than, None for none.
-        inside: from gains to the largest excess that ascent on the uncertainty finds with them.
+        inside: from gains to the largest excess in the box that is found with them.
         score: from gains and their value to the number in which they are compared.
         robot: what the result has of a robot.
     """

@@ -25,7 +25,7 @@ Rise = Callable[[np.ndarray], tuple[np.ndarray, Slopes]]
 # How far the unit interval is stretched before what sticks out is put back to its ends: a
 # coordinate stands at each of them in a quarter of the points.
 _STRETCH = 0.5
-# Points that climb side by side; each tries four kinds of steps.
+# Points that climb side by side, if not told otherwise; each tries four kinds of steps.
 CLIMBERS = 8
 # First and last size of a step, how it grows and shrinks, and most steps.
 _FIRST, _LAST, _GROW, _SHRINK, _STEPS = 0.2, 1e-5, 1.6, 0.35, 36
@@ -72,13 +72,14 @@ def screen(dimensions: int, number: int, seed: int) -> np.ndarray:
     return np.clip(stretched, 0.0, 1.0)
 
 
-def worst(rise: Rise, points: np.ndarray, seed: int = 0) -> Worst:
+def worst(rise: Rise, points: np.ndarray, seed: int = 0, climbers: int = CLIMBERS) -> Worst:
     """The worst points that climbing from the worst of some points leads to.
 
     Args:
         rise: what is climbed.
         points: from which to choose where to begin, shape (n, d).
         seed: of the steps at random.
+        climbers: points that climb side by side.
     """
     seen = _Seen(rise)
     generator = np.random.default_rng(seed)
@@ -87,7 +88,7 @@ def worst(rise: Rise, points: np.ndarray, seed: int = 0) -> Worst:
     climbs = peaks = _Climbs.none(points.shape[1])
     idle, highest, patience = 0, seen.worst.excess, _PATIENCE
     while np.isfinite(highest).all():
-        more = itertools.islice(queue, CLIMBERS - len(climbs)) if idle < patience else ()
+        more = itertools.islice(queue, climbers - len(climbs)) if idle < patience else ()
         climbs = climbs.joined(*more)
         if not len(climbs):
             break

@@ -7,28 +7,22 @@ are counted, and its peaks are looked for on a grid made of these roots
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from jaxact.analysis.robot import disk as _disk
 from jaxact.analysis.robot import multiloop as _multiloop
-from jaxact.tuning.box import Points, ascend, spread
 from jaxact.tuning.certificate import Metrics
-from jaxact.tuning.goal import Goal
 from jaxact.tuning.robot import cores
-from jaxact.tuning.robot.loops import OpenLoops, Situation
-from jaxact.tuning.robot.peaks import SHIFTS, growth_rates, limits, peaks, sensitivity
-from jaxact.tuning.robot.rows import RobotCase, excess
+from jaxact.tuning.robot.loops import OpenLoops
+from jaxact.tuning.robot.peaks import SHIFTS, growth_rates, limits, sensitivity
 
 # Peaks on the grid below this share of the highest are not refined: the grid, made of the roots,
 # misses a few per cent of a peak at most.
 _LOW = 0.7
 # Components of a unit vector this near each other are level.
 _LEVEL = 1e-6
-# Ascent on the uncertainty: starts, steps, frequencies, and step of the difference quotients.
-_STARTS, _ASCENTS, _BAND, _STEP = 4, 10, 24, 1e-4
 
 
 @dataclass(frozen=True)
@@ -42,6 +36,21 @@ class Exact(Metrics):
 
     growth_rate: np.ndarray
     angle: dict[str, np.ndarray]
+
+    def take(self, index: np.ndarray) -> Exact:
+        """Those of some of the loops, by their numbers."""
+        log, angle = ({k: v[index] for k, v in each.items()} for each in (self.log, self.angle))
+        return Exact(self.stable[index], log, self.growth_rate[index], angle)
+
+    def joined(self, more: Exact) -> Exact:
+        """Those of these loops and of others."""
+        both = (self, more)
+        return Exact(
+            np.concatenate([one.stable for one in both]),
+            {name: np.concatenate([one.log[name] for one in both]) for name in self.log},
+            np.concatenate([one.growth_rate for one in both]),
+            {name: np.concatenate([one.angle[name] for one in both]) for name in self.angle},
+        )
 
 
 def exact(loops: OpenLoops, kp: np.ndarray, kd: np.ndarray, metrics: tuple[str, ...]) -> Exact:
@@ -123,80 +132,3 @@ def _summit(X: np.ndarray) -> np.ndarray:
     value = np.zeros(len(X))
     value[wanted] = np.linalg.svd(X[wanted], compute_uv=False)[:, 0]
     return np.where(value >= _LOW * float(np.max(value)), value, 0.0)
-
-
-def worst_inside(
-    situations: Sequence[Situation], case: RobotCase, x: np.ndarray, seed: int
-) -> list[Points]:
-    """Points of the box where each situation exceeds its bounds most, as ascent finds them.
-
-    Args:
-        case: what is known; the worst loops of each situation are starts of their own.
-        x: log-gains.
-        seed: of the other starts.
-    """
-    loops = case.table.loops
-    gains = case.groups.gains(x)
-    found = peaks(case.table, *gains, case.goal.wanted)
-    over = excess(case, x)
-    every = []
-    for place, one in enumerate(situations):
-        own = np.flatnonzero(loops.situation == place)
-        worst = own[np.argsort(-over[own])[:2]]
-        start = np.concatenate(
-            [spread(loops.fraction.shape[1], _STARTS, seed), loops.fraction[worst]]
-        )
-        known = [found[metric] for _, metric, _, _ in case.goal.rows]
-        angles = np.concatenate([p.angle[worst, p.log[worst].argmax(axis=1)] for p in known])
-        points = ascend(_riser(one, case.goal, gains, _band(angles)), start, _ASCENTS)
-        every.append(Points(points, tuple(f"interior {i}" for i in range(len(points)))))
-    return every
-
-
-def _band(peaks: np.ndarray) -> np.ndarray:
-    """Angles around those of peaks [rad]."""
-    around = np.geomspace(0.5, 2.0, _BAND // 2)
-    ends = np.array([np.min(peaks), np.max(peaks)])
-    return np.minimum(np.unique(ends[:, None] * around), np.pi)
-
-
-def _riser(
-    one: Situation, goal: Goal, gains: tuple[np.ndarray, np.ndarray], band: np.ndarray
-) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """The largest excess on a band of frequencies, and its slopes by fractions of the box."""
-
-    def opened(u: np.ndarray) -> tuple[np.ndarray, ...]:
-        return one.opened(one.values(u[None])[0])[:3]
-
-    def over(matrices: tuple[np.ndarray, ...], angle: np.ndarray) -> np.ndarray:
-        """ln of how far the worst metric exceeds its bound at each angle [-]."""
-        A, B, seen = matrices
-        z = np.exp(1j * angle)[:, None, None]
-        states = np.linalg.solve(z * np.eye(len(A)) - A, B[None].astype(complex))
-        rows = seen.reshape(-1, len(A)) @ states
-        S = sensitivity(rows.reshape(len(angle), *seen.shape[:2], -1), *gains)
-        worst = np.full(len(angle), -np.inf)
-        for _, metric, sign, bound in goal.rows:
-            c, c0 = SHIFTS[metric]
-            X = c * S + c0 * np.eye(S.shape[-1])
-            # mu of the disk margin is one over it
-            size = _disk.balanced(X)[0] if sign < 0 else np.linalg.norm(X, 2, axis=(1, 2))
-            worst = np.maximum(worst, np.log(size) - sign * np.log(bound))
-        return worst
-
-    def rise(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """At points of the box, shape (points, d): the excess, and its slopes one-sided."""
-        values, slopes = [], []
-        for u in points:
-            here = over(opened(u), band)
-            at = band[[int(np.argmax(here))]]
-            slope = []
-            for axis, fraction in enumerate(u):
-                end = u.copy()
-                end[axis] += _STEP if fraction < 0.5 else -_STEP
-                slope.append((over(opened(end), at)[0] - here.max()) / (end[axis] - fraction))
-            values.append(here.max())
-            slopes.append(slope)
-        return np.array(values), np.array(slopes)
-
-    return rise

@@ -1,4 +1,4 @@
-"""What only the exact metrics and the ascent on the uncertainty know of goes back to the search."""
+"""What only the exact metrics and the worst points of the box know of goes back to the search."""
 
 from __future__ import annotations
 
@@ -7,16 +7,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from jaxact.tuning.box import Points
 from jaxact.tuning.course import Course
 from jaxact.tuning.polish import MET
-from jaxact.tuning.robot.exact import Exact, exact, worst_inside
+from jaxact.tuning.robot.exact import Exact, exact
+from jaxact.tuning.robot.inside import worst_inside
 from jaxact.tuning.robot.loops import OpenLoops, Situation, open_loops, together
-from jaxact.tuning.robot.peaks import extended, growth_rates, refined, tabulate
-from jaxact.tuning.robot.rows import OUT_OF_REACH, Found, RobotCase, excess, more, polished, rescued
+from jaxact.tuning.robot.peaks import extended, refined
+from jaxact.tuning.robot.rows import OUT_OF_REACH, Found, RobotCase, more, polished, rescued, seen
 
 # How often it does, and how far a peak may be off where the bounds cannot be met anyway [ln], or
 # are out of reach.
 _EXCHANGES, _OFF, _FAR_OFF = 12, 1e-3, 0.02
+# Points of the box that join the loops of a situation at once, and how near to each other they are
+# one [fraction of the ranges].
+_AT_ONCE, _SAME = 6, 0.02
+# An excess in the box below this [ln] is paid for with bounds tightened by as much, instead of ever
+# smaller ones.
+_SMALL = 1e-3
 
 
 @dataclass(frozen=True)
@@ -26,7 +34,7 @@ class Candidate:
     Attributes:
         case: with all loops and frequencies that turned out to matter.
         found: the best point.
-        interior: largest excess that ascent on the uncertainty found there, None if there was none.
+        interior: largest excess in the box that was found there, None if it was not looked for.
         known: exact metrics of all loops there, None where they are not known.
     """
 
@@ -43,17 +51,17 @@ def exchanged(
     seed: int,
     course: Course | None = None,
 ) -> Candidate:
-    """Go on from a point with what only the exact metrics and the ascent on the box know of.
+    """Go on from a point with what only the exact metrics and the worst points of the box know of.
 
     Args:
         case: with the loops that are known.
         situations: of the robot.
         found: where the search has led to.
-        seed: of where the ascent begins.
+        seed: of where the climbs in the box begin.
         course: of the search; None where nobody looks on.
     """
     course = course or Course()
-    interior, known = None, None
+    interior, known, tighter = None, None, 0.0
     for turn in range(_EXCHANGES):
         course.case, course.points = case, [*course.points, found]
         course.phase("certifying", turn, _EXCHANGES)
@@ -69,85 +77,109 @@ def exchanged(
         elif far:
             break
         else:
-            # The ascent takes longest: only where nothing else is left.
+            # The climbs take longest: only where nothing else is left.
             course.phase("looking for the worst point of the box", turn, _EXCHANGES)
-            beyond = max(found.violation, 0.0) + near
-            more = inside_worse(case, situations, found.x, beyond, seed, turn)
-            if more is None:
+            inside = inside_worse(case, situations, found.x, known, seed + turn)
+            if inside is None:
                 break
-            interior, loops = more
-            if not len(loops):
+            interior = inside.excess
+            if len(inside.loops):
+                case = replace(case, table=extended(case.table, inside.loops))
+                known = known.joined(inside.known)
+            if interior <= max(found.violation, 0.0) + near:
                 break
-            case = replace(case, table=extended(case.table, loops))
+            tighter = 2.0 * interior if turn and found.met and interior < _SMALL else tighter
         course.phase("polishing for what the certificate adds", turn, _EXCHANGES)
-        found, known = _polished_again(case, situations, found), None
+        found, known = _polished_again(case, situations, found, tighter), None
     return Candidate(case, found, interior, known)
 
 
+@dataclass(frozen=True)
+class Inside:
+    """The worst points of the box that were found.
+
+    Attributes:
+        excess: the largest, exact, inf where a loop is unstable.
+        loops: those of them that are worse than what was known.
+        known: their exact metrics.
+    """
+
+    excess: float
+    loops: OpenLoops
+    known: Exact
+
+
 def inside_worse(
-    case: RobotCase,
-    situations: Sequence[Situation],
-    x: np.ndarray,
-    beyond: float,
-    seed: int,
-    turn: int = 0,
-) -> tuple[float, OpenLoops] | None:
-    """The largest excess that ascent finds in the box, and loops worse than those that are known.
+    case: RobotCase, situations: Sequence[Situation], x: np.ndarray, known: Exact, seed: int
+) -> Inside | None:
+    """The worst points of the box, as climbing in it finds them.
 
     Args:
+        case: what is known.
+        situations: of the robot.
         x: log-gains.
-        beyond: excess from which a loop is worse.
-        seed: of where the ascent begins.
-        turn: how many loops have been found so before, for their names.
+        known: exact metrics of the loops of the case there.
+        seed: of where one begins.
 
     Returns:
         None where nothing is uncertain, or nothing bounded.
     """
     if not case.goal.rows or not len(situations[0].box):
         return None
-    gains = case.groups.gains(x)
-    points = worst_inside(situations, case, x, seed)
-    inside = together(*(
-        open_loops([one], own) for one, own in zip(situations, points, strict=True)
-    ))  # fmt: skip
-    inside = _renamed(inside, situations, turn)
-    own = replace(case, table=tabulate(inside))
-    stable = growth_rates(inside, *gains) < 0.0
-    over = np.where(stable, excess(own, x), np.inf)
-    order = np.argsort(-over)
-    worse = order[over[order] > beyond]
-    return float(over.max()), inside.take(_apart(inside, worse))
+    found = worst_inside(situations, case, x, seed)
+    highest = [known.over(name, sign, bound).max() for _, name, sign, bound in case.goal.rows]
+    parts = []
+    for place, (one, own) in enumerate(zip(situations, found, strict=True)):
+        fraction = np.array(_apart([*own.fraction, *own.peaks(MET)])[:_AT_ONCE])
+        points = Points(fraction, _names(one, fraction, len(situations)))
+        part = open_loops([one], points)
+        parts.append(replace(part, situation=np.full(len(part), place)))
+    loops = together(*parts)
+    inside = exact(loops, *case.groups.gains(x), case.goal.wanted)
+    over = [inside.over(name, sign, bound) for _, name, sign, bound in case.goal.rows]
+    worse = [own > most for own, most in zip(over, highest, strict=True)]
+    kept = np.flatnonzero(np.any(worse, axis=0))
+    return Inside(float(inside.excess(case.goal).max()), loops.take(kept), inside.take(kept))
 
 
-def _polished_again(case: RobotCase, situations: Sequence[Situation], found: Found) -> Found:
-    """Polished once more, for more loops or frequencies."""
+def _polished_again(
+    case: RobotCase, situations: Sequence[Situation], found: Found, tighter: float
+) -> Found:
+    """Polished once more, for more loops or frequencies.
+
+    Args:
+        case: with these.
+        situations: of the robot.
+        found: where the search has led to.
+        tighter: how much tighter the bounds are [ln].
+    """
     x = found.x
     if not case.stable(x):
         lag = max(one.lag for one in situations)
         x, _ = rescued(case.table.loops, case.groups, x, lag, case.low, case.high)
         if not case.stable(x):
             return replace(found, x=x, violation=np.inf)
-    return more(polished(case, x, fresh=False), found.evaluations, found.steps)
+    own = replace(case, goal=case.goal.tightened(tighter)) if tighter else case
+    again = polished(own, x, fresh=False)
+    again = more(seen(case, again.x), again.evaluations, again.steps) if tighter else again
+    return more(again, found.evaluations, found.steps)
 
 
-def _renamed(loops: OpenLoops, situations: Sequence[Situation], turn: int) -> OpenLoops:
-    """Loops of one situation each, put back to their situations."""
-    each = len(loops) // len(situations)
-    number = [place for place in range(len(situations)) for _ in range(each)]
-    names = tuple(
-        f"{situations[s].name}, interior {turn}.{i % each}" if len(situations) > 1
-        else f"interior {turn}.{i}"
-        for i, s in enumerate(number)
-    )  # fmt: skip
-    return replace(loops, names=names, situation=np.array(number))
+def _apart(points: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Points of the box, one of each place; the first ones count."""
+    kept: list[np.ndarray] = []
+    for one in points:
+        if all(np.abs(one - other).max() > _SAME for other in kept):
+            kept.append(one)
+    return kept
 
 
-def _apart(loops: OpenLoops, worse: np.ndarray) -> np.ndarray:
-    """The worst of these, one of each place in the box; three of a situation at most."""
-    kept: list[int] = []
-    for index in map(int, worse):
-        same = [k for k in kept if loops.situation[k] == loops.situation[index]]
-        near = any(np.abs(loops.fraction[k] - loops.fraction[index]).max() < 0.02 for k in same)
-        if not near and len(same) < 3:
-            kept.append(index)
-    return np.array(kept, dtype=int)
+def _names(one: Situation, fraction: np.ndarray, situations: int) -> tuple[str, ...]:
+    """What points of the box are called in a situation: by their values."""
+    first = [int(np.argmax(one.places == place)) for place in range(len(one.box))]
+    names = [each.name for each in one.box.ranges]
+    before = f"{one.name}, interior" if situations > 1 else "interior"
+    return tuple(
+        " ".join([before, *(f"{n}={v:.7g}" for n, v in zip(names, row[first], strict=True))])
+        for row in one.values(fraction)
+    )

@@ -39,7 +39,7 @@ def front(tuned: Tuned, number: int, *, seed: int = 0, told: Told = silent) -> l
     Args:
         tuned: where it begins; its situations, groups and goal, whose own peak does not count.
         number: of points.
-        seed: of the ascent on the uncertainty.
+        seed: of the climbs in the box.
         told: what is being done.
 
     Returns:

@@ -232,7 +232,7 @@ def _shifted(S: np.ndarray, metric: str) -> np.ndarray:
     return c * S + c0 * np.eye(S.shape[-1])
 
 
-def _largest(X: np.ndarray, metric: str) -> np.ndarray:
+def largest(X: np.ndarray, metric: str) -> np.ndarray:
     """Largest singular value of each, scaled where the metric wants it; shape (k,)."""
     if metric == "disk_margin":
         return _disk.balanced(X)[0]
@@ -261,7 +261,7 @@ def _table(X: np.ndarray, metric: str) -> np.ndarray:
     if metric == "disk_margin":
         wanted = np.ones_like(wanted)
     value = np.full(X.shape[:2], -np.inf)
-    value[wanted] = np.log(_largest(X[wanted], metric))
+    value[wanted] = np.log(largest(X[wanted], metric))
     return value
 
 
@@ -292,17 +292,17 @@ def _refine(
     sides = place[:, None] + np.array([-1, 0, 1])
     at = np.log(table.angle[loop[:, None], sides])
     around = sensitivity(table.response[loop[:, None], sides], kp, kd)
-    log = np.log(_largest(_shifted(around, metric).reshape(-1, *around.shape[2:]), metric))
+    log = np.log(largest(_shifted(around, metric).reshape(-1, *around.shape[2:]), metric))
     log = log.reshape(at.shape)
     for _ in range(_PARABOLAS if loop.size else 0):
-        new = _vertex(at, log)
+        new = vertex(at, log)
         S = sensitivity(table.loops.response(loop, np.exp(new)), kp, kd)
-        found = np.log(_largest(_shifted(S, metric), metric))
-        at, log = _narrowed(at, log, new, found)
+        found = np.log(largest(_shifted(S, metric), metric))
+        at, log = narrowed(at, log, new, found)
     return np.exp(at[:, 1])
 
 
-def _vertex(at: np.ndarray, log: np.ndarray) -> np.ndarray:
+def vertex(at: np.ndarray, log: np.ndarray) -> np.ndarray:
     """Where parabolas through three points are highest, strictly between the outer ones."""
     before, after = at[:, 1] - at[:, 0], at[:, 2] - at[:, 1]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -314,7 +314,7 @@ def _vertex(at: np.ndarray, log: np.ndarray) -> np.ndarray:
     return at[:, 1] + np.where(inside, shift, longer)
 
 
-def _narrowed(
+def narrowed(
     at: np.ndarray, log: np.ndarray, new: np.ndarray, found: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The highest of four points and its neighbours."""

@@ -25,7 +25,6 @@ from jaxact.tuning.course import INTERRUPTED, NOTHING, Course, Told, silent
 from jaxact.tuning.goal import Goal, check
 from jaxact.tuning.groups import Groups
 from jaxact.tuning.optimise import Descended, Descent, no_path
-from jaxact.tuning.polish import MET
 from jaxact.tuning.result import Gains, OfRobot, Outcome, Tuned, judged
 from jaxact.tuning.robot import brute
 from jaxact.tuning.robot.descent import (  # fmt: skip
@@ -158,7 +157,7 @@ def judge(
     Args:
         situations: of the robot.
         best: what it has led to.
-        seed: of the ascent on the uncertainty.
+        seed: of the climbs in the box.
         paths: of the starts of the descent, None where there was none.
         begun: time of the beginning [s], None for now.
         effort: of the search, None where it only went on from some gains.
@@ -180,8 +179,8 @@ def judge(
             return None
         joints = case.groups.joints
         own = replace(case, groups=Groups(joints, np.arange(len(joints)), joints))
-        worse = inside_worse(own, situations, own.groups.log_gains(*gains), MET, seed)
-        return None if worse is None else worse[0]
+        found = inside_worse(own, situations, own.groups.log_gains(*gains), look(gains), seed)
+        return None if found is None else found.excess
 
     def score(gains: Gains, value: float) -> float:
         if term is None or np.isnan(value):
