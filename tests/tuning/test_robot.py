@@ -35,12 +35,13 @@ SPANS = "wn=0.8..1.2,delay=0.001..0.003"
 QUICK = {"starts": 2, "steps": 30}
 
 
-def _specification(path, keyframe=None, extra=""):
+def _specification(path, keyframe=None, extra="", joints=".*"):
     key = "" if keyframe is None else f'keyframe = "{keyframe}"'
     text = f"""
 engine = "mujoco"
 [plant]
 model = '{path}'
+joints = ['{joints}']
 {key}
 [parameters]
 actuator = "hyq"
@@ -384,8 +385,8 @@ def test_what_is_ideal_does_not_vary_by_a_factor(folder):
 
 
 @pytest.mark.exhaustive
-def test_a_joint_that_its_limit_holds_gets_gains_too(folder):
-    """No force moves it, so that it bears any; the other gets those that it gets alone."""
+def test_a_joint_that_its_limit_holds_is_refused_and_the_other_gets_what_it_gets_alone(folder):
+    """No force moves it, so that it would bear any."""
     body = '<body pos="{0} 0 0"><joint name="j{0}" axis="0 1 0" armature="0.1" {1}/>{2}</body>'
     sphere = '<geom size="0.05" mass="1" contype="0" conaffinity="0"/>'
     found = []
@@ -397,8 +398,11 @@ def test_a_joint_that_its_limit_holds_gets_gains_too(folder):
             '<mujoco><option gravity="0 0 0" timestep="0.001"/>'
             f"<worldbody>{joints}</worldbody><actuator>{motors}</actuator></mujoco>"
         )
-        one = situation(_specification(path), "arm")
+        one = situation(_specification(path, joints="j0"), "arm")
         found.append(robot.tune([one], Goal(max_peak=1.6), group([], one.names), **QUICK))
-    alone, both = found
-    assert np.isfinite(both.kp).all() and both.certified
-    np.testing.assert_allclose([both.kp[0], both.kd[0]], [alone.kp[0], alone.kd[0]], rtol=1e-3)
+    alone, beside = found
+    assert beside.certified
+    np.testing.assert_allclose([beside.kp, beside.kd], [alone.kp, alone.kd], rtol=1e-3)
+    both = situation(_specification(path), "arm")
+    with pytest.raises(UserError, match="^j1 .* held there by its limit"):
+        robot.tune([both], Goal(max_peak=1.6), group([], both.names), **QUICK)

@@ -329,7 +329,7 @@ def _check_posture(one: Situation) -> None:
     scene = robots.scene(one.specification.plant)
     if stopped := robots.at_stops(scene.robot, scene.posture.qpos):
         advice = robots.keyframe_advice(robots.keyframes_within(scene.robot))
-        raise UserError(f"{robots.held_by_limits(stopped)}; {advice}")
+        raise UserError(f"{robots.held_by_limits(stopped)}; {advice}, or drive other `joints`")
 
 
 def _check(
