@@ -42,7 +42,7 @@ def tell_clamped(specification: Specification, along: Mapping[str, np.ndarray]) 
         period = 1.0 / float(np.max(along[CONTROL_RATE]))
         _, track = motions.sampled(motion, scene, period, round(specification.duration / period))
         asked = positions + np.asarray(track)
-    elif motion is not None and motion.kind != "step":  # to both sides
+    elif motion is not None and motion.kind != "step":  # in either direction
         far = np.maximum(np.abs(low), np.abs(high))
         asked = positions + np.stack([-far, far])
     said = joint_ranges.clamped(robot, positions, asked)

@@ -10,7 +10,7 @@ ends as often as not, and every step up is the best of several kinds.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,8 @@ Rise = Callable[[np.ndarray], tuple[np.ndarray, Slopes]]
 # How far the unit interval is stretched before what sticks out is put back to its ends: a
 # coordinate stands at each of them in a quarter of the points.
 _STRETCH = 0.5
+# Points screened in d dimensions are 2^(d + this), at most so many.
+_SCREENED, _MOST = 3, 256
 # Points that climb side by side, if not told otherwise; each tries four kinds of steps.
 CLIMBERS = 8
 # First and last size of a step, how it grows and shrinks, and most steps.
@@ -34,10 +36,15 @@ _SURROUNDINGS = 1.0
 # No more climbs begin after so many rounds of steps, and as many again for every peak there is,
 # that led no higher.
 _PATIENCE = 3
-# Climbs this near each other lead to one peak.
+# Climbs this near each other lead to one peak, and points are one [fraction of the ranges].
 _SAME = 0.02
 # A peak that is higher by less is no higher [ln].
 _HIGHER = 1e-3
+
+AT_ONCE = 6
+"""Points that join what the search knows of a box at once."""
+SMALL = 1e-3
+"""An excess below this [ln] is paid for with tighter bounds, instead of ever smaller ones."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +73,9 @@ class Worst:
         return points[excess > least]
 
 
-def screen(dimensions: int, number: int, seed: int) -> np.ndarray:
+def screen(dimensions: int, seed: int, number: int | None = None) -> np.ndarray:
     """Points all over the unit box, its faces, edges and corners, shape (number, dimensions)."""
+    number = min(2 ** (dimensions + _SCREENED), _MOST) if number is None else number
     stretched = (1.0 + 2.0 * _STRETCH) * sobol(dimensions, number, seed) - _STRETCH
     return np.clip(stretched, 0.0, 1.0)
 
@@ -102,6 +110,23 @@ def worst(rise: Rise, points: np.ndarray, seed: int = 0, climbers: int = CLIMBER
     excess = np.concatenate([np.full(int(lost.sum()), np.inf), peaks.value])
     order = np.argsort(-excess, kind="stable")
     return replace(seen.worst, summits=(ends[order], excess[order]))
+
+
+def apart(points: Sequence[np.ndarray]) -> np.ndarray:
+    """The first points of a box, one of each place, at most `AT_ONCE`; shape (n, d)."""
+    kept: list[np.ndarray] = []
+    for one in points:
+        if all(np.abs(one - other).max() > _SAME for other in kept):
+            kept.append(one)
+    return np.array(kept[:AT_ONCE])
+
+
+def named(before: str, names: Sequence[str], values: np.ndarray) -> tuple[str, ...]:
+    """What points are called: by the values of what is uncertain, shape (n, d)."""
+    return tuple(
+        " ".join([before, *(f"{n}={v:.7g}" for n, v in zip(names, row, strict=True))])
+        for row in values
+    )
 
 
 class _Seen:

@@ -33,13 +33,13 @@ def _ridge(turn):
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("turn", [3.0, 9.0])
 def test_a_narrow_ridge_along_an_edge_is_climbed_to_its_top(turn, seed):
-    found = worst(_ridge(turn), screen(3, 64, seed), seed)
+    found = worst(_ridge(turn), screen(3, seed, 64), seed)
     assert found.largest == pytest.approx(1.0, abs=1e-6)
     assert found.fraction[0, 2] == 0.0 and abs(found.fraction[0, 0] - 0.7) < 1e-2
 
 
 def test_what_is_screened_stands_at_corners_edges_and_between():
-    points = screen(3, 256, 0)
+    points = screen(3, 0, 256)
     ends = np.sum((points == 0.0) | (points == 1.0), axis=1)
     assert points.min() == 0.0 and points.max() == 1.0
     assert all(np.mean(ends == number) > 0.05 for number in range(4))

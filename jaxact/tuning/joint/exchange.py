@@ -22,17 +22,10 @@ from jaxact.tuning.joint.problem import Case
 from jaxact.tuning.joint.response import timed as timed_of
 from jaxact.tuning.polish import MET, polish
 from jaxact.tuning.result import Outcome, objective_value
-from jaxact.tuning.worst import Rise, Slopes, Worst, screen, worst
+from jaxact.tuning.worst import SMALL, Rise, Slopes, Worst, apart, named, screen, worst
 
-# How often the worst points may join the members, and how many do at once.
-_EXCHANGES, _AT_ONCE = 12, 6
-# Points screened in d dimensions are 2^(d + this), at most so many.
-_SCREENED, _MOST = 3, 256
-# An excess below this [ln] is paid for with bounds tightened by as much, instead of ever smaller
-# ones.
-_SMALL = 1e-3
-# Points nearer to each other than this are one [fraction of the ranges].
-_SAME = 0.02
+# How often the worst points may join the members.
+_EXCHANGES = 12
 
 Search = Callable[[Case, np.ndarray], Outcome]
 """A case and log-gains, shape (2,), known to be good -> where a search from all over leads."""
@@ -112,7 +105,7 @@ def _held(
             break
         course.phase("polishing for what is worst in the box", turn, _EXCHANGES)
         assert found.interior is not None
-        excess = 2.0 * found.interior if turn and found.interior < _SMALL else excess
+        excess = 2.0 * found.interior if turn and found.interior < SMALL else excess
         x = np.log(found.gains)
         gains = _polished(case, x, excess)
         if gains is None:
@@ -158,7 +151,7 @@ def _looked(plants: Uncertain, case: Case, found: Outcome, seed: int) -> tuple[C
     if not worse or case.goal.tail:
         return case, found
     worse += list(inside.peaks(MET))
-    fraction = np.array(_apart(worse)[:_AT_ONCE])
+    fraction = apart(worse)
     more = plants.at(Points(fraction, _names(plants, fraction)))
     own = joint.metrics_at(Case(more, case.goal), np.log(found.gains))
     metrics = Metrics(
@@ -168,23 +161,10 @@ def _looked(plants: Uncertain, case: Case, found: Outcome, seed: int) -> tuple[C
     return replace(case, members=joined(case.members, more)), replace(found, metrics=metrics)
 
 
-def _apart(points: list[np.ndarray]) -> list[np.ndarray]:
-    """Points, one of each place; the first ones count."""
-    kept: list[np.ndarray] = []
-    for one in points:
-        if all(np.abs(one - other).max() > _SAME for other in kept):
-            kept.append(one)
-    return kept
-
-
 def _names(plants: Uncertain, fraction: np.ndarray) -> tuple[str, ...]:
     """What points of the box are called: by their values."""
     values = plants.low + (plants.high - plants.low) * fraction
-    names = [one.name for one in plants.box.ranges]
-    return tuple(
-        "interior " + " ".join(f"{n}={v:.7g}" for n, v in zip(names, row, strict=True))
-        for row in values
-    )
+    return named("interior", [one.name for one in plants.box.ranges], values)
 
 
 def worst_inside(plants: Uncertain, case: Case, x: np.ndarray, seed: int) -> Worst:
@@ -192,8 +172,7 @@ def worst_inside(plants: Uncertain, case: Case, x: np.ndarray, seed: int) -> Wor
     size = len(plants.box)
     if not case.goal.rows:
         return Worst(np.empty((0, size)), np.empty(0))
-    number = min(2 ** (size + _SCREENED), _MOST)
-    points = np.concatenate([_fractions(plants, case.members), screen(size, number, seed)])
+    points = np.concatenate([_fractions(plants, case.members), screen(size, seed)])
     return worst(_riser(plants, case.goal, x), points, seed)
 
 

@@ -15,16 +15,11 @@ from jaxact.tuning.robot.inside import worst_inside
 from jaxact.tuning.robot.loops import OpenLoops, Situation, open_loops, together
 from jaxact.tuning.robot.peaks import extended, refined
 from jaxact.tuning.robot.rows import OUT_OF_REACH, Found, RobotCase, more, polished, rescued, seen
+from jaxact.tuning.worst import SMALL, apart, named
 
 # How often it does, and how far a peak may be off where the bounds cannot be met anyway [ln], or
 # are out of reach.
 _EXCHANGES, _OFF, _FAR_OFF = 12, 1e-3, 0.02
-# Points of the box that join the loops of a situation at once, and how near to each other they are
-# one [fraction of the ranges].
-_AT_ONCE, _SAME = 6, 0.02
-# An excess in the box below this [ln] is paid for with bounds tightened by as much, instead of ever
-# smaller ones.
-_SMALL = 1e-3
 
 
 @dataclass(frozen=True)
@@ -88,7 +83,7 @@ def exchanged(
                 known = known.joined(inside.known)
             if interior <= max(found.violation, 0.0) + near:
                 break
-            tighter = 2.0 * interior if turn and found.met and interior < _SMALL else tighter
+            tighter = 2.0 * interior if turn and found.met and interior < SMALL else tighter
         course.phase("polishing for what the certificate adds", turn, _EXCHANGES)
         found, known = _polished_again(case, situations, found, tighter), None
     return Candidate(case, found, interior, known)
@@ -130,7 +125,7 @@ def inside_worse(
     highest = [known.over(name, sign, bound).max() for _, name, sign, bound in case.goal.rows]
     parts = []
     for place, (one, own) in enumerate(zip(situations, found, strict=True)):
-        fraction = np.array(_apart([*own.fraction, *own.peaks(MET)])[:_AT_ONCE])
+        fraction = apart([*own.fraction, *own.peaks(MET)])
         points = Points(fraction, _names(one, fraction, len(situations)))
         part = open_loops([one], points)
         parts.append(replace(part, situation=np.full(len(part), place)))
@@ -165,21 +160,8 @@ def _polished_again(
     return more(again, found.evaluations, found.steps)
 
 
-def _apart(points: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Points of the box, one of each place; the first ones count."""
-    kept: list[np.ndarray] = []
-    for one in points:
-        if all(np.abs(one - other).max() > _SAME for other in kept):
-            kept.append(one)
-    return kept
-
-
 def _names(one: Situation, fraction: np.ndarray, situations: int) -> tuple[str, ...]:
     """What points of the box are called in a situation: by their values."""
     first = [int(np.argmax(one.places == place)) for place in range(len(one.box))]
-    names = [each.name for each in one.box.ranges]
     before = f"{one.name}, interior" if situations > 1 else "interior"
-    return tuple(
-        " ".join([before, *(f"{n}={v:.7g}" for n, v in zip(names, row[first], strict=True))])
-        for row in one.values(fraction)
-    )
+    return named(before, [each.name for each in one.box.ranges], one.values(fraction)[:, first])

@@ -21,8 +21,6 @@ from jaxact.tuning.robot.peaks import SHIFTS, largest, limits, narrowed, sensiti
 from jaxact.tuning.robot.rows import RobotCase
 from jaxact.tuning.worst import Slopes, Worst, screen, worst
 
-# Points screened in d dimensions are 2^(d + this), at most so many.
-_SCREENED, _MOST = 3, 256
 # Points that climb side by side.
 _CLIMBERS = 4
 # Frequencies decomposed at once, those first that may be the highest.
@@ -46,7 +44,7 @@ def worst_inside(
     """
     loops = case.table.loops
     size = loops.fraction.shape[1]
-    screened = screen(size, min(2 ** (size + _SCREENED), _MOST), seed)
+    screened = screen(size, seed)
     gains = case.groups.gains(x)
     return [
         worst(
