@@ -251,6 +251,7 @@ def test_commands_of_the_readme_run(tmp_path):
         assert ran.returncode == 0, f"{words}: {ran.stderr}"
 
 
+@pytest.mark.exhaustive
 def test_code_of_the_readme_runs():
     code = "".join(_blocks("README.md", "python"))
     # mujoco.mjx relies on broadcasting of ranks

@@ -26,6 +26,7 @@ CASES = {
         SERVO.format('forcerange="-2 2" ctrlrange="-0.5 0.5"'), "", (-2.0, 2.0), (-0.5, 0.5),
     ),
 }  # fmt: skip
+EVERY_DAY = ("joint", "gear")
 MODEL = """<mujoco><option timestep="0.0005" gravity="0 0 0"/><worldbody><body>
 <joint name="a" axis="0 1 0" armature="0.01" damping="0.05" {joint}/>
 <geom size="0.03" mass="0.4" pos="0 0 -0.2" contype="0" conaffinity="0"/></body></worldbody>
@@ -60,7 +61,13 @@ def _loop(case, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore::jaxact.InexactWarning")
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    [
+        name if name in EVERY_DAY else pytest.param(name, marks=pytest.mark.exhaustive)
+        for name in CASES
+    ],
+)
 def test_the_force_that_is_reported_is_the_one_that_acts(tmp_path, case):
     loop = _loop(case, tmp_path)
     run = jx.simulate(loop, setpoint=list(SETPOINTS), duration=0.1, engine="mujoco")

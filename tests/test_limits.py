@@ -139,7 +139,9 @@ def test_a_line_is_as_steep_for_a_step_as_it_is_for_many():
         assert one < 5e-3 and one > 3 * two > 9 * four
 
 
-@pytest.mark.parametrize("case", ["rate limit", "line and rate limit"])
+@pytest.mark.parametrize(
+    "case", [pytest.param("rate limit", marks=pytest.mark.exhaustive), "line and rate limit"]
+)
 def test_a_limit_behind_an_actuator_is_of_second_order(case):
     drive = Drive(Controller(400.0, 20.0), Actuator(**HYQ, **CASES[case]))
     with jax.enable_x64(True):
@@ -205,6 +207,7 @@ def test_a_loop_that_slews_too_slowly_is_unstable_by_default():
         assert run.sizes["time"] == 1500
 
 
+@pytest.mark.exhaustive
 def test_no_joint_is_faster_than_its_no_load_speed_by_default():
     loop = jx.joint(mass=[0.7, 1.0], kp=[400, 800], kd=[20, 45.17], stall_force=[100, 106.6],
                     no_load_speed=[1.0, 0.206], control_rate=[100, 50])  # fmt: skip

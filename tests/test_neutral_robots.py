@@ -31,7 +31,9 @@ def robot(folder, text, **options):
     return jx.robot(path, **options)
 
 
-@pytest.mark.parametrize("text", [ARM, CART], ids=["arm", "cart"])
+@pytest.mark.parametrize(
+    "text", [ARM, pytest.param(CART, marks=pytest.mark.exhaustive)], ids=["arm", "cart"]
+)
 def test_margins_and_simulations_agree_that_nothing_grows(tmp_path, text):
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)

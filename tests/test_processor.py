@@ -68,6 +68,7 @@ def test_margins_of_arrays_that_are_on_the_gpu(elsewhere):
     np.testing.assert_array_equal(found, usual.delay_margin)
 
 
+@pytest.mark.exhaustive
 def test_a_robot_in_c_mujoco(elsewhere, tmp_path):
     (tmp_path / "robot.xml").write_text(PENDULUM)
     loop = jx.robot(tmp_path / "robot.xml", kp=60, kd=3, actuator="hyq", delay=2e-3)

@@ -281,6 +281,7 @@ def test_the_exponential_is_that_of_scipy_however_stiff():
     )
 
 
+@pytest.mark.exhaustive
 def test_a_velocity_loop_about_a_spring_has_a_gain_margin():
     """kp = 0: kd s exp(-s td) wn^2 / ((m s^2 + k) (s^2 + 2 zeta wn s + wn^2)) crosses as others."""
     mass, wn, zeta, delay, stiffness = 12.5, 51.0, 2.3, 6e-5, 2000.0

@@ -216,10 +216,22 @@ LINKS = """<mujoco><option timestep="0.001"/><worldbody>
 @pytest.mark.parametrize(
     ("field", "text"),
     [
-        ("contact corners", FOOT.format(height=".016", shape="box", foot="")),
+        pytest.param(
+            "contact corners",
+            FOOT.format(height=".016", shape="box", foot=""),
+            marks=pytest.mark.exhaustive,
+        ),
         ("contact margin", FOOT.format(height=".026", shape="box", foot='margin=".01"')),
-        ("equality", LINKS.format(held='<connect body1="b" body2="c" anchor=".3 0 0"/>')),
-        ("equality", LINKS.format(held='<weld body1="b" body2="c"/>')),
+        pytest.param(
+            "equality",
+            LINKS.format(held='<connect body1="b" body2="c" anchor=".3 0 0"/>'),
+            marks=pytest.mark.exhaustive,
+        ),
+        pytest.param(
+            "equality",
+            LINKS.format(held='<weld body1="b" body2="c"/>'),
+            marks=pytest.mark.exhaustive,
+        ),
     ],
 )
 def test_what_mjx_simulates_otherwise_is_said_and_left_to_c_mujoco(tmp_path, field, text):
@@ -234,9 +246,13 @@ def test_what_mjx_simulates_otherwise_is_said_and_left_to_c_mujoco(tmp_path, fie
 @pytest.mark.parametrize(
     "text",
     [
-        FOOT.format(height=".016", shape="ellipsoid", foot=""),
+        pytest.param(
+            FOOT.format(height=".016", shape="ellipsoid", foot=""), marks=pytest.mark.exhaustive
+        ),
         FOOT.format(height=".016", shape="box", foot='contype="0" conaffinity="0"'),
-        LINKS.format(held='<joint joint1="a" joint2="c"/>'),
+        pytest.param(
+            LINKS.format(held='<joint joint1="a" joint2="c"/>'), marks=pytest.mark.exhaustive
+        ),
     ],
 )
 def test_what_mjx_simulates_alike_is_not_said(tmp_path, text):

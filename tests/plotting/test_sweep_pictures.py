@@ -115,7 +115,7 @@ def test_colours_of_other_results_leave_out_what_exploded(grid):
 def test_peaks_are_drawn_on_a_logarithmic_scale(grid):
     """What matters of Ms lies between 1 and 3; beside the boundary it has any value."""
     for name, kind in (("sensitivity_peak", LogNorm), ("overshoot", Normalize)):
-        drawn = grid.copy()
+        drawn = grid.copy(deep=True)
         drawn[name] = drawn["verdict"] * 0.0 + np.linspace(
             1.1, 20.0, drawn["verdict"].size
         ).reshape(drawn["verdict"].shape)

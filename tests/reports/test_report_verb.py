@@ -44,6 +44,7 @@ def test_a_sweep_has_its_ranges_and_its_other_axes_as_loops(tmp_path):
     assert data_of(jx.report(results, tmp_path / "again.html")) == data
 
 
+@pytest.mark.exhaustive
 def test_gains_have_their_common_factor_and_rotary_joints_their_units(tmp_path):
     loop = jx.joint(inertia=0.02, kp=80, kd=1.5, gain_scale=2)
     data = data_of(jx.margins(loop).report(tmp_path / "joint.html", title="<b>", command="ls"))

@@ -183,6 +183,7 @@ def test_it_is_drawn_as_a_map_of_the_nearest_samples(whole, tmp_path):
     assert (tmp_path / "map.png").stat().st_size > 10_000
 
 
+@pytest.mark.exhaustive
 def test_an_interrupted_refinement_comes_to_the_same_points(whole, tmp_path):
     for upto in (2, 3, 3):
         with pytest.raises(KeyboardInterrupt):

@@ -144,7 +144,13 @@ ARM = """
 """
 
 
-@pytest.mark.parametrize("moved", [{"setpoint": 0.1}, {"initial_velocity": 0.7, "setpoint": 0.1}])
+@pytest.mark.parametrize(
+    "moved",
+    [
+        {"setpoint": 0.1},
+        pytest.param({"initial_velocity": 0.7, "setpoint": 0.1}, marks=pytest.mark.exhaustive),
+    ],
+)
 def test_what_swings_back_slowly_is_not_lost(tmp_path, moved):
     """Soft arms speed up on their way back, and are not back when a short run ends."""
     (tmp_path / "arm.xml").write_text(ARM)
