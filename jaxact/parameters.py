@@ -223,7 +223,7 @@ _TABLE = (
     ),
     Parameter(
         INERTIA_SCALE, "inertia scale", "1", 1.0, 1e-3, 1e3, False,
-        "Robots only: factor on mass and inertia of the bodies that the driven joints move.",
+        "Robots only: factor on mass and inertia of all that the driven joints move.",
     ),
     _at_least_zero(
         JOINT_DAMPING, "joint damping", "N s/m", 0.0, 1e9,

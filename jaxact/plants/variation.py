@@ -1,8 +1,7 @@
 """Changes of a MuJoCo model that differ from sample to sample: payload, inertia, damping, friction.
 
-Only fields that vary are replaced, so that a batch shares all others. What MuJoCo derives from a
-model when it is compiled (the inverse inertias that set the stiffness of constraints) stays as it
-is, in both engines alike.
+Only fields that vary are replaced, so that a batch shares all others. What MuJoCo derives from
+inertias when it compiles a model is `jaxact.plants.softness`.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ class Variation:
 
     Attributes:
         payload: mass added at the centre of the payload's body [kg], shape ().
-        inertia_scale: factor on mass and inertia of every body that a driven joint moves directly;
-            shape () or (joints,).
+        inertia_scale: factor on mass and inertia of the bodies that a driven joint moves: its own,
+            and what hangs on that without a driven joint between; shape () or (joints,).
         joint_damping: added to the driven joints' viscous damping [N s/m or N m s/rad].
         joint_stiffness: added to the driven joints' stiffness, whose springs rest where the model
             has them rest [N/m or N m/rad].
@@ -67,15 +66,16 @@ def changed(
     Returns:
         New values by the name of the field.
     """
-    at, moved = np.array(dofs), np.array(bodies)
+    at = np.array(dofs)
     new: dict[str, Any] = {}
     if variation.payload is not None or variation.inertia_scale is not None:
         mass = jnp.asarray(model.body_mass)
         inertia = jnp.asarray(model.body_inertia)
         before = mass
         if variation.inertia_scale is not None:
-            scale = jnp.broadcast_to(jnp.asarray(variation.inertia_scale), moved.shape)
-            factors = jnp.ones_like(mass).at[moved].set(scale)
+            scale = jnp.broadcast_to(jnp.asarray(variation.inertia_scale), at.shape)
+            joint = _moved_by(np.asarray(model.body_parentid), bodies)
+            factors = jnp.where(joint < 0, jnp.ones_like(mass), scale[joint])
             mass, inertia = mass * factors, inertia * factors[:, None]
         if variation.payload is not None:
             mass = mass.at[payload_body].add(variation.payload)
@@ -95,6 +95,15 @@ def changed(
     if variation.contact_friction is not None:
         new["geom_friction"] = jnp.asarray(model.geom_friction) * variation.contact_friction
     return new
+
+
+def _moved_by(parents: np.ndarray, bodies: tuple[int, ...]) -> np.ndarray:
+    """Of every body the driven joint that moves it, the nearest above; -1 for none."""
+    own = {body: joint for joint, body in enumerate(bodies)}
+    found = np.full(parents.size, -1)
+    for body in range(1, parents.size):  # MuJoCo numbers a parent before its children
+        found[body] = own.get(body, found[parents[body]])
+    return found
 
 
 def _ancestors(parents: np.ndarray) -> np.ndarray:

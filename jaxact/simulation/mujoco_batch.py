@@ -14,7 +14,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 
 from jaxact.compilation.programs import building
@@ -36,7 +35,7 @@ from jaxact.parameters import (
     PAYLOAD,
     SETPOINT,
 )
-from jaxact.plants import linearize, variation
+from jaxact.plants import linearize, softness, variation
 from jaxact.plants.mujoco import Impulse, JointPush, Simulations
 from jaxact.plants.variation import Variation
 from jaxact.robots import posture as _posture
@@ -142,16 +141,12 @@ def _fields(case: Case, scene: Scene, row: np.ndarray) -> dict[str, np.ndarray]:
             payload_body=scene.payload_body,
         )
     arrays = {name: np.asarray(value) for name, value in fields.items()}
-    return arrays | {"dof_M0": _own_inertia(scene, arrays)}
-
-
-def _own_inertia(scene: Scene, fields: Mapping[str, np.ndarray]) -> np.ndarray:
-    """What C MuJoCo keeps of the inertia of bodies without children, instead of computing it."""
-    model = copy.copy(scene.robot.model)
-    for name, value in fields.items():
-        getattr(model, name)[:] = value
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    return model.dof_M0.copy()
+    if not softness.DEPENDS.intersection(arrays):
+        return arrays
+    changed = copy.copy(scene.robot.model)
+    for name, value in arrays.items():
+        getattr(changed, name)[:] = value
+    return arrays | softness.compiled(scene.robot.model, changed)
 
 
 def metrics(

@@ -19,10 +19,12 @@ import numpy as np
 
 from jaxact.drive.step import Force
 from jaxact.errors import UserError
+from jaxact.plants import softness
 from jaxact.plants import variation as _variation
 from jaxact.plants.linear import hermite
 from jaxact.plants.mjx import step as _mjx_step
 from jaxact.plants.mjx.step import mjx as mjx
+from jaxact.plants.softness import Softness
 from jaxact.plants.variation import Variation
 from jaxact.robots import model as _model
 from jaxact.robots import posture as _posture
@@ -89,6 +91,7 @@ class MjxPlant:
         data: template that a state is filled into, at the start posture.
         mass: [kg] given to the first driven body instead of the model's own, or None.
         variation: what differs from the model.
+        softness: what constraints' softness follows from, or None for as in the model.
         push: on a body, or None.
         qpos, dofs, actuators: where the driven joints are; static.
         bodies: bodies that the driven joints move; static.
@@ -106,6 +109,7 @@ class MjxPlant:
     data: Any
     mass: jax.Array | float | None
     variation: Variation
+    softness: Softness | None
     push: Push | None
     qpos: tuple[int, ...]
     dofs: tuple[int, ...]
@@ -145,7 +149,10 @@ class MjxPlant:
                 bodies=self.bodies,
                 payload_body=self.payload_body,
             )
-        return replace(self, model=model.replace(**fields), mass=None, variation=Variation())
+            if self.softness is not None and softness.DEPENDS.intersection(fields):
+                fields |= self.softness.changed(model, fields)
+        model = model.replace(**fields)
+        return replace(self, model=model, mass=None, variation=Variation(), softness=None)
 
     def init(self, position: jax.Array, velocity: jax.Array) -> MjxState:
         """State of the start posture with the driven joints placed, [m or rad] and per second."""
@@ -309,6 +316,7 @@ def place(
         data=data,
         mass=None,
         variation=Variation(),
+        softness=softness.of(model),
         push=None,
         qpos=tuple(joint.qpos for joint in robot.joints),
         dofs=dofs,
