@@ -85,9 +85,10 @@ def _show(result: str, *, quick: bool) -> None:
 
 def _of_rounds(entries: Mapping[str, Entry], owner: str) -> None:
     """An adaptive sweep on its way: how many rounds there will be is not known before."""
+    from jaxact.sweeping.adaptive import chunks_done
+
     rounds = {key.partition("/")[0] for key in entries}
-    receipts = [key for key in entries if "/progress/receipt/c." in key]
-    print(f"adaptive: round {len(rounds)}, {len(receipts):,} chunks done")
+    print(f"adaptive: round {len(rounds)}, {chunks_done(entries):,} chunks done")
     print(f"running: {owner}" if owner else "not running; continue with jaxact sweep --resume")
 
 

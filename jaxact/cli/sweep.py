@@ -176,7 +176,7 @@ def _how_to_resume(folder: Location, *, begun: bool) -> str:
         begun: what is there is of this sweep, none that it would have replaced.
     """
     from jaxact.sweeping import progress
-    from jaxact.sweeping.adaptive import ROUNDS
+    from jaxact.sweeping.adaptive import ROUNDS, chunks_done
     from jaxact.sweeping.store import STORE
 
     rounds = folder.inside(ROUNDS).entries()
@@ -185,7 +185,7 @@ def _how_to_resume(folder: Location, *, begun: bool) -> str:
     if not begun:
         return "interrupted; nothing was done yet, what was there stays"
     if rounds:
-        kept = f"{len(progress.times(rounds))} chunks are kept"
+        kept = f"{chunks_done(rounds):,} chunks are kept"
     elif store is not None:
         kept = f"{len(progress.times(target.entries()))} of {len(store.layout)} chunks are kept"
     else:

@@ -12,13 +12,14 @@ import dataclasses
 import functools
 import math
 import re
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxact.errors import UserError
+from jaxact.errors import InexactWarning, UserError
 from jaxact.loops.axes import MOST_SAMPLES, Axis
 from jaxact.loops.samples import Samples, explicit
 from jaxact.loops.specification import Specification
@@ -172,10 +173,33 @@ def refine(
         asked.append(points)
         results.append(found)
         stable = found["verdict"] == Verdict.STABLE
-        refinement.tell(stable + 2 * (found["growth_rate"] < 0.0))
+        codes = stable + 2 * (found["growth_rate"] < 0.0)
+        refinement.tell(codes)
+        if len(asked) == 1:
+            _warn_of_calm(codes.reshape(grid.cases, -1))
     origin = _store.beginning(source or rounds.inside(_FIRST))
     points = np.concatenate(asked)
     return _joined(target, specification, grid, points, results, planned, width, origin)
+
+
+def _warn_of_calm(codes: np.ndarray) -> None:
+    """Say that nothing is refined where all loops of a coarse grid agree, shape (cases, loops)."""
+    calm = np.all(codes == codes[:, :1], axis=1)
+    if not np.any(calm):
+        return
+    which = "" if len(calm) == 1 else f" in {np.sum(calm)} of {len(calm)} cases"
+    warnings.warn(
+        f"adaptive:{which} no border of stability lies between the {codes.shape[1]:,} loops of the "
+        "starting grid, so nothing is refined there, and a region that is smaller than its cells "
+        "is not seen; give a finer grid",
+        InexactWarning,
+        stacklevel=2,
+    )
+
+
+def chunks_done(entries: Iterable[str]) -> int:
+    """How many chunks of all rounds are done, of what their folder holds."""
+    return sum("/progress/receipt/c." in key for key in entries)
 
 
 def are_rounds(rounds: Location) -> bool:

@@ -10,7 +10,8 @@ from synthetic_store import fake_plan
 from test_resume import contents
 
 from jaxact.cli.main import main
-from jaxact.errors import UserError
+from jaxact.cli.sweep import _how_to_resume
+from jaxact.errors import InexactWarning, UserError
 from jaxact.loops import reading
 from jaxact.plotting import even_grid
 from jaxact.plotting.panels import arrange
@@ -196,6 +197,21 @@ def test_an_interrupted_refinement_comes_to_the_same_points(whole, tmp_path):
     _sweep(tmp_path, resume=True, upto=0)
     with pytest.raises(UserError, match="width"):
         _sweep(tmp_path, resume=True, width=0.1)
+
+
+def test_a_grid_that_misses_the_stable_region_says_so(tmp_path):
+    """Gains of 400 and 20 are stable, between four loops that are not."""
+    text = TEXT.replace("[0.0, 0.005]", "[0.005]").replace("num = 13", "num = 2")
+    with pytest.warns(InexactWarning, match="no border of stability .* the 4 loops"):
+        _sweep(tmp_path, text=text)
+    found = opening.open_result(tmp_path).load()
+    assert found.sizes["sample"] == 4 and (found["growth_rate"] > 0).all()
+
+
+def test_an_interrupted_one_says_how_much_is_kept(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        _sweep(tmp_path, upto=2)
+    assert "2 chunks are kept, continue with" in _how_to_resume(location.at(tmp_path), begun=True)
 
 
 def test_a_thousandth_needs_less_than_three_percent_of_that_grid():
