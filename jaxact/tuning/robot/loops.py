@@ -6,7 +6,7 @@ of what is uncertain of both. Of each loop the matrices over one control period 
     x' = A x + B u,     seen = Y x,     G(z) = Y (z I - A)^-1 B,
 
 which do not know of any gains. A member with a body of its own, a payload say, is linearised
-where that body rests, as in a sweep (`jaxact.simulation.mujoco_batch.moved`).
+where that body rests, as in a sweep (`jaxact.simulation.changed_models.moved`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from jaxact.loops.samples import explicit
 from jaxact.loops.specification import Setting, Specification
 from jaxact.loops.template import Template
 from jaxact.parameters import base
-from jaxact.simulation import kernel, mujoco_batch, plans, robot_loop
+from jaxact.simulation import changed_models, kernel, mujoco_batch, plans, robot_loop
 from jaxact.simulation.kernel import Case
 from jaxact.tuning.box import KNOWN, Box, Points
 from jaxact.tuning.robot.condensed import Condensed, condensed
@@ -149,7 +149,7 @@ def situation(specification: Specification, name: str, box: Box = KNOWN) -> Situ
         period=period,
         residual=scene.posture.residual,
         specification=specification,
-        payload_body=model.body(scene.payload_body).name or f"body {scene.payload_body}",
+        payload_body=scene.carrier,
         box=box,
         opened=opened,
         keys=keys,
@@ -277,7 +277,7 @@ def _linearised(
     def of(body: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
         own = dict(zip((keys[place] for place in bodies), body, strict=True))
         values = {key: np.full(1, value) for key, value in {**nominal, **own}.items()}
-        A, B = mujoco_batch.moved(case, setting, values)
+        A, B = changed_models.moved(case, setting, values, np.array([np.inf]))
         return A[0], B[0]
 
     return lambda row: of(tuple(row[bodies].tolist())) if case.varied else None
