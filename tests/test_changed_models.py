@@ -244,6 +244,31 @@ def test_a_map_over_the_damping_looks_for_each_rest_once(folder, monkeypatch):
     assert len(counted) == 2 and len(A) == len(where) == 12
 
 
+@pytest.mark.exhaustive
+def test_tuned_gains_keep_their_bound_where_the_robot_sags(folder):
+    """With stiff joints the bound would be kept by gains that miss it by 1 % where it rests."""
+    given = {"keyframe": "home", "payload_body": "hand", "delay": 0.012}
+    tuned = jx.tune(
+        jx.robot(folder / "yaw.xml", **given), max_peak=1.72, max_kp=80.0,
+        uncertainty={"payload": (1.5, 2.0)},
+    )  # fmt: skip
+    assert tuned.certified
+    gains = {
+        name: dict(zip(("yaw", "pitch"), map(float, row), strict=True))
+        for name, row in (("kp", tuned.kp), ("kd", tuned.kd))
+    }
+    peaks = []
+    for payload in (1.5, 1.75, 2.0):
+        found = jx.margins(jx.robot(folder / "yaw.xml", payload=payload, **given, **gains))
+        assert found.details[0].rest.sag[1] > 0.05
+        peaks.append(max(float(found.sensitivity_peak), float(found.complementary_peak)))
+    assert max(peaks) == pytest.approx(1.72, rel=1e-6)
+    # What the search alone had found, see the module of `jaxact.tuning.robot.resting`.
+    stiffly = {"kp": 80.0, "kd": {"yaw": 11.9593, "pitch": 12.77615623}}
+    missed = jx.margins(jx.robot(folder / "yaw.xml", payload=1.5, **given, **stiffly))
+    assert float(missed.sensitivity_peak) > 1.01 * 1.72
+
+
 def test_the_world_carries_no_payload(folder):
     with pytest.raises(jx.UserError, match="'world': no such body.*rod, hand"):
         jx.margins(jx.robot(folder / "rod.xml", payload_body="world", payload=1.0, kp=9.0, kd=1.0))

@@ -18,7 +18,8 @@ from jaxact.tuning.box import Points, read_box
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.robot import search as robot
-from jaxact.tuning.robot.loops import VARIED, open_loops, situation
+from jaxact.tuning.robot.loops import VARIED, situation
+from jaxact.tuning.robot.open_loops import open_loops
 from jaxact.tuning.robot.peaks import growth_rates
 from jaxact.tuning.rollouts.validation import rollouts
 
