@@ -219,7 +219,8 @@ _TABLE = (
         " 0.002, or a tenth of a count where there is quantisation and no noise.",
     ),
     _at_least_zero(
-        PAYLOAD, PAYLOAD, "kg", 0.0, 1e6, "Robots only: mass added to the body of the payload."
+        PAYLOAD, PAYLOAD, "kg", 0.0, 1e6,
+        "Robots only: mass added to `plant.payload_body`, the heaviest body where none is given.",
     ),
     Parameter(
         INERTIA_SCALE, "inertia scale", "1", 1.0, 1e-3, 1e3, False,
@@ -240,8 +241,7 @@ _TABLE = (
     ),
     _at_least_zero(
         JOINT_FRICTION, "added joint friction", "N", 0.0, 1e9,
-        "Robots only: dry friction added to the driven joints.",
-    ),
+        "Robots only: dry friction added to the driven joints."),
     _at_least_zero(
         CONTACT_FRICTION, "contact friction scale", "1", 1.0, 1e3,
         "Robots only: factor on the friction of all contacts.",

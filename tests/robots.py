@@ -2,6 +2,9 @@
 
 from pathlib import Path
 
+import mujoco
+from scipy.optimize import root
+
 QUADRUPED = Path(__file__).resolve().parent.parent / "experiments" / "quadruped"
 
 # Two hinges under gravity, with servos of their own.
@@ -68,3 +71,15 @@ MONOPED = """
   <actuator><motor joint="hip"/></actuator>
 </mujoco>
 """
+
+
+def sagged(model, home, force, kp):
+    """Where springs about `home` carry a model without contacts, with a force fed forward."""
+
+    def missing(q):
+        data = mujoco.MjData(model)
+        data.qpos = q
+        mujoco.mj_forward(model, data)
+        return kp * (home - q) + force - data.qfrc_bias + data.qfrc_passive
+
+    return root(missing, home, tol=1e-12).x

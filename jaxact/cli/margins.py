@@ -67,7 +67,8 @@ def main(
 
     JSON of a robot: model, keyframe, posture, base, damping, friction, loop, engine,
     dry_friction_left_out, stiction (joint, push, strongest, shaking, amplitude, frequency,
-    sentence; null where friction holds nothing that shakes), residual, neutral_directions,
+    sentence; null where friction holds nothing that shakes), residual, payload_body, sag (by joint,
+    under changes of the model), leaves_posture (why it rests nowhere near), neutral_directions,
     control_period, physics_step, stable, unstable_roots, spectral_radius, growth_rate,
     gain_to_boundary, log_gain_to_boundary, verdict (stable, shakes, topples, shakes and topples),
     shaking_rate, toppling_rate; changes (more_gain, less_gain, more_delay, less_delay,

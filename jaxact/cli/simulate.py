@@ -137,10 +137,19 @@ def main(
     if json:
         print(run_tables.as_json(run, held))
         return
-    print(run_tables.text(run))
+    print("\n".join([*_changes(specification), run_tables.text(run)]))
     if held is not None:
         print(f"The robot {held.sentence}.")
     print("wrote " + ", ".join(str(path) for path in (out, csv, npz) if path is not None))
+
+
+def _changes(specification: Specification) -> list[str]:
+    """What is said of a robot whose model is changed; nothing of others."""
+    if specification.plant is None:
+        return []
+    from jaxact.verbs import changed_robot
+
+    return changed_robot.of_nominal(specification)
 
 
 def specified(

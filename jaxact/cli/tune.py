@@ -227,8 +227,9 @@ def main(
     nonlinear rollouts with noise, quantisation, limits, contacts and a push. Stiffness is the
     geometric mean of the joints'. --tracking-weight trades it for smaller errors in simulation.
     What is uncertain of the robot itself, a payload say, is not told to the drives: setpoint and
-    feedforward stay those of the robot without, and each member is linearised where it rests under
-    its own weight. --pareto begins at the smallest peak within reach.
+    feedforward stay those of the robot without, and it sags. What is certified is of each member
+    linearised where it rests with the tuned gains. --pareto begins at the smallest peak within
+    reach.
 
     With --drive the gains hold for all that the logs leave open; "drive_gain" of the JSON is the
     force that the drive gives over the one that it is told, by which gains are divided to be told.

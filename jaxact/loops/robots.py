@@ -73,6 +73,12 @@ class Scene:
         return tuple((joint.name, joint.actuator) for joint in self.robot.joints)
 
     @property
+    def carrier(self) -> str:
+        """Name of the body that carries a payload, or its number in words."""
+        name = self.robot.model.body(self.payload_body).name
+        return name or f"body {self.payload_body}"
+
+    @property
     def labels(self) -> tuple[str, ...]:
         """Name of each driven joint."""
         return tuple(joint.name for joint in self.robot.joints)
@@ -139,7 +145,7 @@ def body(robot: Robot, name: str | None, key: str) -> int:
     if name is None:
         return int(np.argmax(model.body_mass))
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-    if number < 0:
+    if number <= 0:  # the world cannot be pushed, and carries any weight
         known = [model.body(index).name for index in range(1, model.nbody)]
         raise UserError(f"{key} = {name!r}: no such body; {nearest(name, filter(None, known))}")
     return int(number)

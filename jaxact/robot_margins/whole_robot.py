@@ -20,11 +20,12 @@ from jaxact.loops.robots import Scene
 from jaxact.loops.samples import Samples, expand
 from jaxact.loops.specification import Setting, Specification
 from jaxact.loops.template import Template
-from jaxact.parameters import CONTROL_RATE, JOINT_FRICTION
+from jaxact.parameters import CONTROL_RATE, JOINT_FRICTION, OF_PLANT, PARAMETERS, base
 from jaxact.robot_margins import stiction
 from jaxact.robot_margins.stiction import Stiction
 from jaxact.robots import friction, mounting
-from jaxact.simulation import kernel, mujoco_batch, plans, robot_loop
+from jaxact.robots.rest import Rest
+from jaxact.simulation import changed_models, kernel, plans, robot_loop
 from jaxact.simulation.kernel import Case
 from jaxact.simulation.plans import Plan
 
@@ -36,7 +37,9 @@ class WholeRobot:
     Attributes:
         robot: the loop.
         kp, kd: gains of the joints, shape (joints,) each.
-        residual: largest acceleration left at the posture [rad/s^2 or m/s^2]; 0 at an equilibrium.
+        case: static options.
+        nominal_residual: largest acceleration left at the posture of the robot as its model has it
+            [rad/s^2 or m/s^2].
         left_out: largest dry friction that the linearised robot does without [N or N m], 0 if none.
         neutral: number of rigid-body modes, in which a displaced robot stays where it is; left out.
         physics_step: [s].
@@ -48,7 +51,8 @@ class WholeRobot:
     robot: Robot
     kp: np.ndarray
     kd: np.ndarray
-    residual: float
+    case: Case
+    nominal_residual: float
     left_out: float
     neutral: int
     physics_step: float
@@ -60,6 +64,16 @@ class WholeRobot:
     def margins(self) -> RobotMargins:
         """All of them, computed when they are first asked for."""
         return robot_margins(self.robot)
+
+    @functools.cached_property
+    def rest(self) -> Rest | None:
+        """Where it rests with the changes of its model; None where it has none."""
+        return rest(self.case, self.specification.setting, self.values)
+
+    @property
+    def residual(self) -> float:
+        """Largest acceleration where it is linearised [rad/s^2 or m/s^2]; 0 at an equilibrium."""
+        return self.nominal_residual if self.rest is None else self.rest.posture.residual
 
     @functools.cached_property
     def delay_borne(self) -> DelayBorne:
@@ -131,7 +145,7 @@ def linearised(
         numbers = np.concatenate(parts)
         setting, rows, moved = specification.setting, samples.take(numbers), None
         if plan.case.varied:
-            moved = mujoco_batch.moved(plan.case, setting, rows)
+            moved = changed_models.moved(plan.case, setting, rows)
         case, setting = kernel.linear_part(plan.case, setting)
         template = robot_loop.template(case, setting)
         for place, number in enumerate(numbers):
@@ -144,6 +158,28 @@ def nominal(specification: Specification) -> WholeRobot:
     """The margins of the nominal loop of a specification with a [plant], as `evaluate`."""
     along = {name: np.array([value]) for name, value in specification.nominal.items()}
     return evaluate(specification, Samples(along, ("loop",), (1,), {}))[0]
+
+
+def rest(case: Case, setting: Setting, values: Mapping[str, float]) -> Rest | None:
+    """Where a sample rests with the changes of its model; None where it has none.
+
+    Args:
+        case, setting: static.
+        values: parameters of the sample by key.
+    """
+    if not case.varied:
+        return None
+    along = {name: np.array([value]) for name, value in values.items()}
+    return changed_models.rests(case, setting, along)[0]
+
+
+def changed(specification: Specification) -> bool:
+    """Whether the nominal loop of a robot has a changed model."""
+    nominal = specification.nominal
+    return any(
+        base(name) in OF_PLANT and not nominal[name] == PARAMETERS[base(name)].default
+        for name in nominal
+    )  # fmt: skip
 
 
 def _left_out(setting: Setting, scene: Scene, values: dict[str, float]) -> float:
@@ -212,7 +248,8 @@ def one(
         robot=robot,
         kp=kp,
         kd=kd,
-        residual=template.residual,
+        case=case,
+        nominal_residual=template.residual,
         left_out=_left_out(setting, scene, values),
         neutral=basis.shape[0] - basis.shape[1],
         physics_step=case.step,

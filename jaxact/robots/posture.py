@@ -18,9 +18,9 @@ from jaxact.robots.findings import named
 from jaxact.robots.robot import Robot
 from jaxact.robots.silence import silenced
 
-_LONGEST = 20.0  # [s] to come to rest
-_AT_REST = 1e-6  # [1/s^2, relative to gravity] of the largest acceleration that counts as rest
-_NEARLY = 1e-2  # as much of it is let pass where the longest time is over
+LONGEST = 20.0  # [s] to come to rest
+AT_REST = 1e-6  # [1/s^2, relative to gravity] of the largest acceleration that counts as rest
+NEARLY = 1e-2  # as much of it is let pass where the longest time is over
 # How far a floating robot may move on its way to rest: of the model's size, and [rad].
 _SUNK, _TURNED = 0.2, 0.5
 # Overlap of bodies that is worth a word, of the model's size.
@@ -58,8 +58,8 @@ class Posture:
         return self.qpos[[joint.qpos for joint in robot.joints]]
 
 
-def _data(robot: Robot, model: mujoco.MjModel) -> mujoco.MjData:
-    """At the keyframe; of this model, which has the robot's sizes."""
+def start(robot: Robot, model: mujoco.MjModel) -> mujoco.MjData:
+    """MuJoCo's data at the keyframe; of this model, which has the robot's sizes."""
     data = mujoco.MjData(model)
     data.qpos, data.qvel, data.ctrl = robot.qpos, robot.qvel, robot.ctrl
     if robot.model.na:
@@ -72,6 +72,16 @@ def _places(robot: Robot) -> tuple[list[int], list[int], list[int]]:
     rows = [(joint.qpos, joint.dof, joint.index) for joint in robot.joints]
     qpos, dofs, actuators = (list(column) for column in zip(*rows, strict=True))
     return qpos, dofs, actuators
+
+
+def under_force(robot: Robot, force: np.ndarray) -> Posture:
+    """The robot where it is, under joint forces [N or N m], shape (joints,).
+
+    Args:
+        robot: from `jaxact.robots.model.read`.
+        force: that its driven joints exert.
+    """
+    return _posture(robot, start(robot, robot.model), force, settled=True)
 
 
 def _posture(robot: Robot, data: mujoco.MjData, force: np.ndarray, *, settled: bool) -> Posture:
@@ -98,7 +108,7 @@ def given(robot: Robot) -> Posture:
     Forces on the unactuated degrees of freedom cannot be given; what is missing there is the
     residual.
     """
-    data = _data(robot, robot.model)
+    data = start(robot, robot.model)
     _, dofs, _ = _places(robot)
     data.qacc[:] = 0.0
     mujoco.mj_forward(robot.model, data)
@@ -118,7 +128,7 @@ def settled(robot: Robot) -> Posture:
     """
     gravity = max(float(np.linalg.norm(robot.model.opt.gravity)), 1.0)
     there = given(robot)
-    if not np.any(robot.qvel) and there.residual < _AT_REST * gravity:
+    if not np.any(robot.qvel) and there.residual < AT_REST * gravity:
         return replace(there, settled=True)
     complaints = []
     # Stiff joints bear more weight, soft ones calm loose objects that they touch.
@@ -126,14 +136,14 @@ def settled(robot: Robot) -> Posture:
         found = _rest(robot, gravity, sag)
         if falls := _fallen(robot, found.qpos):
             complaints.append(f"{falls} falls from its keyframe before it comes to rest")
-        elif not np.isfinite(found.residual) or found.residual > _NEARLY * gravity:
+        elif not np.isfinite(found.residual) or found.residual > NEARLY * gravity:
             complaints.append(
-                f"the posture does not come to rest within {_LONGEST:g} s (residual acceleration "
+                f"the posture does not come to rest within {LONGEST:g} s (residual acceleration "
                 f"{found.residual:.3g}{_overlap(robot)})"
             )
         else:
             return found
-    if there.residual <= _NEARLY * gravity:  # an equilibrium that it leaves, upright for example
+    if there.residual <= NEARLY * gravity:  # an equilibrium that it leaves, upright for example
         return replace(there, settled=True)
     advice = 'give a keyframe at rest, or posture = "keyframe" to start from it as it is'
     free = robot.model.jnt_bodyid[robot.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
@@ -187,7 +197,7 @@ def under(robot: Robot, model: mujoco.MjModel, nominal: Posture) -> Posture:
 
 def _overlap(robot: Robot) -> str:
     """The pair of bodies that overlap most at the keyframe, if that is much; in words."""
-    data = _data(robot, robot.model)
+    data = start(robot, robot.model)
     mujoco.mj_forward(robot.model, data)
     depth = -data.contact.dist
     if not depth.size or np.max(depth) < _DEEP * robot.model.stat.extent:
@@ -207,17 +217,17 @@ def _rest(robot: Robot, gravity: float, sag: float) -> Posture:
     """
     model, spring, damping = _holding(robot, gravity, sag)
     qpos, dofs, actuators = _places(robot)
-    data = _data(robot, model)
+    data = start(robot, model)
     data.qvel[:] = 0.0
     held = data.qpos[qpos].copy()
-    for _ in range(round(_LONGEST / model.opt.timestep)):
+    for _ in range(round(LONGEST / model.opt.timestep)):
         data.ctrl[actuators] = spring * (held - data.qpos[qpos]) - damping * data.qvel[dofs]
         with silenced():
             mujoco.mj_step(model, data)
         motion = np.abs(np.concatenate([data.qvel, data.qacc]))
-        if not np.isfinite(motion).all() or np.max(motion, initial=0.0) < _AT_REST * gravity:
+        if not np.isfinite(motion).all() or np.max(motion, initial=0.0) < AT_REST * gravity:
             break
-    there = _data(robot, robot.model)
+    there = start(robot, robot.model)
     there.qpos, there.act, there.time = data.qpos, data.act, data.time
     there.qvel[:] = 0.0  # and no accelerations: what the solver starts from
     return _posture(robot, there, spring * (held - data.qpos[qpos]), settled=True)
@@ -239,7 +249,7 @@ def _holding(
     # A model may leave its solver unfinished in every step, for speed; it would not come to rest.
     model.opt.iterations = max(model.opt.iterations, 100)
     model.opt.ls_iterations = max(model.opt.ls_iterations, 50)
-    data = _data(robot, model)
+    data = start(robot, model)
     _, dofs, _ = _places(robot)
     mujoco.mj_forward(model, data)
     inertia, coupling = _inertia(model, data, dofs)

@@ -35,10 +35,9 @@ from jaxact.parameters import (
     PAYLOAD,
     SETPOINT,
 )
-from jaxact.plants import linearize, softness, variation
+from jaxact.plants import softness, variation
 from jaxact.plants.mujoco import Impulse, JointPush, Simulations
 from jaxact.plants.variation import Variation
-from jaxact.robots import posture as _posture
 from jaxact.simulation import batch_rollout, kernel
 from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import starts as _starts
@@ -57,54 +56,7 @@ def template(case: Case, setting: Setting) -> Template:
     return kernel.template_of(replace(case, engine=MUJOCO), setting, "metrics")
 
 
-def moved(case: Case, setting: Setting, values: Mapping[str, np.ndarray]) -> tuple[Any, Any]:
-    """A and B of the linear plant of every sample, where the model varies.
-
-    Each is linearised where its own model rests: under a payload that nothing carries, contacts
-    would be on the way to somewhere else. It is done in C whatever the engine, sample by sample.
-
-    Args:
-        case, setting: static.
-        values: of the samples, shape (n,) each.
-
-    Returns:
-        Shapes (n, kept, kept) and (n, kept, joints), in the nominal plant's coordinates.
-    """
-    rows = np.stack([_at_joints(case, setting, values, name) for name in case.varied], axis=1)
-    distinct, places = np.unique(rows.reshape(len(rows), -1), axis=0, return_inverse=True)
-    found = [_linear(case, setting, tuple(row.tolist())) for row in distinct]
-    which = places.reshape(-1)
-    return np.stack([a for a, _ in found])[which], np.stack([b for _, b in found])[which]
-
-
-@functools.lru_cache(maxsize=256)
-def _linear(case: Case, setting: Setting, row: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """A and B with the changes of one sample, (varied, joints) in a row."""
-    scene = template(case, setting).scene
-    assert scene is not None
-    model = _changed(case, scene, np.reshape(row, (len(case.varied), -1)))
-    posture = _posture.under(scene.robot, model, scene.posture)
-    changed = replace(scene, robot=replace(scene.robot, model=model), posture=posture)
-    moving = robots.linearised(changed, setting.plant)
-    A, B, _ = linearize.linearise_c(moving.robot, moving.posture, case.step)
-    if setting.corrected:
-        A, B = linearize.synchronised(A, B, model.nv, case.step)
-    basis = _basis(case, setting)
-    return basis.T @ A @ basis, basis.T @ B
-
-
-@functools.lru_cache(maxsize=16)
-def _basis(case: Case, setting: Setting) -> np.ndarray:
-    """The nominal plant's coordinates, see `jaxact.plants.linearize.Linearisation`."""
-    scene = template(case, setting).scene
-    assert scene is not None
-    scene = robots.linearised(scene, setting.plant)
-    return linearize.linear_c(
-        scene.robot, scene.posture, case.step, corrected=setting.corrected
-    ).basis
-
-
-def _at_joints(case: Case, setting: Setting, values: Mapping[str, np.ndarray], name: str):
+def at_joints(case: Case, setting: Setting, values: Mapping[str, np.ndarray], name: str):
     """A change of the model for every sample and joint, shape (n, joints)."""
     made = template(case, setting)
     keys = [key for key in values if key.partition("@")[0] == name]
@@ -117,7 +69,7 @@ def _at_joints(case: Case, setting: Setting, values: Mapping[str, np.ndarray], n
     return found
 
 
-def _changed(case: Case, scene: Scene, row: np.ndarray) -> Any:
+def changed(case: Case, scene: Scene, row: np.ndarray) -> Any:
     """A copy of the robot's model with the changes of one sample, shape (varied, joints)."""
     model = copy.copy(scene.robot.model)
     for field, value in _fields(case, scene, row).items():
@@ -223,7 +175,7 @@ def _rolled(
     prepared = _prepare(*loops, **_beginning(case, setting, start))
     fields = {}
     if case.varied:
-        rows = np.stack([_at_joints(case, setting, values, name) for name in case.varied], axis=1)
+        rows = np.stack([at_joints(case, setting, values, name) for name in case.varied], axis=1)
         each = [_fields(case, scene, row) for row in rows]
         fields = {name: np.stack([one[name] for one in each]) for name in each[0]}
     simulations = Simulations(

@@ -118,9 +118,9 @@ def _of_robots(
     static = tiles.static(plan, "slow_modes", case, setting)
     inputs: list[Any] = [*tiles.tiled(plan, samples, numbers, np.float64)]
     if plan.case.varied:
-        from jaxact.simulation import mujoco_batch  # imports MuJoCo
+        from jaxact.simulation import changed_models  # imports MuJoCo
 
-        moved = mujoco_batch.moved(plan.case, specification.setting, samples.take(numbers))
+        moved = changed_models.moved(plan.case, specification.setting, samples.take(numbers))
         rows = plan.devices * plan.tiles, plan.tile
         inputs.append([part.reshape(*rows, *part.shape[1:]) for part in moved])
     modes = jax.tree.map(np.asarray, tiles.run(*inputs, **static))

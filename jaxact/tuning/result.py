@@ -28,7 +28,8 @@ from jaxact.units import turned
 if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
     from jaxact.tuning.joint.ensemble import Ensemble
-    from jaxact.tuning.robot.loops import OpenLoops, Situation
+    from jaxact.tuning.robot.loops import Situation
+    from jaxact.tuning.robot.open_loops import OpenLoops
     from jaxact.tuning.robot.rows import RobotCase
     from jaxact.tuning.rollouts.tracking import Tracked
 

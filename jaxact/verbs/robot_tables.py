@@ -15,7 +15,7 @@ from jaxact.loops.joint_units import of_joints
 from jaxact.parameters import KD, KP, PARAMETERS
 from jaxact.plotting.wording import physics_step, quantity
 from jaxact.robots import mounting
-from jaxact.verbs import rendering
+from jaxact.verbs import changed_robot, rendering
 
 if TYPE_CHECKING:
     from jaxact.analysis.robot.changes import Change
@@ -54,7 +54,7 @@ def as_json(label: str, found: WholeRobot, stiction: Stiction | None) -> str:
         "model": str(plant.model), "keyframe": plant.keyframe, "posture": plant.posture,
         "base": plant.base, "damping": plant.damping, "friction": plant.friction, "loop": label,
         "engine": found.engine, "dry_friction_left_out": found.left_out,
-        "residual": found.residual,
+        "residual": found.residual, **changed_robot.as_object(found),
         "neutral_directions": found.neutral, "control_period": found.robot.period,
         "physics_step": found.physics_step, "stable": margins.stable,
         "unstable_roots": margins.unstable_roots, "spectral_radius": margins.spectral_radius,
@@ -136,6 +136,7 @@ def _head(label: str, found: WholeRobot) -> str:
         f"{count} driven joint{'' if count == 1 else 's'}, control {1 / period:g} Hz, {step}, "
         f"{found.engine}, posture {plant.posture}, held by torques that are fed forward, "
         f"residual acceleration {found.residual:.2g}",
+        *changed_robot.lines(found),
     ]
     if found.neutral:
         modes = "mode" if found.neutral == 1 else "modes"

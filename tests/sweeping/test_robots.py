@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 from quickly import optimised_fully
-from robots import HOPPER, PENDULUM, QUADRUPED
+from robots import HOPPER, PENDULUM, QUADRUPED, sagged
 
 from jaxact.errors import UserError
 from jaxact.loops import reading, robots
@@ -125,22 +125,25 @@ def test_a_varied_model_is_the_model_edited_by_hand(name, folder):
         field = {"joint_damping": "dof_damping", "joint_armature": "dof_armature"}[name]
         getattr(edited, field)[:] += value
     scene = robots.scene(_parsed(folder, plant).plant)
-    A, B = _linear(edited, scene)
+    kp, home = np.array([80.0, 30.0]), scene.posture
+    rest = sagged(edited, home.qpos, home.force, kp)  # the controllers do not know of the change
+    assert (np.abs(rest - home.qpos).max() > 0.005) == (name in ("payload", "inertia_scale"))
+    A, B = _linear(edited, rest)
     changed = _parsed(folder, plant, DRIVE + "setpoint = 0.1", axis, **options)
     (plan,) = plans.groups(changed, expand(changed))
-    from jaxact.simulation import mujoco_batch
+    from jaxact.simulation import changed_models
 
-    moved = mujoco_batch.moved(plan.case, changed.setting, expand(changed).take(np.array([0, 1])))
+    moved = changed_models.moved(plan.case, changed.setting, expand(changed).take(np.array([0, 1])))
     np.testing.assert_allclose(moved[0][1], A, atol=1e-6)
     np.testing.assert_allclose(moved[1][1], B, atol=1e-6)
     assert abs(swept["growth_rate"][1] - swept["growth_rate"][0]) > 0.05
     assert swept["peak_force"][1] != swept["peak_force"][0]
 
 
-def _linear(model, scene):
-    """mjd_transitionFD at the posture, called here on its own."""
+def _linear(model, where):
+    """mjd_transitionFD at a configuration, called here on its own."""
     data = mujoco.MjData(model)
-    data.qpos = scene.posture.qpos
+    data.qpos = where
     mujoco.mj_inverse(model, data)
     data.ctrl = data.qfrc_inverse  # that bear the model's own weight
     mujoco.mj_forward(model, data)

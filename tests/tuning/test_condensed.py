@@ -5,7 +5,7 @@ import pytest
 
 from jaxact.tuning.robot import cores, peaks
 from jaxact.tuning.robot.condensed import condensed, together
-from jaxact.tuning.robot.loops import OpenLoops
+from jaxact.tuning.robot.open_loops import OpenLoops
 
 
 def _loop(seed, states, delays, ahead, behind, joints=2):

@@ -21,7 +21,8 @@ from jaxact.tuning.joint import spectrum
 from jaxact.tuning.joint.ensemble import Sampling, ensemble
 from jaxact.tuning.robot import peaks, rows
 from jaxact.tuning.robot import search as robot
-from jaxact.tuning.robot.loops import VARIED, open_loops, situation
+from jaxact.tuning.robot.loops import VARIED, situation
+from jaxact.tuning.robot.open_loops import open_loops
 from jaxact.tuning.robot.rows import RobotCase
 from jaxact.tuning.rollouts import tracking as robot_tracking
 from jaxact.tuning.rollouts import validation

@@ -9,7 +9,8 @@ from jaxact.tuning.box import NOMINAL
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.robot import search as robot
-from jaxact.tuning.robot.loops import open_loops, situation
+from jaxact.tuning.robot.loops import situation
+from jaxact.tuning.robot.open_loops import open_loops
 
 QUICK = {"starts": 2, "steps": 30}
 # The arm standing on its shoulder: without gains it topples, with its own it shakes.

@@ -15,7 +15,7 @@ from jaxact.analysis.robot import disk as _disk
 from jaxact.analysis.robot import multiloop as _multiloop
 from jaxact.tuning.certificate import Metrics
 from jaxact.tuning.robot import cores
-from jaxact.tuning.robot.loops import OpenLoops
+from jaxact.tuning.robot.open_loops import OpenLoops
 from jaxact.tuning.robot.peaks import SHIFTS, growth_rates, limits, sensitivity
 
 # Peaks on the grid below this share of the highest are not refined: the grid, made of the roots,

@@ -12,7 +12,8 @@ from jaxact.tuning.course import Course
 from jaxact.tuning.polish import MET
 from jaxact.tuning.robot.exact import Exact, exact
 from jaxact.tuning.robot.inside import worst_inside
-from jaxact.tuning.robot.loops import OpenLoops, Situation, open_loops, together
+from jaxact.tuning.robot.loops import Situation
+from jaxact.tuning.robot.open_loops import OpenLoops, open_loops, together
 from jaxact.tuning.robot.peaks import extended, refined
 from jaxact.tuning.robot.rows import OUT_OF_REACH, Found, RobotCase, more, polished, rescued, seen
 from jaxact.tuning.worst import SMALL, apart, named
@@ -85,7 +86,7 @@ def exchanged(
                 break
             tighter = 2.0 * interior if turn and found.met and interior < SMALL else tighter
         course.phase("polishing for what the certificate adds", turn, _EXCHANGES)
-        found, known = _polished_again(case, situations, found, tighter), None
+        found, known = polished_again(case, situations, found, tighter), None
     return Candidate(case, found, interior, known)
 
 
@@ -137,7 +138,7 @@ def inside_worse(
     return Inside(float(inside.excess(case.goal).max()), loops.take(kept), inside.take(kept))
 
 
-def _polished_again(
+def polished_again(
     case: RobotCase, situations: Sequence[Situation], found: Found, tighter: float
 ) -> Found:
     """Polished once more, for more loops or frequencies.

@@ -22,6 +22,7 @@ from jaxact.tuning.result import Tuned
 from jaxact.tuning.robot.descent import approached, bounds
 from jaxact.tuning.robot.exchange import Candidate, exchanged
 from jaxact.tuning.robot.loops import Situation
+from jaxact.tuning.robot.resting import settled
 from jaxact.tuning.robot.rows import Found, RobotCase, more, polished
 from jaxact.tuning.robot.search import judge
 
@@ -88,7 +89,8 @@ def front(tuned: Tuned, number: int, *, seed: int = 0, told: Told = silent) -> l
     judged = []
     for place in range(number):
         told("certifying the front", place, number)
-        judged.append(judge(situations, points[place], seed))
+        point, there = settled(points[place], situations, seed)
+        judged.append(judge(there, point, seed))
     return judged
 
 

@@ -5,15 +5,16 @@ of what is uncertain of both. Of each loop the matrices over one control period 
 
     x' = A x + B u,     seen = Y x,     G(z) = Y (z I - A)^-1 B,
 
-which do not know of any gains. A member with a body of its own, a payload say, is linearised
-where that body rests, as in a sweep (`jaxact.simulation.mujoco_batch.moved`).
+which do not know of any gains. Where a member with a body of its own, a payload say, rests does
+depend on them (`jaxact.simulation.changed_models`): the search takes what stiff joints would hold,
+and `jaxact.tuning.robot.resting` goes on from there with where the members rest.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import jax
@@ -22,7 +23,6 @@ import mujoco
 import numpy as np
 
 from jaxact import parameters
-from jaxact.analysis.robot.multiloop import joined
 from jaxact.compilation.programs import building
 from jaxact.drive.step import Drive
 from jaxact.errors import UserError
@@ -32,11 +32,9 @@ from jaxact.loops.samples import explicit
 from jaxact.loops.specification import Setting, Specification
 from jaxact.loops.template import Template
 from jaxact.parameters import base
-from jaxact.simulation import kernel, mujoco_batch, plans, robot_loop
+from jaxact.simulation import changed_models, kernel, mujoco_batch, plans, robot_loop
 from jaxact.simulation.kernel import Case
-from jaxact.tuning.box import KNOWN, Box, Points
-from jaxact.tuning.robot.condensed import Condensed, condensed
-from jaxact.tuning.robot.condensed import together as joined_condensed
+from jaxact.tuning.box import KNOWN, Box
 
 OF_BODY = (
     parameters.PAYLOAD, parameters.INERTIA_SCALE, parameters.JOINT_DAMPING,
@@ -73,6 +71,8 @@ class Situation:
         specification: that it was made of.
         payload_body: name of the body that carries a payload.
         box: what is uncertain.
+        opener: from the stiffness that members rest with [N/m or N m/rad], shape (joints,), to
+            `opened`; infinite for joints that hold their positions.
         opened: from values of `keys`, shape (keys,), to a loop
             (`jaxact.simulation.robot_loop.OpenMap`) and its inertias, compiled.
         keys: parameters that vary.
@@ -92,11 +92,24 @@ class Situation:
     specification: Specification
     payload_body: str
     box: Box
+    opener: Callable[[np.ndarray], Callable[[np.ndarray], Opened]]
     opened: Callable[[np.ndarray], Opened]
     keys: tuple[str, ...]
     places: np.ndarray
     low: np.ndarray
     high: np.ndarray
+
+    @property
+    def gives_way(self) -> bool:
+        """Whether a member rests elsewhere than the nominal robot."""
+        nominal = self.specification.nominal
+        static = [name for name in nominal if base(name) in changed_models.STATIC]
+        changed = any(nominal[name] != parameters.PARAMETERS[base(name)].default for name in static)
+        return changed or any(base(key) in changed_models.STATIC for key in self.keys)
+
+    def resting(self, kp: np.ndarray) -> Situation:
+        """The same with every member linearised where it rests with this stiffness (joints,)."""
+        return replace(self, opened=self.opener(kp))
 
     def values(self, fraction: np.ndarray) -> np.ndarray:
         """Values of `keys` at fractions of the ranges, shape (n, ranges) -> (n, keys)."""
@@ -132,8 +145,12 @@ def situation(specification: Specification, name: str, box: Box = KNOWN) -> Situ
         drives = [_drive(template, {key: row[i] for key, row in values.items()}) for i in (0, 1)]
     scene, nominal = template.scene, {key: float(row[0]) for key, row in values.items()}
     assert scene is not None
-    opened = _opener(plan.case, specification.setting, nominal, keys)
     shape = (len(scene.labels),)
+
+    def opener(kp: np.ndarray) -> Callable[[np.ndarray], Opened]:
+        return _opener(plan.case, specification.setting, nominal, keys, kp)
+
+    opened = opener(np.full(shape, np.inf))
     period = 1.0 / nominal[parameters.CONTROL_RATE]
     gains = drives[0].controller
     hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -149,8 +166,9 @@ def situation(specification: Specification, name: str, box: Box = KNOWN) -> Situ
         period=period,
         residual=scene.posture.residual,
         specification=specification,
-        payload_body=model.body(scene.payload_body).name or f"body {scene.payload_body}",
+        payload_body=scene.carrier,
         box=box,
+        opener=opener,
         opened=opened,
         keys=keys,
         places=places,
@@ -225,10 +243,14 @@ def _ends(
 
 
 def _opener(
-    case: Case, setting: Setting, nominal: Mapping[str, float], keys: tuple[str, ...]
+    case: Case,
+    setting: Setting,
+    nominal: Mapping[str, float],
+    keys: tuple[str, ...],
+    kp: np.ndarray,
 ) -> Callable[[np.ndarray], Opened]:
-    """See `Situation.opened`; compiled once for all members."""
-    linearised = _linearised(case, setting, nominal, keys)
+    """See `Situation.opener`; compiled once for all members."""
+    linearised = _linearised(case, setting, nominal, keys, kp)
     # One NaN, which is found again as a key, for all that the model brings.
     known = {key: math.nan if np.isnan(value) else value for key, value in nominal.items()}
     case, setting = kernel.linear_part(case, setting)
@@ -267,9 +289,16 @@ def _open_loop(
 
 
 def _linearised(
-    case: Case, setting: Setting, nominal: Mapping[str, float], keys: tuple[str, ...]
+    case: Case,
+    setting: Setting,
+    nominal: Mapping[str, float],
+    keys: tuple[str, ...],
+    kp: np.ndarray,
 ) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray] | None]:
-    """From values of the keys to A and B of the plant, where its members differ in the model."""
+    """From values of the keys to A and B of the plant, where its members differ in the model.
+
+    Each where it rests with the stiffness kp, shape (joints,).
+    """
     bodies = [place for place, key in enumerate(keys) if base(key) in OF_BODY]
 
     # Neighbours in the box often differ in their drives only.
@@ -277,116 +306,7 @@ def _linearised(
     def of(body: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
         own = dict(zip((keys[place] for place in bodies), body, strict=True))
         values = {key: np.full(1, value) for key, value in {**nominal, **own}.items()}
-        A, B = mujoco_batch.moved(case, setting, values)
+        A, B = changed_models.moved(case, setting, values, kp)
         return A[0], B[0]
 
     return lambda row: of(tuple(row[bodies].tolist())) if case.varied else None
-
-
-@dataclass(frozen=True)
-class OpenLoops:
-    """Open loops of a robot, l of them, with n states (the smaller ones filled up) and m joints.
-
-    Attributes:
-        names: what they are called: situation and member.
-        situation: number of the situation of each, shape (l,).
-        fraction: of the ranges of the box, shape (l, ranges).
-        A, B: shape (l, n, n), (l, n, m).
-        seen: positions and velocities as the controllers measure them, shape (l, m, 2, n).
-        period: T [s], shape (l,).
-        condensed: the same without delay lines, for responses.
-    """
-
-    names: tuple[str, ...]
-    situation: np.ndarray
-    fraction: np.ndarray
-    A: np.ndarray
-    B: np.ndarray
-    seen: np.ndarray
-    period: np.ndarray
-    condensed: Condensed
-
-    def __len__(self) -> int:
-        """Number of loops."""
-        return len(self.names)
-
-    def name(self, index: int) -> str:
-        """What a loop is called."""
-        return self.names[index]
-
-    def take(self, index: np.ndarray) -> OpenLoops:
-        """Some of the loops, by their numbers."""
-        return OpenLoops(
-            tuple(self.names[int(i)] for i in index), self.situation[index], self.fraction[index],
-            self.A[index], self.B[index], self.seen[index], self.period[index],
-            self.condensed.take(index),
-        )  # fmt: skip
-
-    def closed(self, index: int, kp: np.ndarray, kd: np.ndarray) -> tuple[np.ndarray, ...]:
-        """M, N, C of one loop closed with gains of shape (m,), as in `analysis.robot.multiloop`."""
-        C = -(kp[:, None] * self.seen[index, :, 0] + kd[:, None] * self.seen[index, :, 1])
-        return self.A[index] + self.B[index] @ C, self.B[index], C
-
-    def response(self, index: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        """G of loops at w T = `angle` [rad], shape (k,) each: shape (k, m, 2, m), complex."""
-        return self.condensed.response(index, angle)
-
-
-def open_loops(situations: Sequence[Situation], members: Points) -> OpenLoops:
-    """The loops of every situation with every member."""
-    found, names, number = [], [], []
-    for place, one in enumerate(situations):
-        rows = [one.opened(row)[:3] for row in one.values(members.fraction)]
-        # What gains of one and the same sign leave unmoved in one loop, they do in all alike.
-        kept = np.unique(np.concatenate([_kept(*row) for row in rows]))
-        found += [(A[np.ix_(kept, kept)], B[kept], Y[..., kept]) for A, B, Y in rows]
-        names += [_name(one.name, member, len(situations)) for member in members.names]
-        number += [place] * len(members)
-    size = max(len(A) for A, _, _ in found)
-    filled = [_filled(*row, size) for row in found]
-    A, B, seen = (np.stack(column) for column in zip(*filled, strict=True))
-    return OpenLoops(
-        names=tuple(names),
-        situation=np.array(number),
-        fraction=np.tile(members.fraction, (len(situations), 1)),
-        A=A,
-        B=B,
-        seen=seen,
-        period=np.array([situations[place].period for place in number]),
-        condensed=condensed(A, B, seen),
-    )
-
-
-def together(*parts: OpenLoops) -> OpenLoops:
-    """The loops of several."""
-    size = max(part.A.shape[-1] for part in parts)
-    filled = [
-        _filled(*row, size) for part in parts for row in zip(part.A, part.B, part.seen, strict=True)
-    ]
-    A, B, seen = (np.stack(column) for column in zip(*filled, strict=True))
-    number, fraction, period = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("situation", "fraction", "period")
-    )
-    names = tuple(name for part in parts for name in part.names)
-    short = joined_condensed([part.condensed for part in parts])
-    return OpenLoops(names, number, fraction, A, B, seen, period, short)
-
-
-def _kept(A: np.ndarray, B: np.ndarray, Y: np.ndarray) -> np.ndarray:
-    C = Y.sum(axis=1)
-    return joined((A + B @ C, B, C))
-
-
-def _filled(A: np.ndarray, B: np.ndarray, Y: np.ndarray, size: int) -> tuple[np.ndarray, ...]:
-    """The same with states that do nothing, up to a number of them."""
-    more = size - len(A)
-    return (
-        np.pad(A, ((0, more), (0, more))),
-        np.pad(B, ((0, more), (0, 0))),
-        np.pad(Y, ((0, 0), (0, 0), (0, more))),
-    )
-
-
-def _name(situation: str, member: str, situations: int) -> str:
-    return f"{situation}, {member}" if situations > 1 else member

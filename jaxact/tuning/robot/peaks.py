@@ -19,7 +19,7 @@ import numpy as np
 from jaxact.analysis.robot import disk as _disk
 from jaxact.analysis.robot.stability import MARGINAL
 from jaxact.tuning.robot import cores
-from jaxact.tuning.robot.loops import OpenLoops, together
+from jaxact.tuning.robot.open_loops import OpenLoops, together
 
 # Metric -> (c, c0) of X = c S + c0 I.
 SHIFTS = {

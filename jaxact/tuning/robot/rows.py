@@ -17,7 +17,7 @@ from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import Groups
 from jaxact.tuning.newton import inside, newton
 from jaxact.tuning.polish import MET, Polished, Problem, Rows, polish
-from jaxact.tuning.robot.loops import OpenLoops
+from jaxact.tuning.robot.open_loops import OpenLoops
 from jaxact.tuning.robot.peaks import Table, beside, columns, growth_rates, peaks, sensitivity
 from jaxact.tuning.rollouts.tracking import Tracking
 

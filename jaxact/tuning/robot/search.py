@@ -26,7 +26,7 @@ from jaxact.tuning.goal import Goal, check
 from jaxact.tuning.groups import Groups
 from jaxact.tuning.optimise import Descended, Descent, no_path
 from jaxact.tuning.result import Gains, OfRobot, Outcome, Tuned, judged
-from jaxact.tuning.robot import brute
+from jaxact.tuning.robot import brute, resting
 from jaxact.tuning.robot.descent import (  # fmt: skip
     approached,
     best_of,
@@ -39,7 +39,8 @@ from jaxact.tuning.robot.descent import (  # fmt: skip
 )
 from jaxact.tuning.robot.exact import Exact, exact, leading
 from jaxact.tuning.robot.exchange import Candidate, exchanged, inside_worse
-from jaxact.tuning.robot.loops import OpenLoops, Situation, open_loops
+from jaxact.tuning.robot.loops import Situation
+from jaxact.tuning.robot.open_loops import OpenLoops, open_loops
 from jaxact.tuning.robot.peaks import tabulate
 from jaxact.tuning.robot.rows import Found, RobotCase, more, polished
 from jaxact.tuning.robot.so_far import so_far
@@ -116,9 +117,24 @@ def tune(
             course.phase("comparing with brute force")
             best, own["gap"] = _verified(best)
         course.best = best = replace(best, found=more(best.found, tried, steps))
-        return judge(situations, best, seed, **own)
+        return _judged_at_rest(situations, best, seed, course, own)
     except KeyboardInterrupt:
         return _until_then(situations, course, seed, own)
+
+
+def _judged_at_rest(
+    situations: Sequence[Situation], best: Candidate, seed: int, course: Course, own: dict[str, Any]
+) -> Tuned:
+    """What the search has led to, judged where every member rests with its gains."""
+    there, moved = resting.settled(best, situations, seed, course)
+    tuned = judge(moved, there, seed, **own)
+    if not best.found.met or tuned.certified:
+        return tuned
+    why = (
+        "gains were found that meet the constraints where stiff joints would hold the members, "
+        f"not where they rest with these gains, after {resting.TURNS} turns of searching there"
+    )
+    return replace(tuned, verdict=f"{tuned.verdict}; {why}")
 
 
 def _until_then(
@@ -131,6 +147,7 @@ def _until_then(
     if best is None and course.case is not None:
         best = so_far(course.case, course.points)
     if best is not None:
+        best, situations = resting.settled(best, situations, seed, turns=1)
         inside = best.interior is not None or not len(situations[0].box)
         note = replace(course, doing=doing).note(inside=inside)
         tuned = judge(situations, best, seed, note=note, **own)
@@ -169,17 +186,25 @@ def judge(
     """
     case, found = best.case, best.found
     loops, term = case.table.loops, case.tracking
+    tuned_to = case.groups.gains(found.x)
     wanted = tuple(sorted({*case.goal.wanted, "sensitivity_peak", "complementary_peak"}))
 
+    def there(gains: Gains) -> tuple[RobotCase, Sequence[Situation]]:
+        """With members where they rest with these gains, as those of the case do with its own."""
+        if np.array_equal(gains[0], tuned_to[0]) or not resting.gives_way(situations):
+            return case, situations
+        return resting.at_rest(case, situations, gains[0])
+
     def look(gains: Gains) -> Exact:
-        return exact(loops, *gains, wanted)
+        return exact(there(gains)[0].table.loops, *gains, wanted)
 
     def inside(gains: Gains) -> float | None:
         if note:
             return None
-        joints = case.groups.joints
-        own = replace(case, groups=Groups(joints, np.arange(len(joints)), joints))
-        found = inside_worse(own, situations, own.groups.log_gains(*gains), look(gains), seed)
+        at, members = there(gains)
+        joints = at.groups.joints
+        own = replace(at, groups=Groups(joints, np.arange(len(joints)), joints))
+        found = inside_worse(own, members, own.groups.log_gains(*gains), look(gains), seed)
         return None if found is None else found.excess
 
     def score(gains: Gains, value: float) -> float:
