@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxact.analysis.joint.frequency import JointLoop, servo_denominator
 from jaxact.analysis.sampled.period_map import SampledLoop
-from jaxact.analysis.sampled.pulse import plant_response, pulse_transfer
+from jaxact.analysis.sampled.pulse import delays, plant_response, pulse_transfer
 from jaxact.compilation.programs import Program
 from jaxact.tuning.joint.ensemble import DEFAULT_PERIOD, PARAMETERS, PLANT, Ensemble, Sampling
 from jaxact.tuning.objective import softmax
@@ -26,6 +26,8 @@ POINTS = 144
 # From well below the corner kp/kd of the softest feasible loops to beyond any crossover.
 _LOW, _HIGH = 1e-3, 40.0
 _TINY = 1e-30
+# How much a bandwidth that there is not counts for what is missing to one [-].
+_MISSING = 3.0
 
 
 @jax.tree_util.register_dataclass
@@ -105,13 +107,7 @@ def _pulse_responses(plants: tuple[jax.Array, ...], w: jax.Array, *, sampling: S
             **own,  # type: ignore[arg-type]
         )  # fmt: skip
         transfer = pulse_transfer(loop)
-        theta = w * period
-        half = 0.5 * theta
-        u = jax.lax.complex(jnp.cos(theta), -jnp.sin(theta))
-        s = 2.0 * jnp.sin(half) * jax.lax.complex(jnp.sin(half), jnp.cos(half))
-        lag = theta * (transfer.steps + 1.0)
-        hold = jax.lax.complex(jnp.cos(lag), -jnp.sin(lag))
-        return plant_response(transfer, u, s, hold)
+        return plant_response(transfer, *delays(transfer, w * period))
 
     return jax.vmap(one)(plants, w)
 
@@ -228,7 +224,11 @@ def _log_noise_gain(spectrum: Spectrum, square: jax.Array) -> jax.Array:
 
 
 def _log_bandwidth(spectrum: Spectrum, kp: jax.Array, plus: jax.Array) -> jax.Array:
-    """ln of the first frequency with |kp Gp / (1 + L)| < 1/sqrt(2), interpolated."""
+    """ln of the first frequency with |kp Gp / (1 + L)| < 1/sqrt(2), interpolated.
+
+    Where a spring keeps it below that from the beginning it falls with what is missing, so that
+    the descent leads to where there is a bandwidth.
+    """
     size = jnp.sum(spectrum.position**2, axis=0)
     excess = jnp.log(kp) + 0.5 * (jnp.log(size + _TINY) - jnp.log(plus + _TINY) + jnp.log(2.0))
     below = excess < 0.0
@@ -236,4 +236,6 @@ def _log_bandwidth(spectrum: Spectrum, kp: jax.Array, plus: jax.Array) -> jax.Ar
     before, after = excess[first - 1], excess[first]
     part = before / jnp.where(before == after, 1.0, before - after)
     logs = jnp.log(spectrum.frequency)
-    return logs[first - 1] + jnp.clip(part, 0.0, 1.0) * (logs[first] - logs[first - 1])
+    found = logs[first - 1] + jnp.clip(part, 0.0, 1.0) * (logs[first] - logs[first - 1])
+    found = jnp.where(jnp.any(below), found, logs[-1])
+    return jnp.where(excess[0] > 0.0, found, logs[0] + _MISSING * excess[0])
