@@ -125,3 +125,43 @@ def test_the_widest_bandwidth_of_a_sprung_joint_is_that_of_a_grid(damping, stiff
     assert best.certified and 0.97 * most <= best.value <= 1.1 * most
     own, _ = _of_grid(np.array([best.kp]), np.array([best.kd]), damping, stiffness)
     assert best.value == pytest.approx(own[0], rel=5e-3)
+
+
+@pytest.mark.parametrize("velocity", ["sampled", "differenced"])
+@pytest.mark.parametrize("wn", [110.0, np.inf])
+def test_the_noise_of_a_sampled_loop_solves_a_lyapunov_equation(velocity, wn):
+    """States: joint and servo, commands until now, the reading before and the filtered velocity."""
+    kp, kd, m, zeta, delay, period, cutoff = 300.0, 12.0, 0.7, 0.9, 6e-3, 5e-3, 150.0
+    rate = np.zeros((5, 5))
+    rate[0, 1], rate[1, 2] = 1.0, 1.0 / m
+    if np.isinf(wn):
+        rate[1, 2], rate[1, 4] = 0.0, 1.0 / m
+    else:
+        rate[2, 3], rate[3, 2:] = 1.0, (-(wn**2), -2.0 * zeta * wn, wn**2)
+    part = delay - period
+    early, late = (scipy.linalg.expm(rate * t) for t in (part, period - part))
+    phi, older, newer = late[:4, :4] @ early[:4, :4], late[:4, :4] @ early[:4, 4], late[:4, 4]
+    phi[2:] = 0.0 if np.isinf(wn) else phi[2:]
+    pole = np.exp(-cutoff * period) if velocity == "differenced" else 0.0
+    # x (4), u_{k-1}, u_{k-2}, then q_{k-1} + n_{k-1} (or n_{k-1} alone), and the filtered rate.
+    full, noise_in = np.zeros((8, 8)), np.zeros(8)
+    reading = np.eye(8)[0] if velocity == "differenced" else np.zeros(8)
+    rate_row = pole * np.eye(8)[7] + (1.0 - pole) / period * (reading - np.eye(8)[6])
+    own = rate_row + (0.0 if velocity == "differenced" else np.eye(8)[1])
+    command = -(kp * np.eye(8)[0] + kd * own)
+    command_noise = -(kp + kd * (1.0 - pole) / period)
+    full[:4, :4] = phi
+    full[:4, 4], full[:4, 5] = newer, older
+    full[4], noise_in[4] = command, command_noise
+    full[5, 4] = 1.0
+    full[6], noise_in[6] = reading, 1.0
+    full[7], noise_in[7] = rate_row, (1.0 - pole) / period
+    assert np.abs(np.linalg.eigvals(full)).max() < 1.0
+    covariance = np.outer(noise_in, noise_in) / 12.0
+    for _ in range(30):  # of one noise, two, four, ...
+        covariance, full = covariance + full @ covariance @ full.T, full @ full
+    expected = np.sqrt(covariance[5, 5] if np.isinf(wn) else covariance[2, 2])
+    with jax.enable_x64(True):
+        rows = (jnp.full(1, value) for value in (kp, kd, m, wn, zeta, delay, period, cutoff))
+        found = jax.jit(noise.sampled_noise_gain)(SampledLoop(*rows, velocity=velocity))
+    assert float(found[0]) == pytest.approx(expected, rel=2e-4)

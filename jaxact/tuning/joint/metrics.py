@@ -7,10 +7,10 @@ gains and by the members' parameters.
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -25,7 +25,12 @@ from jaxact.compilation.filling import in_chunks
 from jaxact.compilation.programs import Program
 from jaxact.parameters import OF_JOINT
 from jaxact.tuning.joint.ensemble import DEFAULT_PERIOD, PARAMETERS, PLANT, Ensemble, Sampling
-from jaxact.tuning.joint.noise import bandwidth, noise_gain, sampled_bandwidth
+from jaxact.tuning.joint.noise import (
+    bandwidth,
+    noise_gain,
+    sampled_bandwidth,
+    sampled_noise_gain,
+)
 
 # Loops are computed in batches of one size, so that one program is compiled.
 _SIZE = 32
@@ -91,9 +96,9 @@ def evaluate(
     wanted = tuple(name for name in _EXTRA if name in extra)
     static = {"sampling": sampling, "steps": steps, "wanted": wanted}
     with jax.enable_x64(True):
-        stable, log, slope = in_chunks(functools.partial(_with_slopes, **static), flat, _SIZE)
+        stable, log, slope = in_chunks(partial(_with_slopes, **static), flat, _SIZE)
         if timed is not None:
-            own, own_slope = in_chunks(functools.partial(_simulated, timed=timed), flat, _SIZE)
+            own, own_slope = in_chunks(partial(_simulated, timed=timed), flat, _SIZE)
             log = log | {timed.metric: np.where(stable, own, np.nan)}
             slope = slope | {timed.metric: np.where(stable, own_slope, np.nan)}
     return Exact(
@@ -156,27 +161,23 @@ def _metrics(
     found: Any
     finite = math.isfinite(sampling.velocity_filter)
     cutoff = jnp.full_like(kp, sampling.velocity_filter) if finite else None
-    period, hold = DEFAULT_PERIOD, 0.0
+    extra: dict[str, Callable[[], jax.Array]]
     if sampling.control_period is None:
-        found = margins(JointLoop(kp, kd, mass, wn, zeta, delay, cutoff, **joint))
+        held = JointLoop(kp, kd, mass, wn, zeta, delay, cutoff, **joint)
+        found = margins(held)
+        extra = {"noise_gain": partial(noise_gain, held, DEFAULT_PERIOD),
+                 "bandwidth": partial(bandwidth, held)}  # fmt: skip
     else:
-        period, hold = sampling.control_period, 0.5 * sampling.control_period
+        period = sampling.control_period
         loop = SampledLoop(
             kp, kd, mass, wn, zeta, delay,
             jnp.full_like(kp, period), jnp.full_like(kp, sampling.velocity_filter),
             velocity=sampling.velocity, **joint,
         )  # fmt: skip
         found = sampled_margins(loop, max_delay_steps=steps)
+        extra = {"noise_gain": partial(sampled_noise_gain, loop),
+                 "bandwidth": partial(sampled_bandwidth, loop)}  # fmt: skip
     result = {name: getattr(found, name) for name in _ALWAYS}
-    # The hold delays by half a period: what is defined in continuous time sees it so.
-    held = JointLoop(kp, kd, mass, wn, zeta, delay + hold, cutoff, **joint)
-
-    def settled(value: jax.Array) -> jax.Array:
-        return jnp.where(found.stable, value, jnp.nan)
-
-    if "noise_gain" in wanted:
-        result["noise_gain"] = settled(noise_gain(held, period))
-    if "bandwidth" in wanted:
-        at_ticks = sampling.control_period is not None
-        result["bandwidth"] = settled(sampled_bandwidth(loop) if at_ticks else bandwidth(held))
+    for name in wanted:
+        result[name] = jnp.where(found.stable, extra[name](), jnp.nan)
     return result | {"stable": found.stable}

@@ -6,6 +6,10 @@ period T apart, so the force per count is
 
     F = sqrt( T / (12 pi) * integral over 0 < w < pi/T of |P(jw) T(jw)|^2 dw ).
 
+Of a sampled loop it is that of the force at the ticks, with the pulse transfer functions for C, A
+and S. The velocity's noise is the difference of the position's from tick to tick, filtered where
+the velocity is; a loop that samples its velocity otherwise is taken to have as much.
+
 The bandwidth is the first frequency at which the position follows the setpoint by less than
 1/sqrt(2): |kp Gp / (1 + L)| with Gp the response of the position to a command.
 """
@@ -25,7 +29,7 @@ from jaxact.analysis.joint.frequency import (
     plant_parts,
     servo_denominator,
 )
-from jaxact.analysis.sampled.period_map import SampledLoop
+from jaxact.analysis.sampled.period_map import FORCE, FORCE_RATE, SampledLoop, period_map
 from jaxact.analysis.sampled.pulse import PulseTransfer, delays, plant_response, pulse_transfer
 
 _POINTS = 1500
@@ -48,6 +52,45 @@ def noise_gain(loop: JointLoop, period: float) -> jax.Array:
     step = jnp.log(w[1, 0] / w[0, 0])
     area = step * (jnp.sum(density, axis=0) - 0.5 * (density[0] + density[-1]))
     return jnp.sqrt(period / (12.0 * jnp.pi) * area)
+
+
+def sampled_noise_gain(loop: SampledLoop) -> jax.Array:
+    """F [N/m] of the force at the ticks of sampled loops, shape (n,).
+
+    Args:
+        loop: fields of shape (n,), stable.
+    """
+
+    def one(loop: SampledLoop) -> jax.Array:
+        transfer = pulse_transfer(loop)
+        theta = jnp.pi * jnp.logspace(-_DECADES, 0.0, _POINTS, dtype=loop.kp.dtype)
+        u, s, hold = delays(transfer, theta)
+        position, rate = plant_response(transfer, u, s, hold)
+        control = loop.kp + loop.kd * counted_rate(transfer, s)
+        force = jnp.abs(force_response(loop, u) * control)
+        force = force / jnp.abs(1.0 + loop.kp * position + loop.kd * rate)
+        density = theta * force * force  # over ln theta
+        step = jnp.log(theta[1] / theta[0])
+        area = step * (jnp.sum(density) - 0.5 * (density[0] + density[-1]))
+        return jnp.sqrt(area / (12.0 * jnp.pi))
+
+    return jax.vmap(one)(loop)
+
+
+def force_response(loop: SampledLoop, u: jax.Array) -> jax.Array:
+    """Force at the ticks by command [-], but for the whole periods of delay; u = exp(-j theta)."""
+    phi, older, newer, _ = period_map(loop)
+    (a, b), (c, d) = phi[FORCE:, FORCE:]
+    # (z - phi) f = older / z + newer, both sides times 1/z = u.
+    first, second = ((older[i] * u + newer[i]) * u for i in (FORCE, FORCE_RATE))
+    determinant = (1.0 - a * u) * (1.0 - d * u) - b * c * u * u
+    return ((1.0 - d * u) * first + b * u * second) / determinant
+
+
+def counted_rate(transfer: PulseTransfer, s: jax.Array) -> jax.Array:
+    """From noise of the position at the ticks to that of the velocity [1/s]; s = 1 - u."""
+    pole = transfer.pole if transfer.differenced else jnp.zeros_like(transfer.pole)
+    return s / transfer.period * (1.0 - pole) / (1.0 - pole + pole * s)
 
 
 def follows(loop: JointLoop, w: jax.Array) -> jax.Array:
