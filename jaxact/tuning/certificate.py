@@ -203,6 +203,8 @@ def sentence(
     """
     if certificate.met:
         of = "the loop" if certificate.members == 1 else f"all {certificate.members} members"
+        if goal.tail and certificate.members > 1:
+            of = f"{_counted(goal.tail)} of the {certificate.members} members, which are all stable"
         words = [f"every constraint holds for {of}, computed exactly"]
         if certificate.corners:
             point = "" if certificate.interior is None else " and the worst interior point"
@@ -233,6 +235,11 @@ def sentence(
         f"{metric} of {worst.value:.6g}, asked for {sign} {worst.bound:g} ({worst.constraint}), at "
         f"{worst.member}{far}; {_NO_PROOF} are none nearer"
     )
+
+
+def _counted(tail: float) -> str:
+    """In words, what of the members a risk weighs; its means are those of the logarithms."""
+    return "the mean" if tail == 1.0 else f"the mean of the worst {100.0 * tail:.4g} %"
 
 
 def _inside(certificate: Certificate, inside: float) -> str:

@@ -172,3 +172,32 @@ def test_of_a_spring_that_holds_back_it_is_said_that_nothing_settles():
     )
     best = jx.tune(loop, "settling", max_peak=1.3, max_kp=100.0)
     assert not best.certified and "settles within 2 %" in best.verdict
+
+
+@pytest.mark.parametrize(
+    ("risk", "said"),
+    [
+        ("worst", "holds for all 8 members, computed"),
+        ("mean", "holds for the mean of the 8 members, which are all stable, computed"),
+        ("cvar:0.75", "for the mean of the worst 25 % of the 8 members, which are all stable,"),
+    ],
+)
+def test_it_is_said_of_which_members_a_constraint_holds(risk, said):
+    goal = Goal(max_peak=1.6, risk=risk)
+    members = ensemble(np.full(8, 0.7), 110.0, 0.9, 1e-3)
+    log = dict.fromkeys(("sensitivity_peak", "complementary_peak"), np.log(np.full(8, 1.5)))
+    certificate = certify(goal, members, Metrics(np.ones(8, bool), log), 100.0)
+    assert certificate.met and said in sentence(certificate, goal)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("", "write at least two lines of time"), ("0,1\n1,1\n2,1\n", "the setpoint never moves")],
+)
+def test_a_file_that_says_nothing_is_refused_in_one_line(tmp_path, text, said):
+    path = tmp_path / "setpoints.csv"
+    path.write_text(text)
+    with pytest.raises(UserError, match=said):
+        jx.tune(jx.joint(actuator="starleth"), f"tracking:{path}")
+    with pytest.raises(UserError, match="needs a file of setpoints"):
+        jx.tune(jx.joint(actuator="starleth"), "tracking:")
