@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from jaxact.tuning.goal import Goal, tail_weights
+from jaxact.tuning.goal import UNVALUED, Goal, tail_weights
 from jaxact.tuning.polish import MET
 
 # Constraints this near to their bound (relative) are called binding.
@@ -60,6 +60,7 @@ class Certificate:
         agreeing: share of the starts that ended within 1 % of the best one's objective.
         gap: how much better brute force did, relative, None if not asked for.
         notes: what else is worth knowing, in sentences.
+        valued: the objective has a value for every member.
     """
 
     stable: bool
@@ -72,12 +73,14 @@ class Certificate:
     agreeing: float = 1.0
     gap: float | None = None
     notes: tuple[str, ...] = field(default=())
+    valued: bool = True
 
     @property
     def met(self) -> bool:
         """Whether everything asked for holds, for every member, corner and interior point."""
         inside = self.interior is None or self.interior <= MET
-        return self.stable and self.bounds_met and inside and all(c.met for c in self.checks)
+        held = self.stable and self.bounds_met and inside and self.valued
+        return held and all(check.met for check in self.checks)
 
 
 class Members(Protocol):
@@ -101,6 +104,10 @@ class Metrics:
 
     stable: np.ndarray
     log: Mapping[str, np.ndarray]
+
+    def has(self, metric: str) -> bool:
+        """Whether a metric is a number for every loop; one that is not among them is always."""
+        return bool(np.isfinite(self.log.get(metric, np.zeros(1))).all())
 
     def over(self, metric: str, sign: float, bound: float) -> np.ndarray:
         """How far each loop is beyond a bound, ln of the ratio, inf where unstable; shape (n,)."""
@@ -152,7 +159,7 @@ def certify(
     corners = sum("corner " in members.name(i) for i in range(len(members)))
     return Certificate(
         bool(found.stable.all()), tuple(checks), bool(inside), tuple(dict.fromkeys(binding)),
-        len(members), corners, interior,
+        len(members), corners, interior, valued=found.has(goal.metric),
     )  # fmt: skip
 
 
@@ -196,6 +203,8 @@ def sentence(
     """
     if certificate.met:
         of = "the loop" if certificate.members == 1 else f"all {certificate.members} members"
+        if goal.tail and certificate.members > 1:
+            of = f"{_counted(goal.tail)} of the {certificate.members} members, which are all stable"
         words = [f"every constraint holds for {of}, computed exactly"]
         if certificate.corners:
             point = "" if certificate.interior is None else " and the worst interior point"
@@ -212,6 +221,9 @@ def sentence(
             f"found infeasible: no gains{kp} that make every member stable{far}; "
             f"{_NO_PROOF} are none"
         )
+    if not missed and not certificate.valued:
+        none = UNVALUED.get(goal.objective, _WORTHLESS)
+        return f"found infeasible: {none}{far}; {_NO_PROOF} are none"
     if not missed:
         return f"found infeasible: no gains{kp} that meet the constraints together{far}"
     worst = max(missed, key=lambda check: check.excess)
@@ -223,6 +235,11 @@ def sentence(
         f"{metric} of {worst.value:.6g}, asked for {sign} {worst.bound:g} ({worst.constraint}), at "
         f"{worst.member}{far}; {_NO_PROOF} are none nearer"
     )
+
+
+def _counted(tail: float) -> str:
+    """In words, what of the members a risk weighs; its means are those of the logarithms."""
+    return "the mean" if tail == 1.0 else f"the mean of the worst {100.0 * tail:.4g} %"
 
 
 def _inside(certificate: Certificate, inside: float) -> str:
@@ -242,6 +259,7 @@ def _inside(certificate: Certificate, inside: float) -> str:
     )
 
 
+_WORTHLESS = "no gains that keep the bounds and give the objective a value"
 _NO_PROOF = "this does not prove that there"
 
 

@@ -24,6 +24,14 @@ OBJECTIVES = {
     "tracking": ("tracking_error", -1.0, "m"),
 }
 
+UNVALUED = {
+    "bandwidth": "no gains that keep the bounds and make the position follow slow setpoints by "
+    "1/sqrt(2) at least, so that there is a bandwidth",
+    "settling": "no gains that keep the bounds and with which the joint settles within 2 % of a "
+    "step, for as long as it was simulated",
+}
+"""What is said of an objective that has no value."""
+
 # Constraint -> ((metric, +1 if it must not exceed the bound, -1 if it must not fall below), ...).
 CONSTRAINTS = {
     "max_peak": (("sensitivity_peak", 1.0), ("complementary_peak", 1.0)),

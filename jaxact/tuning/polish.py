@@ -23,8 +23,9 @@ _AIM = 4e-11
 _RADIUS, _SMALLEST = 0.15, 1e-7
 _STEPS = 60
 # Weight of a violation that cannot be avoided, and the least of any. Value bought with a violation
-# is less: steps must not be paid for with constraints that the linear programme does not know.
-_ELASTIC, _LIGHTEST = 1e3, 10.0
+# is less: steps must not be paid for with constraints that the linear programme does not know. The
+# last is what counts where there is no value at all.
+_ELASTIC, _LIGHTEST, _WORTHLESS = 1e3, 10.0, -1e6
 _NEAR = 1.0
 # A step that promises less than this is not worth an evaluation.
 _GAIN = 1e-8
@@ -220,14 +221,14 @@ def _across_kinks(
 
 
 def _counted(best: Polished, more: int) -> Polished:
-    return Polished(best.x, best.value, best.violation, best.evaluations + more)
+    return replace(best, evaluations=best.evaluations + more)
 
 
 def _merit(rows: Rows, weight: np.ndarray) -> np.ndarray:
     """To be small: -value + weight * violation; shape (p,)."""
     excess = np.maximum(rows.violation, 0.0)
     with np.errstate(invalid="ignore"):
-        return -rows.worst_value + weight * excess
+        return -np.maximum(rows.worst_value, _WORTHLESS) + weight * excess
 
 
 def _where(mask: np.ndarray, first: Rows, second: Rows) -> Rows:
@@ -235,12 +236,10 @@ def _where(mask: np.ndarray, first: Rows, second: Rows) -> Rows:
         return np.where(mask.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
 
     return Rows(
-        pick(first.value, second.value),
-        pick(first.value_slope, second.value_slope),
-        pick(first.excess, second.excess),
-        pick(first.excess_slope, second.excess_slope),
+        pick(first.value, second.value), pick(first.value_slope, second.value_slope),
+        pick(first.excess, second.excess), pick(first.excess_slope, second.excess_slope),
         mask & first.usable | ~mask & second.usable,
-    )
+    )  # fmt: skip
 
 
 def _keep_better(best: Polished, x: np.ndarray, rows: Rows) -> Polished:
@@ -286,7 +285,7 @@ def _cuts(
         value, value_slope = _finite(kept.value[index], kept.value_slope[index])
         excess, excess_slope = _finite(kept.excess[index], kept.excess_slope[index])
         value, excess = value + value_slope @ back, excess + excess_slope @ back
-        fits = value >= own_value[0].min()
+        fits = value >= (own_value[0].min() if own_value[0].size else -np.inf)
         values.append((value[fits], value_slope[fits]))
         fits = excess <= max(own_excess[0].max(initial=-np.inf), 0.0) + radius * radius
         excesses.append((excess[fits], excess_slope[fits]))

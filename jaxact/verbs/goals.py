@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -54,6 +55,8 @@ def goal_of(goal: str | Goal, bounds: dict[str, Any]) -> Goal:
     name, colon, file = goal.partition(":")
     own = dict(bounds)
     if name == "tracking" and colon:
+        if not file:
+            raise UserError("`goal` tracking: needs a file of setpoints, tracking:FILE")
         own["reference"], own["reference_period"] = _reference(Path(file))
     elif colon:
         raise UserError(f"`goal` {shown(goal)}: only tracking takes a file")
@@ -107,7 +110,10 @@ def _is_number(value: Any) -> bool:
 def _reference(path: Path) -> tuple[tuple[float, ...], float]:
     """Setpoints and the time between them, from a CSV file of time and setpoint."""
     try:
-        rows = np.loadtxt(path, delimiter=",", comments="#", ndmin=2, encoding="utf-8-sig")
+        with warnings.catch_warnings():
+            # Of a file without rows more is said below.
+            warnings.simplefilter("ignore", UserWarning)
+            rows = np.loadtxt(path, delimiter=",", comments="#", ndmin=2, encoding="utf-8-sig")
     except OSError as error:
         reason = error.strerror or "is missing"
         raise UserError(f"{path}: cannot be read ({reason}); give a CSV file") from None

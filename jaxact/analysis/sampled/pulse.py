@@ -140,6 +140,19 @@ def _servo_denominator(loop: SampledLoop) -> jax.Array:
     return jnp.where(ideal, jnp.array([1.0, 0.0, 0.0], dtype=q0.dtype), jnp.stack([q0, q1, r2]))
 
 
+def delays(transfer: PulseTransfer, theta: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """u, S and u^{d+1} on the unit circle, as `plant_response` takes them.
+
+    Args:
+        transfer: of one plant.
+        theta: w T [rad], any shape.
+    """
+    half, lag = 0.5 * theta, theta * (transfer.steps + 1.0)
+    u = jax.lax.complex(jnp.cos(theta), -jnp.sin(theta))
+    s = 2.0 * jnp.sin(half) * jax.lax.complex(jnp.sin(half), jnp.cos(half))
+    return u, s, jax.lax.complex(jnp.cos(lag), -jnp.sin(lag))
+
+
 def plant_response(transfer: PulseTransfer, u: Any, s: Any, hold: Any) -> tuple[Any, Any]:
     """Gp [m/N] and the response of the velocity the controller reads [m/s/N], complex.
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from jaxact.tuning.certificate import over_all
 from jaxact.tuning.joint import problem as joint
-from jaxact.tuning.joint.problem import Case, Table
+from jaxact.tuning.joint.problem import Case, JointSurrogate, Table
+from jaxact.tuning.joint.response import timed as timed_of
 from jaxact.tuning.joint.spectrum import single_precision, tabulate
 
 _POINTS = 600
@@ -45,10 +46,10 @@ class Brute:
     evaluations: int
 
 
-def brute_force(case: Case, timed: Any = None) -> Brute:
+def brute_force(case: Case) -> Brute:
     """The best gains of a grid over everything that could be stable, refined four times."""
     data, centre, half = _plane(case)
-    smooth = joint.JointSurrogate(joint.family(case.goal), timed)
+    smooth = _smooth(case)
     tried = 0
     for _ in range(_REFINEMENTS + 1):
         grid = _grid(case, centre, half)
@@ -61,21 +62,28 @@ def brute_force(case: Case, timed: Any = None) -> Brute:
             return Brute(-np.inf, centre, tried)
         order = np.argsort(-score)
         centre, half = grid[order[0]], half * 4.0 / GRID
+    timed = timed_of(case.goal, [case.members], use="polish")
     return _exactly(case, grid[order[:256]], tried, timed)
 
 
-def nearest(case: Case, timed: Any = None) -> Brute:
+def nearest(case: Case) -> Brute:
     """The stable gains of a grid that exceed the constraints least; the objective does not count.
 
     Its value is -inf where no gains of the grid are stable.
     """
     data, centre, half = _plane(case)
-    smooth = joint.JointSurrogate(joint.family(case.goal), timed)
+    smooth = _smooth(case)
     grid = _grid(case, centre, half)
     _, violation, stable = map(np.asarray, _all(smooth, data, jnp.asarray(grid, jnp.float32)))
     score = np.where(stable & np.isfinite(violation), -violation, -np.inf)
     best = int(np.argmax(score))
     return Brute(float(score[best]), grid[best], len(grid))
+
+
+def _smooth(case: Case) -> JointSurrogate:
+    return JointSurrogate(
+        joint.family(case.goal), timed_of(case.goal, [case.members], use="descent")
+    )
 
 
 def _plane(case: Case) -> tuple[Table, np.ndarray, np.ndarray]:

@@ -101,7 +101,7 @@ def closest(
     problem = joint.problem(cases, timed, aim=False)
     nearest = polish(problem, found.x, bounds[:, 0], bounds[:, 1])
     over_plane = np.array([
-        found.x[i] if met else brute.nearest(case, timed).x
+        found.x[i] if met else brute.nearest(case).x
         for i, (case, met) in enumerate(zip(cases, found.feasible, strict=True))
     ])  # fmt: skip
     others = [over_plane, *_least_violating(paths)]

@@ -124,7 +124,7 @@ def _polished(case: Case, x: np.ndarray, tighter: float) -> tuple[float, float] 
     """
     case = replace(case, goal=case.goal.tightened(tighter)) if tighter else case
     low, high = joint.log_bounds(case.goal)
-    problem = joint.problem([case], timed_of(case.goal, [case.members]))
+    problem = joint.problem([case], timed_of(case.goal, [case.members], use="polish"))
     polished = polish(problem, x[None], low[None], high[None])
     return joint.gains(polished.x[0]) if polished.feasible[0] else None
 

@@ -7,10 +7,10 @@ gains and by the members' parameters.
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -25,7 +25,12 @@ from jaxact.compilation.filling import in_chunks
 from jaxact.compilation.programs import Program
 from jaxact.parameters import OF_JOINT
 from jaxact.tuning.joint.ensemble import DEFAULT_PERIOD, PARAMETERS, PLANT, Ensemble, Sampling
-from jaxact.tuning.joint.noise import bandwidth, noise_gain
+from jaxact.tuning.joint.noise import (
+    bandwidth,
+    noise_gain,
+    sampled_bandwidth,
+    sampled_noise_gain,
+)
 
 # Loops are computed in batches of one size, so that one program is compiled.
 _SIZE = 32
@@ -89,9 +94,13 @@ def evaluate(
         steps = delay_steps(flat[5], sampling.control_period)
     # Only what makes a difference to the program, so that goals share it.
     wanted = tuple(name for name in _EXTRA if name in extra)
-    static = {"sampling": sampling, "steps": steps, "wanted": wanted, "timed": timed}
+    static = {"sampling": sampling, "steps": steps, "wanted": wanted}
     with jax.enable_x64(True):
-        stable, log, slope = in_chunks(functools.partial(_with_slopes, **static), flat, _SIZE)
+        stable, log, slope = in_chunks(partial(_with_slopes, **static), flat, _SIZE)
+        if timed is not None:
+            own, own_slope = in_chunks(partial(_simulated, timed=timed), flat, _SIZE)
+            log = log | {timed.metric: np.where(stable, own, np.nan)}
+            slope = slope | {timed.metric: np.where(stable, own_slope, np.nan)}
     return Exact(
         stable.reshape(shape),
         {name: a.reshape(shape) for name, a in log.items()},
@@ -106,23 +115,37 @@ def evaluate(
 
 @Program
 def _with_slopes(
-    inputs: jax.Array, *, sampling: Sampling, steps: int, wanted: tuple[str, ...], timed: Any
+    inputs: jax.Array, *, sampling: Sampling, steps: int, wanted: tuple[str, ...]
 ) -> tuple[jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
     """Which loops are stable, ln of all metrics, and its slopes; inputs (6 or 8, loops)."""
 
     def logs(inputs: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         """ln of all metrics of loops, shape (loops,), and which loops are stable."""
         kp, kd = jnp.exp(inputs[0]), jnp.exp(inputs[1])
-        found = _metrics(kp, kd, inputs[2:], sampling, steps, wanted, timed)
+        found = _metrics(kp, kd, inputs[2:], sampling, steps, wanted)
         stable = found.pop("stable")
         distance = found.pop("log_gain_to_boundary")
         result = {name: jnp.log(value) for name, value in found.items()}
         return result | {"log_gain_to_boundary": distance}, stable
 
     value, push, stable = jax.linearize(logs, inputs, has_aux=True)
-    # Each loop depends on its own inputs only: one pass for each kind of input does all loops.
-    basis = jnp.eye(len(inputs), dtype=inputs.dtype)[:, :, None] * jnp.ones_like(inputs)[None]
-    return stable, value, jax.vmap(push)(basis)
+    return stable, value, jax.vmap(push)(_each_input(inputs))
+
+
+@Program
+def _simulated(inputs: jax.Array, *, timed: Any) -> tuple[jax.Array, jax.Array]:
+    """ln of what takes simulated time and its slopes; apart, so that goals share the margins."""
+
+    def log(inputs: jax.Array) -> jax.Array:
+        return jnp.log(timed.of_loops(jnp.exp(inputs[0]), jnp.exp(inputs[1]), inputs[2:]))
+
+    value, push = jax.linearize(log, inputs)
+    return value, jax.vmap(push)(_each_input(inputs))
+
+
+def _each_input(inputs: jax.Array) -> jax.Array:
+    """Each loop depends on its own inputs only: one pass for each kind of input does all loops."""
+    return jnp.eye(len(inputs), dtype=inputs.dtype)[:, :, None] * jnp.ones_like(inputs)[None]
 
 
 def _metrics(
@@ -132,35 +155,29 @@ def _metrics(
     sampling: Sampling,
     steps: int,
     wanted: tuple[str, ...],
-    timed: Any,
 ) -> dict[str, jax.Array]:
     """All metrics of a flat batch, with `stable`; the gains' own logarithms are not among them."""
     (mass, wn, zeta, delay), joint = plant[:4], dict(zip(OF_JOINT, plant[4:], strict=False))
     found: Any
     finite = math.isfinite(sampling.velocity_filter)
     cutoff = jnp.full_like(kp, sampling.velocity_filter) if finite else None
-    period, hold = DEFAULT_PERIOD, 0.0
+    extra: dict[str, Callable[[], jax.Array]]
     if sampling.control_period is None:
-        found = margins(JointLoop(kp, kd, mass, wn, zeta, delay, cutoff, **joint))
+        held = JointLoop(kp, kd, mass, wn, zeta, delay, cutoff, **joint)
+        found = margins(held)
+        extra = {"noise_gain": partial(noise_gain, held, DEFAULT_PERIOD),
+                 "bandwidth": partial(bandwidth, held)}  # fmt: skip
     else:
-        period, hold = sampling.control_period, 0.5 * sampling.control_period
+        period = sampling.control_period
         loop = SampledLoop(
             kp, kd, mass, wn, zeta, delay,
             jnp.full_like(kp, period), jnp.full_like(kp, sampling.velocity_filter),
             velocity=sampling.velocity, **joint,
         )  # fmt: skip
         found = sampled_margins(loop, max_delay_steps=steps)
+        extra = {"noise_gain": partial(sampled_noise_gain, loop),
+                 "bandwidth": partial(sampled_bandwidth, loop)}  # fmt: skip
     result = {name: getattr(found, name) for name in _ALWAYS}
-    # The hold delays by half a period: what is defined in continuous time sees it so.
-    held = JointLoop(kp, kd, mass, wn, zeta, delay + hold, cutoff, **joint)
-
-    def settled(value: jax.Array) -> jax.Array:
-        return jnp.where(found.stable, value, jnp.nan)
-
-    if "noise_gain" in wanted:
-        result["noise_gain"] = settled(noise_gain(held, period))
-    if "bandwidth" in wanted:
-        result["bandwidth"] = settled(bandwidth(held))
-    if timed is not None:
-        result[timed.metric] = settled(timed.of_loops(kp, kd, plant))
+    for name in wanted:
+        result[name] = jnp.where(found.stable, extra[name](), jnp.nan)
     return result | {"stable": found.stable}

@@ -182,7 +182,8 @@ def _searched(
     begun = time.perf_counter()
     course = course or Course()
     _check(cases, given, starts)
-    timed = timed_of(cases[0].goal, [case.members for case in cases])
+    plants = [case.members for case in cases]
+    rough, timed = (timed_of(cases[0].goal, plants, use=use) for use in ("descent", "polish"))
     how = how or Descent(steps=STEPS if timed is None else _SIMULATED_STEPS)
     bounds = np.array([joint.log_bounds(case.goal) for case in cases])
     own = (
@@ -195,7 +196,7 @@ def _searched(
         first = np.stack([joint.starts(case, starts) for case in cases])
     if back is not None:
         first = np.concatenate([first, back[:, None]], axis=1)
-    smooth = joint.JointSurrogate(joint.family(cases[0].goal), timed)
+    smooth = joint.JointSurrogate(joint.family(cases[0].goal), rough)
     slower = np.asarray(SLOWER, np.float32)
     course.points += list(first[0])
     course.phase(f"descending from {first.shape[1]} starts")
@@ -223,11 +224,11 @@ def _searched(
     metrics = _metrics_of_all(cases, ends)
     outcomes = []
     for i, case in enumerate(cases):
-        x = ends[i]
+        x, met = ends[i], not lost[i] and metrics[i].has(case.goal.metric)
         own_paths = jax.tree.map(lambda a, i=i: a[i], paths)
         tried = number * len(case.members)
         outcomes.append(
-            Outcome(joint.gains(x), not lost[i], metrics[i], own_paths, tried, steps, begun, effort)
+            Outcome(joint.gains(x), met, metrics[i], own_paths, tried, steps, begun, effort)
         )
     return outcomes
 
@@ -269,8 +270,8 @@ def _judged(
     """What a search has led to, against brute force where that is asked for, and judged."""
     goal, members = case.goal, case.members
     if verify and found.met:
-        timed = timed_of(goal, [members])
-        tried = brute.brute_force(case, timed)
+        timed = timed_of(goal, [members], use="polish")
+        tried = brute.brute_force(case)
         ours = float(joint.problem([case], timed)(np.log([found.gains])).worst_value[0])
         found = replace(
             found, gap=float(np.expm1(max(tried.value - ours, 0.0))),

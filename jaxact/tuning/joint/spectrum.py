@@ -17,15 +17,18 @@ import numpy as np
 
 from jaxact.analysis.joint.frequency import JointLoop, servo_denominator
 from jaxact.analysis.sampled.period_map import SampledLoop
-from jaxact.analysis.sampled.pulse import plant_response, pulse_transfer
+from jaxact.analysis.sampled.pulse import delays, plant_response, pulse_transfer
 from jaxact.compilation.programs import Program
 from jaxact.tuning.joint.ensemble import DEFAULT_PERIOD, PARAMETERS, PLANT, Ensemble, Sampling
+from jaxact.tuning.joint.noise import counted_rate, force_response
 from jaxact.tuning.objective import softmax
 
 POINTS = 144
 # From well below the corner kp/kd of the softest feasible loops to beyond any crossover.
 _LOW, _HIGH = 1e-3, 40.0
 _TINY = 1e-30
+# How much a bandwidth that there is not counts for what is missing to one [-].
+_MISSING = 3.0
 
 
 @jax.tree_util.register_dataclass
@@ -37,17 +40,19 @@ class Spectrum:
         frequency: w [rad/s], ascending, shape (..., points).
         position: Gp as real and imaginary part [m/N], shape (..., 2, points).
         velocity: Gv as the controller sees it, likewise [m/s/N].
-        mass: [kg], shape (...).
+        force: size of the force by command [-], shape (..., points).
+        rate: noise of the velocity by that of the position, likewise [1/s], (..., 2, points).
         period: between readings of the encoder [s], shape (...).
-        joint: its own stiffness and damping, shape (..., 2); of bare masses 0.
+        stiffness: of the joint itself [N/m], shape (...).
     """
 
     frequency: jax.Array
     position: jax.Array
     velocity: jax.Array
-    mass: jax.Array
+    force: jax.Array
+    rate: jax.Array
     period: jax.Array
-    joint: jax.Array
+    stiffness: jax.Array
 
 
 def tabulate(members: Ensemble, scale: np.ndarray, points: int = POINTS) -> Spectrum:
@@ -60,42 +65,48 @@ def tabulate(members: Ensemble, scale: np.ndarray, points: int = POINTS) -> Spec
     w = x / scale[:, None]
     period = members.sampling.control_period
     if period is None:
-        position = _continuous(members, w)
-        velocity = 1j * w / (1.0 + 1j * w / members.sampling.velocity_filter) * position
-        period = DEFAULT_PERIOD
+        position, force = _continuous(members, w)
+        rate = 1j * w / (1.0 + 1j * w / members.sampling.velocity_filter)
+        velocity, period = rate * position, DEFAULT_PERIOD
     else:
         w = np.minimum(w, np.pi / period)
-        position, velocity = _sampled(members, w)
-    parts = (np.stack([g.real, g.imag], axis=1) for g in (position, velocity))
-    joint = np.stack([members.joint_stiffness, members.joint_damping], axis=1)
-    own: Any = (w, *parts, members.mass, np.full(len(members), period), joint)
-    return Spectrum(*own)
+        position, velocity, force, rate = _sampled(members, w)
+    position, velocity, rate = (
+        np.stack([g.real, g.imag], axis=1) for g in (position, velocity, rate)
+    )
+    periods: Any = np.full(len(members), period)
+    own: Any = members.joint_stiffness
+    return Spectrum(w, position, velocity, np.abs(force), rate, periods, own)
 
 
-def _continuous(members: Ensemble, w: np.ndarray) -> np.ndarray:
+def _continuous(members: Ensemble, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gp, and the force by command but for the delay."""
     column = [getattr(members, name)[:, None] for name in PLANT]
     with jax.enable_x64(True):
         real, imaginary = servo_denominator(JointLoop(0.0, 0.0, *column[:4]), w)  # type: ignore[arg-type]
     servo = np.asarray(real) + 1j * np.asarray(imaginary)
     mass, *_, delay, damping, stiffness = column
-    return -np.exp(-1j * w * delay) / ((mass * w * w - stiffness - 1j * w * damping) * servo)
+    plant = mass * w * w - stiffness - 1j * w * damping
+    return -np.exp(-1j * w * delay) / (plant * servo), 1.0 / servo
 
 
-def _sampled(members: Ensemble, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _sampled(members: Ensemble, w: np.ndarray) -> list[np.ndarray]:
     with jax.enable_x64(True):
         bare = not (members.joint_damping.any() or members.joint_stiffness.any())
         names = PARAMETERS if bare else PLANT
         plants = tuple(jnp.asarray(getattr(members, name)) for name in names)
-        both = _pulse_responses(plants, jnp.asarray(w), sampling=members.sampling)
-    return np.asarray(both[0]), np.asarray(both[1])
+        found = _pulse_responses(plants, jnp.asarray(w), sampling=members.sampling)
+    return [np.asarray(each) for each in found]
 
 
 @Program
 def _pulse_responses(plants: tuple[jax.Array, ...], w: jax.Array, *, sampling: Sampling) -> tuple:
-    """From parameters of plants, (n,) each, and frequencies: Gp and Gv, shape (n, points)."""
+    """From parameters of plants, (n,) each, and frequencies: Gp, Gv, the force by command and the
+    velocity's noise, shape (n, points).
+    """
 
-    def one(plant: tuple[jax.Array, ...], w: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Gp and Gv of one plant at its own frequencies."""
+    def one(plant: tuple[jax.Array, ...], w: jax.Array) -> tuple[jax.Array, ...]:
+        """The same of one plant at its own frequencies."""
         period = jnp.asarray(sampling.control_period, w.dtype)
         cutoff = jnp.asarray(sampling.velocity_filter, w.dtype)
         zero = jnp.zeros((), w.dtype)
@@ -105,13 +116,9 @@ def _pulse_responses(plants: tuple[jax.Array, ...], w: jax.Array, *, sampling: S
             **own,  # type: ignore[arg-type]
         )  # fmt: skip
         transfer = pulse_transfer(loop)
-        theta = w * period
-        half = 0.5 * theta
-        u = jax.lax.complex(jnp.cos(theta), -jnp.sin(theta))
-        s = 2.0 * jnp.sin(half) * jax.lax.complex(jnp.sin(half), jnp.cos(half))
-        lag = theta * (transfer.steps + 1.0)
-        hold = jax.lax.complex(jnp.cos(lag), -jnp.sin(lag))
-        return plant_response(transfer, u, s, hold)
+        u, s, hold = delays(transfer, w * period)
+        both = plant_response(transfer, u, s, hold)
+        return *both, force_response(loop, u), counted_rate(transfer, s)
 
     return jax.vmap(one)(plants, w)
 
@@ -184,10 +191,10 @@ def log_metrics(
     if "delay_margin" in names:
         found["delay_margin"] = _log_delay_margin(spectrum.frequency, real, imaginary, gain)
     if "noise_gain" in names:
-        found["noise_gain"] = _log_noise_gain(spectrum, gain / (plus + _TINY))
+        found["noise_gain"] = _log_noise_gain(spectrum, kp, kd, plus)
     if "bandwidth" in names:
         found["bandwidth"] = _log_bandwidth(spectrum, kp, plus)
-    return found, is_stable(real, imaginary, spectrum.joint[0])
+    return found, is_stable(real, imaginary, spectrum.stiffness)
 
 
 def _log_gain_margin(real: jax.Array, imaginary: jax.Array) -> jax.Array:
@@ -216,19 +223,23 @@ def _log_delay_margin(
     return jnp.min(jnp.where(passes, delays, 20.0))
 
 
-def _log_noise_gain(spectrum: Spectrum, square: jax.Array) -> jax.Array:
-    """ln of `jaxact.tuning.joint.noise.noise_gain` from |T|^2 on the table."""
+def _log_noise_gain(spectrum: Spectrum, kp: jax.Array, kd: jax.Array, plus: jax.Array) -> jax.Array:
+    """ln of `jaxact.tuning.joint.noise.noise_gain` from |1 + L|^2 on the table."""
     w = spectrum.frequency
     top = jnp.pi / spectrum.period
-    stiffness, damping = spectrum.joint
-    force = ((spectrum.mass * w * w - stiffness) ** 2 + (damping * w) ** 2) * square
+    control = (kp + kd * spectrum.rate[0]) ** 2 + (kd * spectrum.rate[1]) ** 2
+    force = spectrum.force**2 * control / (plus + _TINY)
     inside = jnp.clip((jnp.minimum(w[1:], top) - w[:-1]) / jnp.maximum(w[1:] - w[:-1], _TINY), 0, 1)
     area = jnp.sum(0.5 * (force[1:] + force[:-1]) * (w[1:] - w[:-1]) * inside)
     return 0.5 * jnp.log(spectrum.period / (12.0 * jnp.pi) * area + _TINY)
 
 
 def _log_bandwidth(spectrum: Spectrum, kp: jax.Array, plus: jax.Array) -> jax.Array:
-    """ln of the first frequency with |kp Gp / (1 + L)| < 1/sqrt(2), interpolated."""
+    """ln of the first frequency with |kp Gp / (1 + L)| < 1/sqrt(2), interpolated.
+
+    Where a spring keeps it below that from the beginning it falls with what is missing, so that
+    the descent leads to where there is a bandwidth.
+    """
     size = jnp.sum(spectrum.position**2, axis=0)
     excess = jnp.log(kp) + 0.5 * (jnp.log(size + _TINY) - jnp.log(plus + _TINY) + jnp.log(2.0))
     below = excess < 0.0
@@ -236,4 +247,6 @@ def _log_bandwidth(spectrum: Spectrum, kp: jax.Array, plus: jax.Array) -> jax.Ar
     before, after = excess[first - 1], excess[first]
     part = before / jnp.where(before == after, 1.0, before - after)
     logs = jnp.log(spectrum.frequency)
-    return logs[first - 1] + jnp.clip(part, 0.0, 1.0) * (logs[first] - logs[first - 1])
+    found = logs[first - 1] + jnp.clip(part, 0.0, 1.0) * (logs[first] - logs[first - 1])
+    found = jnp.where(jnp.any(below), found, logs[-1])
+    return jnp.where(excess[0] > 0.0, found, logs[0] + _MISSING * excess[0])
