@@ -20,16 +20,21 @@ W = np.geomspace(0.05, 3000.0, 4000)
 
 
 def _of_grid(kp, kd, damping, stiffness):
-    """Bandwidth and larger peak of every loop, on a dense axis; 0 where it follows nothing."""
+    """Bandwidth and larger peak of every loop, on a dense axis; 0 where it follows nothing.
+
+    An unstable one has no bandwidth: the phase of its characteristic turns by less than 2 pi.
+    """
     m, wn, zeta, delay = SPRUNG
     s, kp, kd = 1j * W, kp[:, None], kd[:, None]
-    unit = np.exp(-s * delay) / (1 + 2 * zeta * s / wn + (s / wn) ** 2)
-    unit = unit / (m * s * s + damping * s + stiffness)
+    plant = (1 + 2 * zeta * s / wn + (s / wn) ** 2) * (m * s * s + damping * s + stiffness)
+    unit = np.exp(-s * delay) / plant
     loop = (kp + kd * s) * unit
     below = np.abs(kp * unit / (1 + loop)) < np.sqrt(0.5)
     peak = np.maximum(np.abs(1 / (1 + loop)), np.abs(loop / (1 + loop))).max(axis=1)
     first = W[np.argmax(below, axis=1)]
-    return np.where(below[:, 0], 0.0, first), peak
+    turned = np.unwrap(np.angle(plant * (1 + loop)), axis=1)
+    stable = np.abs(turned[:, -1] - turned[:, 0] - 2.0 * np.pi) < 1.0
+    return np.where(below[:, 0] | ~stable, 0.0, first), peak
 
 
 @pytest.mark.parametrize(("kp", "kd"), [(297.6, 17.66), (240.0, 17.0), (60.0, 14.0)])
