@@ -269,6 +269,19 @@ def test_tuned_gains_keep_their_bound_where_the_robot_sags(folder):
     assert float(missed.sensitivity_peak) > 1.01 * 1.72
 
 
+@pytest.mark.exhaustive
+def test_gains_are_not_certified_where_a_force_limit_does_not_bear_the_payload(folder):
+    """Weight of up to 1.5 kg more at the end of the rod, whose angle hardly changes its torque."""
+    need = (MASS + 1.5) * GRAVITY * LENGTH * np.sin(0.3)
+    for limit, certified in ((0.8 * need, False), (2.0 * need, True)):
+        loop = jx.robot(
+            folder / "rod.xml", keyframe="home", payload_body="hand", force_limit=limit, delay=2e-3
+        )
+        tuned = jx.tune(loop, max_peak=1.6, min_kp=200.0, uncertainty={"payload": (0.0, 1.5)})
+        assert tuned.certified == certified
+        assert ("j would have to bear" in tuned.verdict) == (not certified)
+
+
 def test_the_world_carries_no_payload(folder):
     with pytest.raises(jx.UserError, match="'world': no such body.*rod, hand"):
         jx.margins(jx.robot(folder / "rod.xml", payload_body="world", payload=1.0, kp=9.0, kd=1.0))

@@ -67,14 +67,16 @@ def moved(
     return np.stack([a for a, _ in found])[which], np.stack([b for _, b in found])[which]
 
 
-def rests(case: Case, setting: Setting, values: Values) -> list[Rest]:
+def rests(
+    case: Case, setting: Setting, values: Values, stiffness: np.ndarray | None = None
+) -> list[Rest]:
     """Where every sample rests that its model is linearised at, as `moved`; see there.
 
     The residual is that of the robot as it is linearised, without dry friction unless that sticks.
     """
     case, setting = kernel.linear_part(case, setting)
     found = []
-    for row in _rows(case, setting, values, None):
+    for row in _rows(case, setting, values, stiffness):
         own = tuple(row.tolist())
         scene = robots.linearised(_placed(case, setting, own), setting.plant)
         found.append(replace(_resting(case, setting, own), posture=scene.posture))

@@ -61,6 +61,7 @@ class Certificate:
         gap: how much better brute force did, relative, None if not asked for.
         notes: what else is worth knowing, in sentences.
         valued: the objective has a value for every member.
+        unheld: a member of a robot that does not rest with the gains, and why; "" for none.
     """
 
     stable: bool
@@ -74,12 +75,13 @@ class Certificate:
     gap: float | None = None
     notes: tuple[str, ...] = field(default=())
     valued: bool = True
+    unheld: str = ""
 
     @property
     def met(self) -> bool:
         """Whether everything asked for holds, for every member, corner and interior point."""
         inside = self.interior is None or self.interior <= MET
-        held = self.stable and self.bounds_met and inside and self.valued
+        held = self.stable and self.bounds_met and inside and self.valued and not self.unheld
         return held and all(check.met for check in self.checks)
 
 

@@ -73,6 +73,8 @@ class Situation:
         box: what is uncertain.
         opener: from the stiffness that members rest with [N/m or N m/rad], shape (joints,), to
             `opened`; infinite for joints that hold their positions.
+        leaves: from values of `keys` and such a stiffness to why the member does not rest with it,
+            in words; "" where it does.
         opened: from values of `keys`, shape (keys,), to a loop
             (`jaxact.simulation.robot_loop.OpenMap`) and its inertias, compiled.
         keys: parameters that vary.
@@ -93,6 +95,7 @@ class Situation:
     payload_body: str
     box: Box
     opener: Callable[[np.ndarray], Callable[[np.ndarray], Opened]]
+    leaves: Callable[[np.ndarray, np.ndarray], str]
     opened: Callable[[np.ndarray], Opened]
     keys: tuple[str, ...]
     places: np.ndarray
@@ -150,6 +153,11 @@ def situation(specification: Specification, name: str, box: Box = KNOWN) -> Situ
     def opener(kp: np.ndarray) -> Callable[[np.ndarray], Opened]:
         return _opener(plan.case, specification.setting, nominal, keys, kp)
 
+    def leaves(row: np.ndarray, kp: np.ndarray) -> str:
+        own = nominal | dict(zip(keys, row.tolist(), strict=True))
+        one = {key: np.full(1, value) for key, value in own.items()}
+        return changed_models.rests(plan.case, specification.setting, one, kp)[0].leaves
+
     opened = opener(np.full(shape, np.inf))
     period = 1.0 / nominal[parameters.CONTROL_RATE]
     gains = drives[0].controller
@@ -169,6 +177,7 @@ def situation(specification: Specification, name: str, box: Box = KNOWN) -> Situ
         payload_body=scene.carrier,
         box=box,
         opener=opener,
+        leaves=leaves,
         opened=opened,
         keys=keys,
         places=places,

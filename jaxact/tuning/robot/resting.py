@@ -105,3 +105,15 @@ def settled(
         was_met = again.found.met
         best = replace(again, case=replace(again.case, goal=goal), known=None)
     return best, there
+
+
+def unheld(loops: OpenLoops, situations: Sequence[Situation], kp: np.ndarray) -> str:
+    """The first member that does not rest with a stiffness, and why, in words; "" for none.
+
+    Its linear loop says nothing of it where a limit of the force is too low for its weight.
+    """
+    for fraction, name, place in zip(loops.fraction, loops.names, loops.situation, strict=True):
+        one = situations[place]
+        if one.gives_way and (why := one.leaves(one.values(fraction[None])[0], kp)):
+            return f"{one.name}, {name}: {why}"
+    return ""

@@ -128,7 +128,7 @@ def _judged_at_rest(
     """What the search has led to, judged where every member rests with its gains."""
     there, moved = resting.settled(best, situations, seed, course)
     tuned = judge(moved, there, seed, **own)
-    if not best.found.met or tuned.certified:
+    if not best.found.met or tuned.certified or tuned.certificate.unheld:
         return tuned
     why = (
         "gains were found that meet the constraints where stiff joints would hold the members, "
@@ -223,13 +223,23 @@ def judge(
     tuned = judged(
         case.goal, loops, outcome, look, start=start, inside=inside, score=score, robot=robot
     )
-    tuned = _blamed(tuned, case.groups.joints)
+    tuned = _held(_blamed(tuned, case.groups.joints), *there((tuned.kp, tuned.kd)))
     if term is None or aside is None:
         return tuned
     x = case.groups.log_gains(tuned.kp, tuned.kd)
     before = None if start is None else case.groups.log_gains(*start)
     tracked = term.tracked(case.stable, x, aside, before)
     return replace(tuned, robot=replace(robot, tracked=tracked))
+
+
+def _held(tuned: Tuned, case: RobotCase, situations: Sequence[Situation]) -> Tuned:
+    """The same; not certified where a member does not rest with the gains."""
+    why = resting.unheld(case.table.loops, situations, tuned.kp)
+    if not (why and tuned.certified):
+        return tuned
+    certificate = replace(tuned.certificate, unheld=why)
+    words = f"not every member rests with these gains ({why})"
+    return replace(tuned, certificate=certificate, verdict=words)
 
 
 def _blamed(tuned: Tuned, joints: Sequence[str]) -> Tuned:
