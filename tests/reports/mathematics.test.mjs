@@ -140,6 +140,22 @@ test("a peak of |S| among many heights of nearly 1 is found in every window", ()
   }
 });
 
+test("what is no number at the resonance of an undamped joint hides no peak", () => {
+  const p = { ...BARE, mass: 0.166, joint_stiffness: 19.2, wn: 75, zeta: 1 };
+  const [kp, kd] = [0.425, 5.79];
+  let highest = 0;
+  for (let w = 0.005; w < 300; w += 0.01) {
+    // 2 |S - 1/2| = |D - N| / |D + N|, L = N / D
+    const free = 19.2 - 0.166 * w * w;
+    const [re, im] = [free * (1 - (w / 75) ** 2), (free * 2 * w) / 75];
+    highest = Math.max(highest, Math.hypot(re - kp, im - kd * w) / Math.hypot(re + kp, im + kd * w));
+  }
+  for (const factor of [3, 10, 30, 100]) {
+    const { loop, cached } = prepared(continuousLoop, p, kp, kd, factor);
+    near(margins(loop, cached, kp, kd).disk_margin, 2 / highest, `window ${factor}`);
+  }
+});
+
 test("exp(A) - 1 of a rotation, however large and small", () => {
   for (const x of [1e-9, 0.3, 7, 40]) {
     const [[a, b]] = exponentialLessOne([

@@ -159,8 +159,7 @@ function highest(loop, kp, grid, L, at, crossings) {
     const values = points.map((one) => height(one.L));
     const tops = values
       .map((value, i) => ({ value, i }))
-      .filter(({ value, i }) => !(values[i - 1] > value) && !(values[i + 1] > value))
-      .sort((a, b) => b.value - a.value);
+      .filter(({ value, i }) => !(values[i - 1] > value) && !(values[i + 1] > value));
     const refined = tops.map(({ i }) => {
       const slope = (w) => SLOPES[which](at(w));
       const [low, high] = [
@@ -170,7 +169,9 @@ function highest(loop, kp, grid, L, at, crossings) {
       const w = slope(low) > 0 && slope(high) < 0 ? crossing(slope, low, high) : points[i].w;
       return { w, height: height(at(w)) };
     });
-    const best = refined.reduce((a, b) => (a.height > b.height ? a : b));
+    // At the resonance of an undamped joint there is no number.
+    const numbers = refined.filter((one) => !Number.isNaN(one.height));
+    const best = numbers.reduce((a, b) => (a.height > b.height ? a : b));
     return limited(loop, which, best, still[which]);
   });
 }
