@@ -201,10 +201,28 @@ def sprung():
     return found
 
 
-@pytest.mark.exhaustive
-def test_the_delay_at_which_a_loop_is_first_lost_though_it_returns_soon_after(sprung):
-    """Between 1.268 s and 1.409 s of more delay |L| passes 1 at a resonance beyond Nyquist."""
-    kp, kd, c, k = 3.660124437732472, 0.6505597026056574, 0.3086347764666271, 23.006307083143888
+@pytest.mark.parametrize(
+    ("gains", "joint", "between"),
+    [
+        # Until 1.409 s of delay |L| passes 1 at a resonance beyond Nyquist.
+        (
+            (3.660124437732472, 0.6505597026056574),
+            (0.3086347764666271, 23.006307083143888),
+            (1.2, 1.3),
+        ),
+        # Until 11.18 s: where |L| is flat, a part of a period moves its crossover far.
+        (
+            (5.406500357788654, 2.168483765172794),
+            (10.84241882586397, 4.86487330836929),
+            (10.9, 11.1),
+        ),
+    ],
+    ids=["resonance", "flat"],
+)
+def test_the_delay_at_which_a_loop_is_first_lost_though_it_returns_soon_after(
+    sprung, gains, joint, between
+):
+    (kp, kd), (c, k) = gains, joint
     found = sprung(*([value] for value in (kp, kd, 1.0, np.inf, 1.0, 0.0, c, k)))
 
     def radius(delay):
@@ -227,7 +245,7 @@ def test_the_delay_at_which_a_loop_is_first_lost_though_it_returns_soon_after(sp
         matrix[3:, 2:-1] += np.eye(size - 3)
         return np.abs(np.linalg.eigvals(matrix)).max()
 
-    first = scipy.optimize.brentq(lambda delay: radius(delay) - 1.0, 1.2, 1.3)
+    first = scipy.optimize.brentq(lambda delay: radius(delay) - 1.0, *between)
     assert all(radius(delay) < 1.0 for delay in np.linspace(0.0, first - 1e-6, 40))
     np.testing.assert_allclose(found.delay_margin[0], first, rtol=1e-9)
 

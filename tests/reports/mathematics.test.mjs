@@ -106,6 +106,56 @@ test("sampled loops of the oracle", () => {
   });
 });
 
+test("the delay margin of sampled loops whose crossover moves within a control period", () => {
+  // Where the spectral radius of matrix exponentials passes 1; the first loop returns soon after.
+  const flat = { mass: 3.2451791882392436, joint_damping: 986.9419349462918 };
+  const held = { joint_stiffness: 12421.204122554882, control_rate: 28.04960442563503 };
+  const servo = { mass: 0.64036963452021, wn: 261.0555363394181, zeta: 0.7429653162214783 };
+  const late = { joint_stiffness: 8252.292712094288, control_rate: 20.382883155007505 };
+  for (const [own, kp, kd, margin] of [
+    [{ ...flat, ...held, delay: 0.000322232153259587 }, 13804.109639860151, 197.38838698925835, 0.391312],
+    [{ ...servo, ...late, delay: 0.007774095645005471 }, 1618.9270880632919, 10.886257256768877, 0.0210078],
+  ]) {
+    const { loop, cached } = prepared(sampledLoop, { ...BARE, ...own }, kp, kd);
+    const far = margins(loop, cached, kp, kd).delay_margin / margin - 1;
+    assert.ok(Math.abs(far) < 3e-6, `${margin}: ${far}`);
+  }
+});
+
+test("a peak of |S| among many heights of nearly 1 is found in every window", () => {
+  const p = { ...BARE, mass: 0.05848851059478379, wn: 1443.5689577321787, zeta: 0.5690908464288064 };
+  const [kp, kd, k] = [0.9685160928879101, 5.802455000485818, 545.5333825625895];
+  let highest = 0;
+  for (let w = 900; w < 980; w += 0.01) {
+    // 1 / S - 1 = (kp + kd s) / (m s^2 + k) A(s)
+    const [re, im] = [1 - (w / p.wn) ** 2, (2 * p.zeta * w) / p.wn];
+    const bottom = (k - p.mass * w * w) * (re * re + im * im);
+    const [lr, li] = [(kp * re + kd * w * im) / bottom, (kd * w * re - kp * im) / bottom];
+    highest = Math.max(highest, 1 / Math.hypot(1 + lr, li));
+  }
+  for (const factor of [3, 10, 30, 100]) {
+    const own = { ...p, joint_stiffness: k };
+    const { loop, cached } = prepared(continuousLoop, own, kp, kd, factor);
+    near(margins(loop, cached, kp, kd).sensitivity_peak, highest, `window ${factor}`);
+  }
+});
+
+test("what is no number at the resonance of an undamped joint hides no peak", () => {
+  const p = { ...BARE, mass: 0.166, joint_stiffness: 19.2, wn: 75, zeta: 1 };
+  const [kp, kd] = [0.425, 5.79];
+  let highest = 0;
+  for (let w = 0.005; w < 300; w += 0.01) {
+    // 2 |S - 1/2| = |D - N| / |D + N|, L = N / D
+    const free = 19.2 - 0.166 * w * w;
+    const [re, im] = [free * (1 - (w / 75) ** 2), (free * 2 * w) / 75];
+    highest = Math.max(highest, Math.hypot(re - kp, im - kd * w) / Math.hypot(re + kp, im + kd * w));
+  }
+  for (const factor of [3, 10, 30, 100]) {
+    const { loop, cached } = prepared(continuousLoop, p, kp, kd, factor);
+    near(margins(loop, cached, kp, kd).disk_margin, 2 / highest, `window ${factor}`);
+  }
+});
+
 test("exp(A) - 1 of a rotation, however large and small", () => {
   for (const x of [1e-9, 0.3, 7, 40]) {
     const [[a, b]] = exponentialLessOne([

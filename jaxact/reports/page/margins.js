@@ -1,11 +1,10 @@
 // All stability margins of a loop, exact: crossovers and peaks are found on the grid and refined.
 
 import { openLoop } from "./frequencies.js";
-import { sampledLoop } from "./loops.js";
 import { unstableRoots } from "./roots.js";
+import { sampledDelayLeft } from "./sampled_delay.js";
 
 const TURN = 2 * Math.PI;
-const PEAKS = 4;
 // Factors below it are rounding: at rest the loop gain of a free joint is infinite.
 const NO_FACTOR = 1e-12;
 
@@ -55,34 +54,20 @@ export function margins(loop, cached, kp, kd) {
   return {
     stable: unstable === 0,
     unstable_roots: unstable,
-    ...read(loop, gain, factors, peaks, at, (one) => delayLeft(loop, kp, kd, one)),
+    ...read(loop, gain, factors, peaks, at, (angles) =>
+      unstable === 0 ? delayLeft(loop, kp, kd, w, angles) : NaN,
+    ),
   };
 }
 
-/**
- * The delay [s] that is left at a gain crossover.
- *
- * In a sampled loop a part of a period also changes |L|: what the phase leaves is added, and the
- * crossover looked up again, until nothing is left.
- */
-function delayLeft(loop, kp, kd, { w, angle }) {
-  const phase = (angle < 0 ? angle + TURN : angle) / w;
-  if (!loop.sampled) return phase;
-  const p = loop.parameters;
-  let [at, left] = [w, phase];
-  for (let i = 0; i < 60; i++) {
-    const later = sampledLoop({ ...p, delay: p.delay + left });
-    for (let j = 0; j < 6; j++) {
-      const L = openLoop(later, kp, kd, at);
-      at = Math.min(at - logGain(L) / gainSlope(L), loop.end);
-    }
-    const L = openLoop(later, kp, kd, at);
-    const more = Math.atan2(-L.im, -L.re) / at;
-    left += more;
-    if (!(left > 0) || !(Math.abs(logGain(L)) < 1e-6)) return phase;
-    if (Math.abs(more) < 1e-13 * left) break;
+/** The delay [s] that is left: of the phase at a gain crossover, if no control period matters. */
+function delayLeft(loop, kp, kd, grid, angles) {
+  if (loop.sampled) {
+    const gain = angles.map((one) => one.w);
+    return sampledDelayLeft(loop, kp, kd, grid, gain, { crossing, crossovers });
   }
-  return left;
+  const left = angles.map(({ w, angle }) => (angle < 0 ? angle + TURN : angle) / w);
+  return Math.min(Infinity, ...left);
 }
 
 function read(loop, gain, factors, peaks, at, delay) {
@@ -91,7 +76,6 @@ function read(loop, gain, factors, peaks, at, delay) {
     return { w, angle: Math.atan2(-im, -re) };
   });
   const nearest = smallest(angles, ({ angle }) => Math.abs(angle));
-  const delays = angles.map(delay);
   const up = smallest(
     factors.filter(({ factor }) => factor > 1),
     ({ factor }) => factor,
@@ -106,7 +90,7 @@ function read(loop, gain, factors, peaks, at, delay) {
     phase_crossover: up ? up.w : Infinity,
     phase_margin: nearest ? nearest.angle : Infinity,
     gain_crossover: nearest ? nearest.w : Infinity,
-    delay_margin: Math.min(Infinity, ...delays),
+    delay_margin: delay(angles),
     sensitivity_peak: Ms.height,
     sensitivity_peak_frequency: Ms.w,
     complementary_peak: Mt.height,
@@ -175,9 +159,7 @@ function highest(loop, kp, grid, L, at, crossings) {
     const values = points.map((one) => height(one.L));
     const tops = values
       .map((value, i) => ({ value, i }))
-      .filter(({ value, i }) => !(values[i - 1] > value) && !(values[i + 1] > value))
-      .sort((a, b) => b.value - a.value)
-      .slice(0, PEAKS);
+      .filter(({ value, i }) => !(values[i - 1] > value) && !(values[i + 1] > value));
     const refined = tops.map(({ i }) => {
       const slope = (w) => SLOPES[which](at(w));
       const [low, high] = [
@@ -187,7 +169,9 @@ function highest(loop, kp, grid, L, at, crossings) {
       const w = slope(low) > 0 && slope(high) < 0 ? crossing(slope, low, high) : points[i].w;
       return { w, height: height(at(w)) };
     });
-    const best = refined.reduce((a, b) => (a.height > b.height ? a : b));
+    // At the resonance of an undamped joint there is no number.
+    const numbers = refined.filter((one) => !Number.isNaN(one.height));
+    const best = numbers.reduce((a, b) => (a.height > b.height ? a : b));
     return limited(loop, which, best, still[which]);
   });
 }
