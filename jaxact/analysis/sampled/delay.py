@@ -6,7 +6,7 @@ leaves at the loop's own crossovers is exact for whole periods only, and near th
 off by as much as half. From starts that take this into account (`delay_starts`) Newton finds
 L(theta, delay) = -1 in both unknowns. At z = -1 a single root passes: L is real there, and the
 delay is the only unknown. The least delay that is found is the limit, and there the root has to
-leave the unit circle: one that comes back has left before, and such a loop is marked.
+leave the unit circle: one that comes back has left before, so that the limit is not known.
 """
 
 from __future__ import annotations
@@ -43,10 +43,9 @@ class DelayLimit:
 
     Attributes:
         theta: [rad].
-        delay: the whole delay there [periods], inf if there is none.
+        delay: the whole delay there [periods]; inf if there is none, NaN if it is not known.
         by_theta, by_delay: derivatives of ln(-L) there, by the delay in periods.
-        overflow: bool, there were more crossovers than slots, or an earlier limit was missed, as
-            the root comes back there.
+        overflow: bool, there were more crossovers than slots.
     """
 
     theta: jax.Array
@@ -91,23 +90,22 @@ def delay_limits(loops: SampledLoop, transfers: PulseTransfer, found: Found) -> 
         )
 
     first = none, jnp.full_like(own, jnp.inf), *slopes
-    limit = jax.lax.fori_loop(0, number, tried, first)
+    limit = DelayLimit(*jax.lax.fori_loop(0, number, tried, first), overflow)
     # |z| = exp(-Im theta), and theta moves by -by_delay / by_theta.
-    returns = jnp.isfinite(limit[1]) & ((limit[3] / limit[2]).imag < 0.0)
-    return DelayLimit(*limit, overflow | returns)
+    returns = jnp.isfinite(limit.delay) & ((limit.by_delay / limit.by_theta).imag < 0.0)
+    return replace(limit, delay=jnp.where(returns, jnp.nan, limit.delay))
 
 
 @jax.custom_jvp
 def added_delay(loop: SampledLoop, limit: DelayLimit) -> jax.Array:
-    """The delay that is left [s], with the derivative of the implicit function.
+    """The delay that is left [s], NaN if not known; with the derivative of the implicit function.
 
     Args:
         loop: live, fields scalar.
         limit: of it.
     """
-    return jnp.where(
-        jnp.isfinite(limit.delay), limit.delay * loop.control_period - loop.delay, jnp.inf
-    )
+    left = limit.delay * loop.control_period - loop.delay
+    return jnp.where(jnp.isposinf(limit.delay), jnp.inf, left)
 
 
 @added_delay.defjvp

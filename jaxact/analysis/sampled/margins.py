@@ -45,7 +45,8 @@ class SampledMargins(Margins):
     Those of `Margins`, and more. Unstable roots are eigenvalues of the one-period matrix that are
     not inside the unit circle. Where |L| > 1 up to the Nyquist frequency there is no gain
     crossover: its frequency and the phase margin are inf. `log_gain_to_boundary` of an unstable
-    loop is -inf where no factor on the gains helps.
+    loop is -inf where no factor on the gains helps. A delay margin is NaN, too, where a loss of
+    stability was found that is not the first, which was missed: it is not known.
 
     Attributes:
         spectral_radius: largest |eigenvalue| over one control period [-].
