@@ -39,7 +39,7 @@ from jaxact.tuning.robot.descent import (  # fmt: skip
 )
 from jaxact.tuning.robot.exact import Exact, exact, leading
 from jaxact.tuning.robot.exchange import Candidate, exchanged, inside_worse
-from jaxact.tuning.robot.loops import Situation
+from jaxact.tuning.robot.loops import Situation, integrated
 from jaxact.tuning.robot.open_loops import OpenLoops, open_loops
 from jaxact.tuning.robot.peaks import tabulate
 from jaxact.tuning.robot.rows import Found, RobotCase, more, polished
@@ -181,8 +181,7 @@ def judge(
         start: gains of the joints to be no worse than.
         gap: to brute force, None where that was not asked for.
         aside: log-gains that the margins alone led to.
-        note: how the search was interrupted, "" where it was not. The worst interior point of the
-            start is then not looked for.
+        note: how the search was interrupted, "" where it was not; the start is then not climbed.
     """
     case, found = best.case, best.found
     loops, term = case.table.loops, case.tracking
@@ -217,7 +216,7 @@ def judge(
     outcome = Outcome(
         case.groups.gains(found.x), found.met, known, paths or no_path(found.x), found.evaluations,
         found.steps, time.perf_counter() if begun is None else begun, effort, best.interior, gap,
-        interrupted=note,
+        integrated(situations), interrupted=note,
     )  # fmt: skip
     robot = OfRobot(tuple(situations), case)
     tuned = judged(
