@@ -108,6 +108,18 @@ def test_what_shakes_says_where_it_stops(tmp_path, toppling):
     assert "shakes" not in inside.verdict
 
 
+def test_what_stops_shaking_is_the_mode_that_shakes(tmp_path, toppling):
+    """With a delay of whole periods, of which parts are taken: more commands matter then."""
+    changes = toppling.margins.changes
+    later = changes.more_delay.value
+    for periods in np.ceil(1e3 * later) + np.array([1, 4]):
+        less = found(tmp_path, f"delay={1e-3 * periods}", "kp@upright=100").margins
+        less = less.changes.less_delay
+        assert less.value == pytest.approx(1e-3 * periods - later, rel=2e-2)
+        assert less.frequency == pytest.approx(changes.more_delay.frequency, rel=2e-2)
+        assert less.participation[1] > 0.999
+
+
 def test_both_are_said(tmp_path, toppling):
     later = toppling.margins.changes.more_delay.value
     margins = found(tmp_path, f"delay={1.2 * later}").margins

@@ -112,7 +112,7 @@ def changes(
 
 def _at(robot: Robot, matrices: Matrices, value: float, *, swing: bool) -> Change:
     """The motion nearest to the unit circle of a loop that is marginal."""
-    kept = joined(robot.matrices)
+    kept = joined(matrices)  # other ones than without the change where it is one of the delay
     roots, vectors = scipy.linalg.eig(matrices[0][np.ix_(kept, kept)])
     fitting = (np.abs(np.angle(roots)) > _STILL) == swing
     number = int(np.argmin(np.where(fitting, np.abs(np.abs(roots) - 1.0), np.inf)))
