@@ -22,3 +22,9 @@ def test_the_structure_keeps_its_bounds(tool):
         text=True,
     )
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_names_of_test_files_are_unique():
+    """Pytest imports tests by their bare name: of two alike, one is not collected."""
+    names = [path.name for path in Path(__file__).parent.rglob("test_*.py")]
+    assert sorted(names) == sorted(set(names))
