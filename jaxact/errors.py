@@ -28,15 +28,16 @@ class UserError(Exception):
     """
 
 
-def nearest(given: object, known: Iterable[str]) -> str:
+def nearest(given: object, known: Iterable[str], also: Iterable[str] = ()) -> str:
     """`did you mean 'zeta'? allowed: kp, kd, ...`: what to write instead of an unknown name.
 
     Args:
         given: what was written.
         known: the names that are allowed.
+        also: others that are allowed too, and named only where one of them is meant.
     """
     names = list(known)
-    close = difflib.get_close_matches(str(given).casefold(), names, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(str(given).casefold(), [*names, *also], n=1, cutoff=0.5)
     hint = f"did you mean '{close[0]}'? " if close else ""
     return f"{hint}allowed: {', '.join(names)}"
 

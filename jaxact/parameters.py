@@ -289,11 +289,11 @@ PRESETS: dict[str, tuple[float, float]] = {
     "starleth": (110.0, 0.9),
 }
 
-_ALIASES = {parameter.long_name.replace(" ", "_"): parameter.name for parameter in _TABLE} | {
+ALIASES = {parameter.long_name.replace(" ", "_"): parameter.name for parameter in _TABLE} | {
     "effort_limit": FORCE_LIMIT,
     "added_joint_damping": JOINT_DAMPING,
     INERTIA: MASS,
-}
+}  # short names by the others
 
 LINEAR = (KP, KD, MASS, *OF_DRIVES, VELOCITY_FILTER, *OF_JOINT)
 """What the stability of a linear loop depends on, beside its control rate."""
@@ -302,7 +302,7 @@ LINEAR = (KP, KD, MASS, *OF_DRIVES, VELOCITY_FILTER, *OF_JOINT)
 def canonical(key: str) -> str:
     """The key with the short name of a parameter given by either name; any other key as it is."""
     name, at, pattern = key.partition("@")
-    return (name if name in PARAMETERS else _ALIASES.get(name, name)) + at + pattern
+    return (name if name in PARAMETERS else ALIASES.get(name, name)) + at + pattern
 
 
 def base(key: str) -> str:

@@ -57,6 +57,12 @@ def test_pictures_of_one_joint_import_matplotlib_and_no_simulator(tmp_path):
 
 
 @pytest.mark.exhaustive
+def test_tuning_one_joint_imports_neither_pictures_nor_robots():
+    used = imported("tune", "--actuator", "hyq", "--delay", "2e-3", "--max-peak", "1.6")
+    assert used == {"jax", "optax"} | ALGEBRA
+
+
+@pytest.mark.exhaustive
 def test_the_simulation_of_one_joint_imports_no_simulator_of_robots(tmp_path):
     out = str(tmp_path / "picture.png")
     found = imported("simulate", "--actuator", "hyq", "--duration", "0.02", "--out", out)

@@ -271,8 +271,7 @@ def main(
             if search.pareto:
                 document.setdefault("pareto", [])
             if out is not None:
-                with _folders.whole_folder(out) as folder:
-                    result.write(folder, document, shlex.join(["jaxact", *sys.argv[1:]]))
+                _write(result, document, out)
             return result, document
 
         result, document = _signals.to_the_end(reported)
@@ -303,18 +302,28 @@ def _phases(robot: Robot, whole: bool) -> list[str]:
 
 def _held_against(best: Tuned, seconds: float, phase: Told) -> tuple[Tuned, Rollouts | None]:
     """The gains, and rollouts with them; none where they are not wanted, or interrupted."""
-    from jaxact.tuning.rollouts import validation
-
     left_out = "the rollouts are left out"
     _signals.keep(_AT_ONCE)
     if best.interrupted:
         _signals.accept()
         return best.stopped(left_out) if seconds else best, None
+    if not seconds:
+        return best, None
+    from jaxact.tuning.rollouts import validation
+
     try:
-        return best, validation.rollouts(best, seconds, phase) if seconds else None
+        return best, validation.rollouts(best, seconds, phase)
     except KeyboardInterrupt:
         _signals.accept()
         return best.stopped(f"interrupted while simulating: {left_out}"), None
+
+
+def _write(result: Any, document: dict[str, Any], out: Path) -> None:
+    """The folder of a result; pictures are imported only for it."""
+    from jaxact.verbs import tuning_folder
+
+    with _folders.whole_folder(out) as folder:
+        tuning_folder.write(result, folder, document, shlex.join(["jaxact", *sys.argv[1:]]))
 
 
 def _say_more(strength: float, out: Path | None) -> None:

@@ -147,7 +147,8 @@ def drive_around(
             `jaxact.robot`, the driven joints' in their order; setpoints beyond what a position
             servo of its model accepts are clamped there.
         measure: state -> joint positions [m or rad] and velocities, shape (joints,) each.
-        physics_step: of the simulator [s]; the control period is a multiple of it.
+        physics_step: that `step` takes [s], which nothing here can check (of MuJoCo
+            `model.opt.timestep`); the control period is a multiple of it.
         joints: number of driven joints, None for a robot's own, and otherwise for a single one
             whose quantities have no axis.
         longest: where values of `loop` are traced or change later: a loop with the longest delays

@@ -11,6 +11,7 @@ import numpy as np
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops.checks import JOINT_ONLY
 from jaxact.parameters import (
+    ALIASES,
     INERTIA,
     PARAMETERS,
     PRESETS,
@@ -111,7 +112,9 @@ def _checked(name: str, value: Any, said: str, *, robot: bool, unit: str | None)
             raise UserError(
                 f"`{name}`: what follows the @ is not a pattern of joints, e.g. kp@.*_knee"
             )
-        raise UserError(f"`{name}`: unknown parameter; {nearest(name, (*PARAMETERS, ACTUATOR))}")
+        raise UserError(
+            f"`{name}`: unknown parameter; {nearest(name, (*PARAMETERS, ACTUATOR), ALIASES)}"
+        )
     if not robot and ("@" in name or name in ROBOT_ONLY):
         raise UserError(f"`{name}`: only a robot has it; make one with jaxact.robot(model, ...)")
     if robot and base(name) in JOINT_ONLY:

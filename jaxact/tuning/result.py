@@ -115,7 +115,11 @@ class Tuned(Reportable):
 
     @property
     def certified(self) -> bool:
-        """Whether everything that was asked for holds, exactly, for every member."""
+        """Whether all that was asked for holds for every member, computed exactly.
+
+        Members are samples and corners of the uncertainty's ranges, and the worst points between
+        them that a search finds: it is thorough, and no proof for what lies between.
+        """
         return self.certificate.met
 
     @property

@@ -217,7 +217,7 @@ def tables(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Metrics
     ends = [*range(_ENDS), *range(number - _ENDS, number)]
     words = (
         f"{number:,} loops, of which the first and the last {_ENDS} are shown; all of them: "
-        "to_pandas(), --csv, --json"
+        "as CSV or JSON, or to_pandas()"
     )
     return rendered(_wide(labels, found, ends), words, width=_width(len(ends)))
 

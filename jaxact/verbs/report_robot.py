@@ -22,7 +22,7 @@ from jaxact.loops.specification import Plant, Specification
 from jaxact.parameters import KD, KP
 from jaxact.reports.page import Content
 from jaxact.robot_margins.open_loop import OpenPlant, open_loops
-from jaxact.tuning import report as tuning_report
+from jaxact.tuning.document import document as tuning_document
 from jaxact.tuning.result import Tuned
 from jaxact.verbs import (
     naming,
@@ -117,7 +117,7 @@ def content(loop: ControlLoop, specified: str = "", tuned: Tuned | None = None) 
         if before is not None:
             gains = {KP: np.asarray(before[0]).tolist(), KD: np.asarray(before[1]).tolist()}
             data["loops"].append(row | {"name": "before", "drives": row["drives"] | gains})
-        document = tuning_report.document(tuned)
+        document = tuning_document(tuned)
         parts["tuned_robot"] = report_tuned_robot.of_result(tuned, document)
     keys = {field: getattr(plant, field) for field in _OF_PLANT}
     defaults = Plant(model=plant.model)

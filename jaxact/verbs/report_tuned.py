@@ -14,7 +14,7 @@ from jaxact.loops.building import joint
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.parameters import CONTROL_RATE, KD, KP, canonical
 from jaxact.reports.page import Content
-from jaxact.tuning import report as tuning_report
+from jaxact.tuning.document import document as tuning_document
 from jaxact.tuning.result import Tuned
 from jaxact.verbs import naming, report_joint, report_tuned_robot, tuning_front
 
@@ -31,7 +31,7 @@ def content(tuned: Tuned) -> Content:
     if tuned.robot is not None:
         raise UserError(report_joint.ROBOT)
     points = tuning_front.report(tuning_front.front(tuned.front)) if tuned.front else []
-    return _content(tuning_report.document(tuned), points)
+    return _content(tuning_document(tuned), points)
 
 
 def of_file(path: Path, document: Mapping[str, Any]) -> Content:

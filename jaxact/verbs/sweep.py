@@ -22,7 +22,7 @@ from jaxact.loops.control_loop import ControlLoop, demand, is_traced
 from jaxact.loops.conversion import described, preset_axis
 from jaxact.loops.samples import expand
 from jaxact.loops.specification import Sampling, Specification
-from jaxact.parameters import PARAMETERS, WN, ZETA, canonical, known
+from jaxact.parameters import ALIASES, PARAMETERS, WN, ZETA, canonical, known
 from jaxact.simulation.clamping import tell_clamped
 from jaxact.simulation.engines import check_name, tell_inexact
 from jaxact.sweeping import execution, location
@@ -240,7 +240,7 @@ def _read(axes: Mapping[str, Any], sampling: Sampling | None) -> dict[str, Axis]
             from jaxact.errors import nearest
 
             raise UserError(
-                f"{given}: unknown parameter; {nearest(given, (*PARAMETERS, 'actuator'))}"
+                f"{given}: unknown parameter; {nearest(given, (*PARAMETERS, 'actuator'), ALIASES)}"
             )
         if name in found:
             raise UserError(f"{given}: the same parameter is given twice; remove one")

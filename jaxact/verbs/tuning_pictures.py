@@ -33,11 +33,11 @@ from jaxact.tuning.joint import metrics
 from jaxact.tuning.joint.ensemble import chosen, ensemble, joined
 from jaxact.tuning.joint.response import step_responses
 from jaxact.tuning.result import Tuned
-from jaxact.verbs import naming
 from jaxact.verbs import responses as _responses
 from jaxact.verbs.given_axes import on_axes, stacked
 from jaxact.verbs.tuning_front import Front
 from jaxact.verbs.tuning_front import front as _points
+from jaxact.verbs.tuning_tables import with_gains
 
 if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
@@ -217,15 +217,6 @@ def _demand(best: Any, *, robot: bool | None = None) -> OfRobot | None:
     if robot is not None and (best.robot is not None) != robot:
         raise UserError(f"this picture is of {'a robot' if robot else 'a joint'}'s tuned gains")
     return best.robot
-
-
-def with_gains(tuned: Tuned, loop: ControlLoop) -> ControlLoop:
-    """A joint's loop with the gains before (where there is a start) and after, named so."""
-    pairs = [pair for pair in (tuned.before, (tuned.kp, tuned.kd)) if pair is not None]
-    kp, kd = np.array(pairs).T
-    name = naming.named(loop).labels[0]
-    sides = ("before", "after")[-len(pairs) :]
-    return loop.replace(kp=kp, kd=kd, names=tuple(f"{side}: {name}" for side in sides))
 
 
 def before_and_after(tuned: Tuned, loop: ControlLoop) -> list[LoopResponse]:

@@ -1,21 +1,18 @@
-"""A tuned joint or robot as a report, as tables, and as a folder of files and pictures."""
+"""A tuned joint or robot as a report, and as tables for people."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxact.parameters import CONTROL_RATE, KD, KP, PAYLOAD
-from jaxact.plotting import theme, tuning
 from jaxact.plotting.wording import quantity
-from jaxact.tuning.report import mjcf_text, report, toml_text
-from jaxact.tuning.rollouts import motion
-from jaxact.verbs import rendering, tuning_front, tuning_pictures
+from jaxact.tuning.report import report
+from jaxact.verbs import naming, rendering, tuning_front
 from jaxact.verbs.margin_tables import ALWAYS, MARGINS, UNITS, plain
 from jaxact.verbs.margins import margins
 
@@ -49,7 +46,7 @@ class Joint:
 
     def report(self) -> dict[str, Any]:
         """The result as plain values, with the nominal loop's margins before and after."""
-        loops = tuning_pictures.with_gains(self.tuned, self.nominal)
+        loops = with_gains(self.tuned, self.nominal)
         found = margins(loops, sampled=CONTROL_RATE in loops.values).rows
         names = (*ALWAYS[:2], *MARGINS, *ALWAYS[2:])
         rows = [{name: plain(name, found, i) for name in names} for i in range(len(loops))]
@@ -80,13 +77,6 @@ class Joint:
         said = "\n".join([gains, table, "", *_words(document, document["members"])])
         return said + _front_table(self.tuned)
 
-    def write(self, folder: Path, document: Mapping[str, Any], command: str) -> None:
-        """Gains as TOML and MJCF, and the pictures, into a folder that is there."""
-        nominal = document["margins"]["after"]
-        texts = {"gains.toml": toml_text(self.tuned, command, nominal=nominal),
-                 "gains.xml": mjcf_text(self.tuned, self.name)}  # fmt: skip
-        _write(folder, self.tuned, texts, tuning_pictures.of_joint(self.tuned, self.nominal))
-
 
 @dataclass(frozen=True)
 class Robot:
@@ -111,15 +101,6 @@ class Robot:
         said = "\n\n".join([self._gains(document), _margins(document), "\n".join(words)])
         return said + _front_table(self.tuned)
 
-    def write(self, folder: Path, document: Mapping[str, Any], command: str) -> None:
-        """Gains as TOML and MJCF, and the pictures, into a folder that is there."""
-        assert self.tuned.robot is not None
-        texts = {"gains.toml": toml_text(self.tuned, command, rollouts=self.rollouts),
-                 "gains.xml": mjcf_text(self.tuned)}  # fmt: skip
-        if self.rollouts is not None:
-            texts["motion.csv"] = motion.csv_text(self.rollouts.motions)
-        _write(folder, self.tuned, texts, tuning_pictures.of_robot(self.tuned, self.tuned.robot))
-
     def _gains(self, document: Mapping[str, Any]) -> str:
         tuned = self.tuned
         assert tuned.robot is not None
@@ -133,6 +114,15 @@ class Robot:
             known = [_span(k[own]) for k in before or ()]
             rows.append([row["name"], *known, f"{row[KP]:.6g}", f"{row[KD]:.6g}"])
         return _table(heads, rows)
+
+
+def with_gains(tuned: Tuned, loop: ControlLoop) -> ControlLoop:
+    """A joint's loop with the gains before (where there is a start) and after, named so."""
+    pairs = [pair for pair in (tuned.before, (tuned.kp, tuned.kd)) if pair is not None]
+    kp, kd = np.array(pairs).T
+    name = naming.named(loop).labels[0]
+    sides = ("before", "after")[-len(pairs) :]
+    return loop.replace(kp=kp, kd=kd, names=tuple(f"{side}: {name}" for side in sides))
 
 
 def as_json(document: Any) -> str:
@@ -151,20 +141,6 @@ def _front_table(tuned: Tuned) -> str:
     if not tuned.front:
         return ""
     return "\n\n" + tuning_front.table(tuning_front.front(tuned.front))
-
-
-def _write(folder: Path, tuned: Tuned, texts: Mapping[str, str], pages: Mapping[str, Any]) -> None:
-    """Texts and pictures, and those of the front where there is one."""
-    files, pictures = dict(texts), dict(pages)
-    if tuned.front:
-        found = tuning_front.front(tuned.front)
-        drawn, words = tuning_pictures.drawn_front(found, tuned.goal.max_peak)
-        files["front.csv"] = tuning_front.csv_text(found)
-        pictures["front"] = tuning.front(*drawn, **words)
-    for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8")
-    for name, figure in pictures.items():
-        theme.write(figure, folder / f"{name}.png", title=f"jaxact tune: {name.replace('_', ' ')}")
 
 
 def _words(

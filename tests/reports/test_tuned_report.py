@@ -7,7 +7,7 @@ from quickly import compiled_quickly as compiled_quickly
 from test_report_verb import data_of
 
 import jaxact as jx
-from jaxact.tuning.report import toml_text
+from jaxact.tuning.document import toml_text
 from jaxact.verbs import tuning_front
 
 pytestmark = pytest.mark.exhaustive

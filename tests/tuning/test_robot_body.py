@@ -13,8 +13,8 @@ from jaxact.loops import robots as sweep_robots
 from jaxact.loops.samples import explicit
 from jaxact.plants import linearize
 from jaxact.simulation import changed_models, plans, spectra
-from jaxact.tuning import report
 from jaxact.tuning.box import Points, read_box
+from jaxact.tuning.document import document
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.robot import search as robot
@@ -183,7 +183,7 @@ def test_rollouts_carry_the_same_payloads(laden):
 @pytest.mark.exhaustive
 def test_what_was_assumed_is_said(laden):
     _, tuned = laden
-    said = report.document(tuned)["assumed"]
+    said = document(tuned)["assumed"]
     assert said["payload"] == [0.0, 0.8] and said["payload_body"] == "lower"
     assert said["wn"] == pytest.approx([720.0, 880.0])
     assert said["setpoint_and_feedforward"] == "of the nominal robot"

@@ -76,6 +76,7 @@ def test_a_loop_is_a_pytree_of_its_values():
     "given, said",
     [
         ({"kq": 3}, "unknown parameter; did you mean 'kp'"),
+        ({"stiffnes": 3}, "unknown parameter; did you mean 'stiffness'"),
         ({"mass": -1.0}, "out of range"),
         ({"kp": "stiff"}, "`kp` = .* is not a number"),
         ({"kp": [1.0, float("nan")]}, "not a number"),
