@@ -94,6 +94,40 @@ def test_a_robot_that_topples_has_its_margins_to_shaking(toppling):
     assert changes.more_gain.participation[1] > 0.999 and changes.more_gain.value > 2.0
 
 
+LEG = """<body pos="{0} 0 1"><joint name="hip{0}" axis="0 1 0" armature="0.01"/>
+<geom size="0.02" pos="0 0 -0.2" mass="1"/><body pos="0 0 -0.25">
+<joint name="knee{0}" axis="0 1 0" armature="0.01"/><geom size="0.02" pos="0 0 -0.2" mass="0.5"/>
+</body></body>"""
+LEGS = f"""<mujoco><option timestep="0.001"/><worldbody>{"".join(map(LEG.format, range(3)))}
+</worldbody><actuator>{
+    "".join(f'<motor joint="{name}{leg}"/>' for leg in range(3) for name in ("hip", "knee"))
+}</actuator></mujoco>"""
+
+
+def test_legs_that_are_alike_have_equal_shares_in_what_begins_to_shake(tmp_path):
+    (tmp_path / "legs.xml").write_text(LEGS)
+
+    def of(delay):
+        document = f"""engine = "mujoco"
+        plant.model = "legs.xml"
+        plant.posture = "keyframe"
+        parameters = {{ control_rate = 1000, kp = 60, kd = 3, delay = {delay} }}
+        [axes]
+        feedforward = [0.0]"""
+        (one,) = whole_robot.evaluate(reading.parse(document, tmp_path))
+        return one
+
+    legs = of(0.0)
+    borne, changes = legs.delay_borne, legs.margins.changes
+    shaking = of(1.2 * borne.delay)
+    for motion in (borne, changes.more_delay, changes.more_gain, shaking.margins.critical,
+                   shaking.margins.changes.less_delay, shaking.delay_borne):  # fmt: skip
+        shares = motion.participation.reshape(3, 2)
+        np.testing.assert_allclose(shares, np.tile(shares[:1], (3, 1)), atol=1e-6)
+        assert shares.sum() == pytest.approx(1.0) and shares.min() > 1e-4
+    assert legs.margins.ranking[0] in (0, 1)
+
+
 def test_what_shakes_says_where_it_stops(tmp_path, toppling):
     later = toppling.margins.changes.more_delay.value
     margins = found(tmp_path, f"delay={1.2 * later}", "kp@upright=100").margins

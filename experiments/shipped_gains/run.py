@@ -30,6 +30,7 @@ import report
 import tuned
 from models import Robot, plain
 
+from jaxact.analysis.robot.modes import ranked
 from jaxact.analysis.robot.multiloop import curves, multiloop
 from jaxact.errors import UserError
 from jaxact.robot_margins import whole_robot
@@ -132,8 +133,7 @@ def borne(found: WholeRobot) -> dict[str, Any]:
     known = found.delay_borne
     return {
         "delay": plain(known.delay), "frequency": plain(known.frequency),
-        # Legs that are alike have shares that are alike but for rounding: the first of them.
-        "joint": found.robot.names[int(np.argmax(np.round(known.participation, 6)))],
+        "joint": found.robot.names[ranked(known.participation)[0]],
         "friction_left_out": found.left_out,
     }  # fmt: skip
 

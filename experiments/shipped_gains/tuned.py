@@ -11,6 +11,7 @@ import models
 import numpy as np
 from models import Robot
 
+from jaxact.analysis.robot.modes import ranked
 from jaxact.robot_margins import whole_robot
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import Groups
@@ -117,6 +118,5 @@ def _borne(robot: Robot, model: Path, rate: float) -> dict[str, Any]:
     known = found.delay_borne
     return {
         "delay": models.plain(known.delay), "frequency": models.plain(known.frequency),
-        # Legs that are alike have shares that are alike but for rounding: the first of them.
-        "joint": found.robot.names[int(np.argmax(np.round(known.participation, 6)))],
+        "joint": found.robot.names[ranked(known.participation)[0]],
     }  # fmt: skip

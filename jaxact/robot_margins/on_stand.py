@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from jaxact import parameters
+from jaxact.analysis.robot import modes
 from jaxact.analysis.robot.delay import DelayBorne
 from jaxact.errors import UserError
 from jaxact.loops import robots
@@ -42,8 +43,8 @@ class Loop:
     @property
     def shares(self) -> dict[str, float]:
         """The joints' shares in that motion, the one that moves most first."""
-        order = np.argsort(-self.borne.participation, kind="stable")
-        return {self.names[place]: float(self.borne.participation[place]) for place in order}
+        shares = self.borne.participation
+        return {self.names[place]: float(shares[place]) for place in modes.ranked(shares)}
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from jaxact.analysis.robot.margins import RobotMargins
-from jaxact.analysis.robot.modes import Robot
+from jaxact.analysis.robot.modes import Robot, ranked
 from jaxact.loops import robots
 from jaxact.loops.robots import Scene
 from jaxact.loops.samples import Samples
@@ -125,7 +125,7 @@ def held(
     scene = robots.scene(plant)
     if not _rubs(scene, values):
         return None
-    place = int(np.argmax(mode.participation))
+    place = ranked(mode.participation)[0]
     duration = float(np.clip(_CONSTANTS / mode.growth_rate, _SHORTEST, _LONGEST))
     runs = _Runs(specification, dict(values), place, START + PUSH + duration)
     own = _at_joint(scene, values, place) or _largest(scene, values)

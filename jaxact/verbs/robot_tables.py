@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
+from jaxact.analysis.robot import modes
 from jaxact.files import plain
 from jaxact.loops.joint_units import of_joints
 from jaxact.parameters import KD, KP, PARAMETERS
@@ -286,7 +287,7 @@ def _mode(mode: Mode, names: tuple[str, ...]) -> str:
 
 def _shares(participation: np.ndarray, names: tuple[str, ...]) -> str:
     """`LF_HAA 12 %, LF_KFE 9 %, ...`."""
-    order = np.argsort(-participation, kind="stable")[:_MOST_NAMED]
+    order = modes.ranked(participation)[:_MOST_NAMED]
     shares = [
         f"{names[i]} {100.0 * participation[i]:.0f} %" for i in order if participation[i] >= 0.01
     ]

@@ -117,7 +117,8 @@ def _at(robot: Robot, matrices: Matrices, value: float, *, swing: bool) -> Chang
     fitting = (np.abs(np.angle(roots)) > _STILL) == swing
     number = int(np.argmin(np.where(fitting, np.abs(np.abs(roots) - 1.0), np.inf)))
     frequency = float(abs(np.angle(roots[number]))) / robot.period
-    shares = _modes.participation(robot, kept, vectors[:, number], still=not swing)
+    moving = vectors[:, _modes.alike(roots, number)]
+    shares = _modes.participation(robot, kept, moving, still=not swing)
     return Change(value, frequency, shares)
 
 

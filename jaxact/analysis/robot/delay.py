@@ -81,5 +81,7 @@ def marginal(robot: Robot, angle: float, delay: float) -> np.ndarray:
     """Shares of the joints in the motion that is marginal at w T under a delay [s]; (joints,)."""
     back = _limits.feedback(robot.later_by, robot.period, angle, delay / robot.period)
     values, vectors = np.linalg.eig(back.commands)
-    nearest = vectors[:, np.argmin(np.abs(values - 1.0))]
-    return _modes.participation(robot, back.kept, back.states @ nearest)
+    nearest = values[np.argmin(np.abs(values - 1.0))]
+    # Those of joints that are alike, of which any mixture is marginal too.
+    moving = vectors[:, np.abs(values - nearest) < _modes.ALIKE]
+    return _modes.participation(robot, back.kept, back.states @ moving)

@@ -169,8 +169,7 @@ class RobotMargins:
         shares = self.first_to_shake
         if shares is None:
             return sorted(range(len(self.joints)), key=lambda i: self.joints[i].disk_margin)
-        # Legs that are alike have shares that are alike but for rounding: as the model has them.
-        return np.argsort(-np.round(shares, 6), kind="stable").tolist()
+        return _modes.ranked(shares)
 
 
 def robot_margins(robot: Robot) -> RobotMargins:

@@ -18,6 +18,8 @@ from jaxact.analysis.robot.stability import beyond, drifting, excess, neutral
 
 # A root that turns by less than this in a period does not turn [rad].
 _STILL = 1e-9
+ALIKE = 1e-9
+"""Roots nearer to each other than this are equal but for rounding."""
 
 
 @dataclass(frozen=True)
@@ -116,20 +118,45 @@ def least_damped(loop: Multiloop) -> int:
 def mode(robot: Robot, loop: Multiloop, number: int) -> Mode:
     """The motion that belongs to one root."""
     rate = np.log(loop.roots[number]) / robot.period
-    U = loop.triangular
-    # The eigenvector of a triangular matrix: the rows below its root are zero.
-    vector = np.zeros(len(U), complex)
-    vector[number] = 1.0
-    shifted = U[:number, :number] - U[number, number] * np.eye(number)
-    vector[:number] = np.linalg.lstsq(shifted, -U[:number, number])[0]
+    equal = alike(loop.roots, number)
+    # Of equal roots the smallest vector, or it is the one of the root before.
+    least = ALIKE if equal.size > 1 else None
+    vectors = [_eigenvector(loop.triangular, place, least) for place in equal]
     return Mode(
         growth_rate=float(rate.real),
         frequency=float(abs(rate.imag)) if abs(rate.imag) > _STILL / robot.period else 0.0,
         damping_ratio=float(-rate.real / (abs(rate) or 1.0)),
         participation=participation(
-            robot, loop.kept, loop.vectors @ vector, still=abs(rate) * robot.period < _STILL
+            robot,
+            loop.kept,
+            loop.vectors @ np.stack(vectors, -1),
+            still=abs(rate) * robot.period < _STILL,
         ),
     )
+
+
+def _eigenvector(U: np.ndarray, number: int, least: float | None) -> np.ndarray:
+    """Of a triangular matrix: the rows below its root are zero.
+
+    Args:
+        least: singular values below this share of the largest are zero, None: below rounding.
+    """
+    vector = np.zeros(len(U), complex)
+    vector[number] = 1.0
+    shifted = U[:number, :number] - U[number, number] * np.eye(number)
+    vector[:number] = np.linalg.lstsq(shifted, -U[:number, number], rcond=least)[0]
+    return vector
+
+
+def alike(roots: np.ndarray, number: int) -> np.ndarray:
+    """Numbers of the roots that only rounding tells from this one, as those of legs on a stand.
+
+    Of their motions any mixture is one too, and which are found is chance. Of a motion that does
+    not swing it is the root alone: a base that drifts has many at 1.
+    """
+    if not swinging(roots[number]):
+        return np.array([number])
+    return np.flatnonzero(np.abs(roots - roots[number]) < ALIKE)
 
 
 def response(robot: Robot, loop: Multiloop, frequency: float) -> Mode:
@@ -140,20 +167,34 @@ def response(robot: Robot, loop: Multiloop, frequency: float) -> Mode:
     return Mode(0.0, frequency, 0.0, participation(robot, loop.kept, moved))
 
 
+def ranked(shares: np.ndarray) -> list[int]:
+    """Numbers of the joints by their shares in a motion, the largest first.
+
+    Legs that are alike have shares that are alike but for rounding: as the model has them.
+    """
+    return np.argsort(-np.round(shares, 6), kind="stable").tolist()
+
+
 def participation(
     robot: Robot, kept: np.ndarray, states: np.ndarray, *, still: bool = False
 ) -> np.ndarray:
     """Share of each joint in I |v|^2; equal shares of a motion in which no joint moves.
 
+    Of several motions it is the mean over those that are orthogonal in I v: of any mixture of
+    theirs the same.
+
     Args:
         kept: places of the states among those of M, shape (k,).
-        states: of the motion, complex, shape (k,).
+        states: of the motion, complex, shape (k,), or of several, shape (k, n).
         still: its root is 1, where velocities are nothing but rounding: shares in I |q|^2, to which
             those in I |v|^2 tend there.
     """
     # A joint that no force moves feels an infinite inertia.
     inertias = np.where(np.isfinite(robot.inertias), robot.inertias, 0.0)
     rows = robot.positions if still else robot.velocities
-    energy = inertias * np.abs(rows[:, kept] @ states) ** 2
-    total = float(energy.sum())
-    return energy / total if total > 0.0 else np.full(len(energy), 1.0 / len(energy))
+    moved = (rows[:, kept] @ states).reshape(len(inertias), -1)
+    if not moved.any() or not np.isfinite(moved).all():
+        return np.full(len(inertias), 1.0 / len(inertias))
+    motions, sizes, _ = np.linalg.svd(np.sqrt(inertias)[:, None] * moved, full_matrices=False)
+    motions = motions[:, sizes > ALIKE * sizes[0]]
+    return np.mean(np.abs(motions) ** 2, axis=1)
