@@ -76,6 +76,7 @@ LEG = """<mujoco><worldbody><body pos="0 0 1"><joint name="hip" axis="0 1 0" dam
 BENT = '<keyframe><key name="straight" qpos="0 0"/><key name="bent" qpos=".7 -1.4"/></keyframe>'
 
 
+@pytest.mark.exhaustive
 def test_what_limits_hold_is_no_answer(capsys):
     text = LEG.format(keys=BENT)
     found = json.loads(_check(capsys, text, "--json"))

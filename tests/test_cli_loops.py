@@ -95,6 +95,7 @@ def test_margins_of_an_unstable_loop_are_null(capsys):
     assert row["log_gain_to_boundary"] == pytest.approx(expected, rel=1e-8)
 
 
+@pytest.mark.exhaustive
 def test_margins_table_shows_both_kinds_side_by_side(capsys):
     said = _said(
         capsys, "margins", "--actuator", "starleth", "--delay", "5e-3", "--control-rate", "1000"

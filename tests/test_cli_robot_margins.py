@@ -185,6 +185,7 @@ def test_mistakes_are_told_in_one_line(capsys, arguments, words):
     assert re.search(words, _mistake(capsys, *arguments))
 
 
+@pytest.mark.exhaustive
 def test_the_lead_of_the_integrator_is_said_and_can_be_taken_back(capsys):
     def margin(*settings):
         options = [part for item in settings for part in ("--set", item)]

@@ -89,6 +89,7 @@ def test_delays_move_the_response_and_nothing_else():
         np.testing.assert_allclose(forces[2], forces[0], rtol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_measurement_delay_is_exact_on_the_mass():
     """The delayed measurement against the same loop simulated with smaller physics steps."""
     with jax.enable_x64(True):
@@ -112,6 +113,7 @@ def test_physics_steps_compose(substeps):
             np.testing.assert_allclose(mean, one.force, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("compiled_fully")
 def test_switched_off_parts_leave_the_loop_bit_for_bit():
     plain = simulate(BASE)

@@ -26,7 +26,6 @@ CASES = {
         SERVO.format('forcerange="-2 2" ctrlrange="-0.5 0.5"'), "", (-2.0, 2.0), (-0.5, 0.5),
     ),
 }  # fmt: skip
-EVERY_DAY = ("joint", "gear")
 MODEL = """<mujoco><option timestep="0.0005" gravity="0 0 0"/><worldbody><body>
 <joint name="a" axis="0 1 0" armature="0.01" damping="0.05" {joint}/>
 <geom size="0.03" mass="0.4" pos="0 0 -0.2" contype="0" conaffinity="0"/></body></worldbody>
@@ -60,14 +59,9 @@ def _loop(case, tmp_path):
     return jx.robot(path, delay=1e-3)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.filterwarnings("ignore::jaxact.InexactWarning")
-@pytest.mark.parametrize(
-    "case",
-    [
-        name if name in EVERY_DAY else pytest.param(name, marks=pytest.mark.exhaustive)
-        for name in CASES
-    ],
-)
+@pytest.mark.parametrize("case", CASES)
 def test_the_force_that_is_reported_is_the_one_that_acts(tmp_path, case):
     loop = _loop(case, tmp_path)
     run = jx.simulate(loop, setpoint=list(SETPOINTS), duration=0.1, engine="mujoco")
@@ -93,6 +87,7 @@ def test_mjx_reports_the_same(tmp_path):
     assert float(run.peak_force) == pytest.approx(np.abs(force).max(), rel=1e-10)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_a_force_limit_that_is_given_takes_the_place_of_the_models(tmp_path, precision):
     """MuJoCo's model of the robot keeps none of its own that would act behind the report."""

@@ -90,6 +90,7 @@ def wrong(found, expected):
     return np.abs(found - expected).max(axis=0) / np.abs(expected).max(axis=0)
 
 
+@pytest.mark.exhaustive
 def test_an_ideal_actuator_behind_a_rate_limit_is_exact():
     """One physics step in a control period or many, with a delay that ends within one."""
     with jax.enable_x64(True):
@@ -124,6 +125,7 @@ def test_a_joint_on_its_line_approaches_its_speed_exactly(joint):
     np.testing.assert_allclose(found[:, 1], expected, rtol=1e-9 if c == 0.0 else 2e-2, atol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_a_line_is_as_steep_for_a_step_as_it_is_for_many():
     """Speeds from beyond the no-load speed to braking, with a spring in the way."""
     own = Actuator(stall_force=40.0, no_load_speed=0.8)
@@ -139,9 +141,8 @@ def test_a_line_is_as_steep_for_a_step_as_it_is_for_many():
         assert one < 5e-3 and one > 3 * two > 9 * four
 
 
-@pytest.mark.parametrize(
-    "case", [pytest.param("rate limit", marks=pytest.mark.exhaustive), "line and rate limit"]
-)
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("case", ["rate limit", "line and rate limit"])
 def test_a_limit_behind_an_actuator_is_of_second_order(case):
     drive = Drive(Controller(400.0, 20.0), Actuator(**HYQ, **CASES[case]))
     with jax.enable_x64(True):
@@ -180,6 +181,7 @@ def test_fast_actuators_behind_a_rate_limit_approach_the_ideal_one():
             assert (wrong(found, ideal) < near).all()
 
 
+@pytest.mark.exhaustive
 def test_limits_have_derivatives():
     def last(limits):
         own = Actuator(300.0, 0.7, 1.3e-3, 20.0, *limits)
@@ -197,6 +199,7 @@ def test_limits_have_derivatives():
             )
 
 
+@pytest.mark.exhaustive
 def test_a_loop_that_slews_too_slowly_is_unstable_by_default():
     """What was said to be stable while a limit acted on the mean of a whole step."""
     for unit in ({"mass": 0.7}, {"inertia": 0.7}):

@@ -159,6 +159,7 @@ def test_the_closed_loop_equals_its_central_differences(pendulum):
     np.testing.assert_allclose(whole[:8], kept[:8], rtol=1e-5)
 
 
+@pytest.mark.exhaustive
 def test_growth_rate_of_the_linear_plant_is_the_spectral_radius(pendulum):
     robot, start = pendulum
     with jax.enable_x64(True):

@@ -110,6 +110,7 @@ def test_roots_on_the_unit_circle_count_as_unstable(of_all, number, servo):
     assert found.spectral_radius == pytest.approx(own.max(), abs=1e-7)
 
 
+@pytest.mark.exhaustive
 def test_without_gains_the_radius_changes_with_the_joints_own_damping():
     def radius(damping):
         loop = SampledLoop(

@@ -120,6 +120,7 @@ def test_ten_thousand_root_counts_agree_with_collocation(crowd, crowd_margins):
     np.testing.assert_array_equal(crowd_margins.unstable_roots, crowd[1])
 
 
+@pytest.mark.exhaustive
 def test_stable_loops_have_no_nan_and_unstable_loops_no_margins(crowd_margins):
     stable = crowd_margins.stable
     for name in FIELDS:
@@ -346,6 +347,7 @@ def test_the_distance_is_smooth_through_the_boundary():
     np.testing.assert_allclose(*slopes, rtol=1e-3, atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_derivative_of_the_rightmost_root():
     values = jnp.array(PAPER[:, 8])
     function = jax.jit(jax.value_and_grad(lambda x: spectral_abscissa(JointLoop(*x))))
@@ -449,6 +451,7 @@ def test_python_control_agrees_on_the_study():
         np.testing.assert_allclose(found.modulus_margin[i], modulus, rtol=tolerance)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::PendingDeprecationWarning")
 def test_python_control_agrees_on_random_loops_without_delay(crowd, crowd_margins):
     import control

@@ -31,9 +31,8 @@ def robot(folder, text, **options):
     return jx.robot(path, **options)
 
 
-@pytest.mark.parametrize(
-    "text", [ARM, pytest.param(CART, marks=pytest.mark.exhaustive)], ids=["arm", "cart"]
-)
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("text", [ARM, CART], ids=["arm", "cart"])
 def test_margins_and_simulations_agree_that_nothing_grows(tmp_path, text):
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
@@ -52,12 +51,14 @@ def test_margins_and_simulations_agree_that_nothing_grows(tmp_path, text):
     np.testing.assert_array_equal(maps.growth_rate, 0.0)
 
 
+@pytest.mark.exhaustive
 def test_too_much_gain_is_unstable_there_too(tmp_path):
     given = robot(tmp_path, ARM, delay=0.02, gain_scale=40.0)
     run = jx.simulate(given, duration=0.5, engine="mujoco")
     assert not jx.margins(given).stable and jx.Verdict(int(run.verdict)) == jx.Verdict.UNSTABLE
 
 
+@pytest.mark.exhaustive
 def test_the_one_joint_of_a_robot_has_the_delay_margin_of_all(tmp_path):
     """Controlled slowly, where the phase at its crossover in seconds is something else."""
     text = """<mujoco><option gravity="0 0 0"/><worldbody><body>

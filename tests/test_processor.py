@@ -56,6 +56,7 @@ def same(function, used):
         np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
 
 
+@pytest.mark.exhaustive
 def test_margins_of_joints(elsewhere):
     loop = jx.joint(kp=[200.0, 400.0], kd=20, actuator="hyq", delay=1e-3)
     same(lambda: jx.margins(loop).found, elsewhere)

@@ -439,6 +439,7 @@ def test_the_period_map_is_the_propagation_of_the_simulated_loop(robot, delay, d
         assert dropped.size and not np.any(found.M[dropped])
 
 
+@pytest.mark.exhaustive
 def test_the_open_loop_gives_s_for_any_gains(robot):
     """S = (I + [kp kd] G)^-1, with G from the loop opened at its controllers."""
     with jax.enable_x64(True):

@@ -76,6 +76,7 @@ def test_derivative_with_respect_to_a_delay(place, substeps):
             assert at(delay)[1] == pytest.approx(forward, rel=1e-5), delay
 
 
+@pytest.mark.exhaustive
 def test_gradients_of_every_kind():
     options = drives.options(_delayed("command", 2e-3))
 
@@ -246,6 +247,7 @@ def test_what_ends_early_gives_the_same_figures(noise):
         assert np.isposinf(ended[0][:, -1]).all() == early
 
 
+@pytest.mark.exhaustive
 def test_ticks_are_whole_segments():
     assert rollout.whole_ticks(2.0, 1e-3) == 2000
     assert rollout.whole_ticks(1e-9, 1e-3) == 4

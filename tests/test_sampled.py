@@ -61,6 +61,7 @@ def test_servo_integrals_are_smooth_through_critical_damping_and_the_series():
         np.testing.assert_allclose(slope, np.stack([slope[1]] * 3), rtol=1e-5, atol=1e-9)
 
 
+@pytest.mark.exhaustive
 @given(seed=st.integers(0, 100_000), period=st.sampled_from([1e-3, 2.5e-3, 4e-4]))
 def test_matrix_equals_the_matrix_exponential(seed, period):
     values = theory.random_loops(1, seed)[:, 0]
@@ -146,6 +147,7 @@ def test_euler_variant_converges_to_the_exact_one():
     assert errors[0] > 1.8 * errors[1] > 3.2 * errors[2] > 0
 
 
+@pytest.mark.exhaustive
 def test_radius_is_continuous_and_differentiable_in_the_delay():
     """Across whole periods too, where the command that acts changes."""
 

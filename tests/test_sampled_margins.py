@@ -113,6 +113,7 @@ def radius(values):
     return in_parts(radii, values)
 
 
+@pytest.mark.exhaustive
 def test_spectral_radius_decides_and_margins_follow(crowd):
     values, found = crowd
     assert 0.2 < found.stable.mean() < 0.8

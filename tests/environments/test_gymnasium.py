@@ -91,10 +91,8 @@ def test_without_delay_it_is_an_explicit_pd(path, feedforward):
     assert largest > 0.3
 
 
-@pytest.mark.parametrize(
-    "late",
-    (pytest.param({}, marks=pytest.mark.exhaustive), {"measurement_delay": 0.0031}),
-)
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("late", [{}, {"measurement_delay": 0.0031}])
 def test_torques_are_those_of_the_drive_stepped_by_hand(path, late):
     """Of a drive that ticks at every third physics step, around MJX."""
     values = {"delay": 0.0093, "wn": 120.0, "zeta": 0.7, "control_rate": 1 / (3 * STEP), **late}
@@ -175,6 +173,7 @@ def test_gains_that_change_in_the_model_change_the_drive(path):
     np.testing.assert_allclose(env.values["kp"], KP * GEARS * [1, 2])
 
 
+@pytest.mark.exhaustive
 def test_an_environment_of_gymnasium_is_wrapped_in_a_vector():
     def make(delay):
         return environments.gymnasium(gym.make("InvertedPendulum-v5"), delay=delay)

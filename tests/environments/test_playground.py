@@ -134,6 +134,7 @@ def _by_hand(text, begin, controls, values, gains):
     return jax.lax.scan(control, state, setpoints)[1]
 
 
+@pytest.mark.exhaustive
 def test_without_delay_it_is_an_explicit_pd():
     with jax.enable_x64(True):
         env = playground(Leg(leg()))
@@ -162,6 +163,7 @@ def test_without_delay_it_is_an_explicit_pd():
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_a_feedforward_is_a_constant_force_and_part_of_the_first_command():
     values = {"feedforward": np.array([1.5, -0.5]), "delay": 0.004}
     with jax.enable_x64(True):
@@ -322,6 +324,7 @@ def test_forces_of_motors_are_delayed():
     np.testing.assert_allclose(found[-1], [1.5, 0.6], rtol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_damping_moves_into_the_drive():
     inside = playground(Leg(leg(damping=0.4, kv=0.0)), damping="drive", delay=0.004).drive
     values = inside.values(jnp.zeros(0), mjx.put_model(
@@ -377,6 +380,7 @@ def test_an_environment_that_steps_by_itself_is_refused():
         playground(Leg(leg(), bypass=True))
 
 
+@pytest.mark.exhaustive
 def test_ranges_of_patterns_and_of_each_joint():
     drive = playground(
         Leg(leg()), delay={"hip": (0.002, 0.004), "knee": 0.001}, each_joint=True

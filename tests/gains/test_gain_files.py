@@ -207,6 +207,7 @@ def test_what_is_written_is_read_back_with_all_digits(model, tmp_path, kind, see
     assert reading.read(file).format == kind
 
 
+@pytest.mark.exhaustive
 def test_margins_of_gains_that_went_out_and_in_are_the_same(model, tmp_path):
     loop = jx.robot(model, kp=35.7, kd=1.23, gain_scale=1.1, delay=2e-3, keyframe="home")
     jx.export(loop, "deploy-yaml", tmp_path / "deploy.yaml")

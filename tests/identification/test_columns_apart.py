@@ -118,7 +118,7 @@ def without(signals):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("late", [pytest.param(1, marks=pytest.mark.exhaustive), -1, 0.5])
+@pytest.mark.parametrize("late", [1, -1, 0.5])
 def test_what_a_late_position_is_taken_for_is_said_and_by_how_much(signals, without, late):
     ladder = _ladder(_log(signals, "setpoint", "position", late={"position": late}))
     said = skew.moved_by(without.chosen.fit, without.fitted)

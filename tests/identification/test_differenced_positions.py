@@ -37,6 +37,7 @@ def _slide(rate, over, gains, rows=400):
     return Log("slide", time, signals, unit="m", gains=gains, difference_ticks=over)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("rate", "over"), [(1000, 2), (200, 1), (100, 1), (100, 2)])
 def test_the_velocity_is_over_the_period_of_the_controller(rate, over):
     log = _slide(rate, over, (100.0, 6.0))

@@ -142,6 +142,7 @@ def _differenced(folder, ticks=1):
     return "differenced.toml"
 
 
+@pytest.mark.exhaustive
 def test_a_controller_that_differenced_positions_goes_on_doing_so(folder):
     file = _differenced(folder)
     loop = jx.joint(drive=file)
@@ -172,6 +173,7 @@ def test_files_that_name_such_a_drive_have_its_velocity(folder):
     assert jx.loop_of("loops.toml", velocity="sampled").kind.velocity == "sampled"
 
 
+@pytest.mark.exhaustive
 def test_commands_take_the_velocity_of_the_drive(folder, capsys):
     file, found = _differenced(folder), {}
     for how in ((), ("--velocity", "differenced"), ("--velocity", "sampled")):

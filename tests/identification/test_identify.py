@@ -128,6 +128,7 @@ def test_a_log_that_does_not_carry_over_is_not_good():
     assert any("carry over" in reason for reason in found.verdict.reasons)
 
 
+@pytest.mark.exhaustive
 def test_a_limit_that_noise_hides_is_found():
     logs = [_log(_prbs(seed), STARLETH, seed, noise=0.0) for seed in (31, 32)]
     generator = np.random.default_rng(33)
@@ -147,6 +148,7 @@ def test_a_limit_that_noise_hides_is_found():
     assert found.verdict.level.value == "good"
 
 
+@pytest.mark.exhaustive
 def test_a_force_of_the_wrong_sign_is_said():
     logs = [_log(_prbs(seed), STARLETH, seed) for seed in (34, 35)]
     turned = [replace(log, signals={**log.signals, "force": -log["force"]}) for log in logs]

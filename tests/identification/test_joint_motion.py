@@ -75,6 +75,7 @@ def _coasting(**changes):
     return time - time[0], np.asarray(position)
 
 
+@pytest.mark.exhaustive
 def test_viscous_friction_slows_exponentially():
     time, position = _coasting(viscous=3.0)
     expected = 2.0 * 0.7 / 3.0 * -np.expm1(-3.0 / 0.7 * time)
@@ -182,6 +183,7 @@ def _exact(time, command, values):
     return np.array([found[at] for at in time])
 
 
+@pytest.mark.exhaustive
 def test_a_joint_that_sticks_and_slips_on_a_pendulum_is_followed_in_long_steps():
     time = 2e-3 * np.arange(300)
     command = np.repeat(np.random.default_rng(0).choice([-0.35, 0.0, 0.35], 10), 30)
@@ -233,6 +235,7 @@ def test_derivatives_are_central_differences_inside_a_tick(swinging, drive):
         )
 
 
+@pytest.mark.exhaustive
 def test_at_a_tick_the_delay_has_its_derivative_from_either_side(swinging):
     position, slopes = swinging
     tick, near, step, index = 2.0**-9, 2.0**-40, 2.0**-27, NAMES.index("delay")

@@ -31,6 +31,7 @@ def test_longer_delays_are_tried_where_a_fit_ends_at_the_longest(late):
     assert found.verdict.level.value == "good"
 
 
+@pytest.mark.exhaustive
 def test_a_delay_beyond_all_that_are_tried_is_said():
     found = identify(_bench(1, 90), validate=_bench(2, 90))
     said = str(found)

@@ -94,6 +94,7 @@ def test_a_force_loop_follows_the_commands_of_its_log():
     assert slower.rms == pytest.approx(np.sqrt(np.mean(slower.rest**2)))
 
 
+@pytest.mark.exhaustive
 def test_a_joint_follows_setpoints_under_the_gains_of_its_log():
     found = jx.replay("mass.toml", _motion())
     assert found.driven_by == "setpoint" and found.largest < 1e-6 * np.ptp(found.measured)
@@ -102,6 +103,7 @@ def test_a_joint_follows_setpoints_under_the_gains_of_its_log():
     assert jx.replay("mass.toml", _motion(), mass=0.9).nrmse > 0.01
 
 
+@pytest.mark.exhaustive
 def test_a_joint_follows_recorded_commands():
     log = _motion()
     told = Log("told", log.time, {k: log[k] for k in ("position", "command")}, unit="m")

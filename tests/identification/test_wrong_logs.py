@@ -44,17 +44,12 @@ def test_a_command_at_its_limit_for_most_of_the_rows(recorded):
         assert "a limit of its command" in found.drive.left_out()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        pytest.param(
-            "position", "position goes against the setpoint", marks=pytest.mark.exhaustive
-        ),
-        pytest.param(
-            "unit",
-            "position moves [0-9.]+ times as far as the setpoint",
-            marks=pytest.mark.exhaustive,
-        ),
+        ("position", "position goes against the setpoint"),
+        ("unit", "position moves [0-9.]+ times as far as the setpoint"),
         ("joint", ""),
     ],
 )

@@ -120,6 +120,7 @@ def test_values_and_derivatives_are_the_functions(function, size):
     jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-9), want, found)
 
 
+@pytest.mark.exhaustive
 def test_large_arrays_stay_arrays():
     a, b = (jnp.asarray(_RANDOM.normal(size=(3, 3)), jnp.float32) for _ in range(2))
     for function in (_everything, _moves, _loops):

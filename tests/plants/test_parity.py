@@ -213,25 +213,14 @@ LINKS = """<mujoco><option timestep="0.001"/><worldbody>
   <keyframe><key qvel="6 -6 4"/></keyframe></mujoco>"""
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("field", "text"),
     [
-        pytest.param(
-            "contact corners",
-            FOOT.format(height=".016", shape="box", foot=""),
-            marks=pytest.mark.exhaustive,
-        ),
+        ("contact corners", FOOT.format(height=".016", shape="box", foot="")),
         ("contact margin", FOOT.format(height=".026", shape="box", foot='margin=".01"')),
-        pytest.param(
-            "equality",
-            LINKS.format(held='<connect body1="b" body2="c" anchor=".3 0 0"/>'),
-            marks=pytest.mark.exhaustive,
-        ),
-        pytest.param(
-            "equality",
-            LINKS.format(held='<weld body1="b" body2="c"/>'),
-            marks=pytest.mark.exhaustive,
-        ),
+        ("equality", LINKS.format(held='<connect body1="b" body2="c" anchor=".3 0 0"/>')),
+        ("equality", LINKS.format(held='<weld body1="b" body2="c"/>')),
     ],
 )
 def test_what_mjx_simulates_otherwise_is_said_and_left_to_c_mujoco(tmp_path, field, text):
@@ -243,16 +232,13 @@ def test_what_mjx_simulates_otherwise_is_said_and_left_to_c_mujoco(tmp_path, fie
     assert models.exact(robot, "mujoco")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "text",
     [
-        pytest.param(
-            FOOT.format(height=".016", shape="ellipsoid", foot=""), marks=pytest.mark.exhaustive
-        ),
+        FOOT.format(height=".016", shape="ellipsoid", foot=""),
         FOOT.format(height=".016", shape="box", foot='contype="0" conaffinity="0"'),
-        pytest.param(
-            LINKS.format(held='<joint joint1="a" joint2="c"/>'), marks=pytest.mark.exhaustive
-        ),
+        LINKS.format(held='<joint joint1="a" joint2="c"/>'),
     ],
 )
 def test_what_mjx_simulates_alike_is_not_said(tmp_path, text):

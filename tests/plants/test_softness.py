@@ -107,6 +107,7 @@ def _both(tmp_path, told, has):
     return loops
 
 
+@pytest.mark.exhaustive
 def test_armature_makes_contacts_as_soft_as_those_of_a_model_that_has_it(tmp_path):
     one, other = map(jx.margins, _both(tmp_path, {"joint_armature": 0.3}, {"armature": 0.3}))
     for name in ("growth_rate", "gain_margin", "delay_margin"):

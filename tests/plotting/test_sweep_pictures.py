@@ -55,6 +55,7 @@ def _inside_the_page(figure):
         assert not any(tight.overlaps(box) for box in own)
 
 
+@pytest.mark.exhaustive
 def test_map_draws_field_border_boundary_and_star(grid):
     arrangement = arrange(grid)
     figure = stability_map(

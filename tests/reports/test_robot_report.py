@@ -103,8 +103,9 @@ def settled(page, name="settled"):
     raise AssertionError("the numbers in full do not come")
 
 
+@pytest.mark.exhaustive
 @in_browser
-@pytest.mark.parametrize("points", [FEW, pytest.param(MANY, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("points", [FEW, MANY])
 def test_the_page_follows_its_sliders_as_python_does(page, report, loop, points):
     page.open(report)
     rng = np.random.default_rng(1)

@@ -36,6 +36,7 @@ def report(maps, tmp_path_factory):
     return maps.jaxact.report(tmp_path_factory.mktemp("sweep") / "sweep.html")
 
 
+@pytest.mark.exhaustive
 def test_cells_are_the_sweeps_in_the_order_of_the_loops(maps, report):
     data = data_of(report)
     cells = data["cells"]

@@ -70,6 +70,7 @@ def test_the_line_is_where_exact_stability_changes(name):
             assert counts == {True, False}
 
 
+@pytest.mark.exhaustive
 def test_a_traced_line_in_the_plane_of_the_gains_is_the_d_partition_curve():
     """Scaled gains are traced, those as they are follow the formula: the same curve."""
     x, y = Window("kp", 100.0, 1e4, True), Window("kd", 10.0, 300.0, True)

@@ -152,6 +152,7 @@ def _linear(model, where):
     return A, B
 
 
+@pytest.mark.exhaustive
 def test_a_push_gives_its_impulse(folder):
     """A free box at rest on the ground, pushed up: its momentum is the impulse, less gravity's."""
     text = (

@@ -144,11 +144,12 @@ ARM = """
 """
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "moved",
     [
         {"setpoint": 0.1},
-        pytest.param({"initial_velocity": 0.7, "setpoint": 0.1}, marks=pytest.mark.exhaustive),
+        {"initial_velocity": 0.7, "setpoint": 0.1},
     ],
 )
 def test_what_swings_back_slowly_is_not_lost(tmp_path, moved):

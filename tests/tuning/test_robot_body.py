@@ -79,6 +79,7 @@ def laden(folder):
     return one, robot.tune([one], Goal(max_peak=1.8), groups, number=4, starts=2, steps=30)
 
 
+@pytest.mark.exhaustive
 def test_a_member_is_the_model_that_has_it_written_in(folder):
     """Weightless, where the feedforward of both is none."""
     one = situation(_specification(folder / "floating.xml"), "home", read_box(SPANS, VARIED))
@@ -189,6 +190,7 @@ def test_what_was_assumed_is_said(laden):
     assert said["setpoint_and_feedforward"] == "of the nominal robot"
 
 
+@pytest.mark.exhaustive
 def test_on_its_contacts_a_member_grows_as_in_a_sweep(folder):
     asked = _specification(folder / "hopper.xml")
     asked = replace(asked, plant=replace(asked.plant, keyframe=None, payload_body="box"))

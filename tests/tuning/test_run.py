@@ -181,6 +181,7 @@ def test_a_filter_of_the_velocity_counts_in_continuous_time():
     assert tune(STARLETH, Goal(max_peak=1.6)).kp > 1.5 * tuned.kp
 
 
+@pytest.mark.exhaustive
 def test_the_whole_box_is_certified_corners_and_interior():
     box = read_box("wn=0.8..1.2,zeta=0.7..1.1,delay=0..5e-3,mass=0.5..1.0", FIELDS)
     tuned = tune(STARLETH, Goal(max_peak=1.6), box, number=16)

@@ -186,6 +186,7 @@ def test_a_batch_of_robots_does_not_pass_for_joints(tmp_path):
         jx.drive_around(step, robots, measure=measure, physics_step=H)
 
 
+@pytest.mark.exhaustive
 def test_a_robots_loop_gives_each_joint_its_own_drive(tmp_path):
     rows = "".join(
         f'<body pos="0 {n} 0"><joint name="{name}" axis="0 1 0"/><geom size="0.1" mass="1"/></body>'

@@ -158,6 +158,7 @@ def test_batches_can_be_compared():
     assert jax.jit(lambda kp: 1.0 * (LOOP.replace(kp=kp) == LOOP))(400.0) == 0.0
 
 
+@pytest.mark.exhaustive
 def test_no_factor_is_printed_where_no_factor_helps():
     """Held against the stability of the loop at other factors."""
     factors = np.geomspace(1e-4, 1.0, 40)

@@ -96,6 +96,7 @@ def test_a_traced_delay_of_a_sampled_loop_needs_its_longest():
     assert float(slope) == pytest.approx(-1.0, rel=1e-3)  # delay that is there is margin gone
 
 
+@pytest.mark.exhaustive
 def test_what_is_printed_names_the_loops():
     text = repr(jx.margins(jx.joint(actuator="starleth", delay=[0.0, 1e-3]), sampled="both"))
     for words in ("delay 0 ms", "delay 1 ms", "continuous", "sampled", "delay margin"):
@@ -152,6 +153,7 @@ def test_both_kinds_side_by_side_are_arrays_and_a_table_too():
     np.testing.assert_array_equal(table.sampled_delay_margin, found.sampled.delay_margin)
 
 
+@pytest.mark.exhaustive
 def test_of_thousands_of_loops_both_ends_are_printed():
     text = repr(jx.margins(jx.joint(kp=np.arange(1.0, 3001.0), kd=5.0)))
     assert "delay margin [ms]" in text and "phase margin [°]" in text

@@ -53,6 +53,7 @@ def test_trajectories_and_steps(loop):
         jx.plot.trajectory(run)
 
 
+@pytest.mark.exhaustive
 def test_a_map_on_given_axes(maps):
     figure, ax = pyplot.subplots()
     drawn = jx.plot.stability_map(maps, select={"delay": 0.005}, ax=ax)

@@ -99,6 +99,7 @@ def test_what_makes_no_sense_is_refused(loop, given, said):
         jx.tune(loop, **given)
 
 
+@pytest.mark.exhaustive
 def test_a_tuned_joint_is_among_those_certified():
     box = {"mass": (2.0, 3.0), "delay": (1e-3, 3e-3)}
     best = jx.tune(jx.joint(actuator="starleth"), max_peak=1.6, uncertainty=box, samples=2,
