@@ -34,6 +34,7 @@ def test_replaces_a_picture_and_takes_the_store_itself(results, tmp_path, capsys
     assert "HyQ (800 rad/s, ζ 0.45)" in capsys.readouterr().out
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "options",
     [

@@ -78,6 +78,7 @@ def test_the_force_that_is_reported_is_the_one_that_acts(tmp_path, case):
         np.testing.assert_array_equal(run.setpoint.values[place], aim)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.filterwarnings("ignore::jaxact.InexactWarning")
 def test_mjx_reports_the_same(tmp_path):
     run = jx.simulate(_loop("gear", tmp_path), setpoint=1.0, duration=0.1, engine="mjx")

@@ -100,6 +100,7 @@ def _told(folder, content):
     assert [item.name for item in folder.iterdir()] == ["sweep.toml"]
 
 
+@pytest.mark.exhaustive
 @settings(max_examples=1000)
 @given(text=_specifications())
 def test_a_malformed_specification_is_one_line_and_exit_code_2(text, folder):

@@ -64,6 +64,7 @@ EACH = pytest.mark.parametrize("number", range(len(LOOPS)), ids=[str(one) for on
 SERVO = pytest.mark.parametrize("servo", [False, True], ids=["ideal", "servo"])
 
 
+@pytest.mark.exhaustive
 @SERVO
 @EACH
 def test_roots_on_the_axis_count_as_unstable(of_all, number, servo):

@@ -52,8 +52,9 @@ def _final(options, delays, direction):
     return jax.jvp(final, (delays,), (direction,))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("substeps", [pytest.param(1, marks=pytest.mark.exhaustive), 4])
+@pytest.mark.parametrize("substeps", [1, 4])
 def test_derivative_with_respect_to_a_delay(place, substeps):
     options = DriveOptions(
         substeps, command_slots=8, measurement_slots=8 if place == "measurement" else 0

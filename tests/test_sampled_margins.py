@@ -365,6 +365,7 @@ def test_peaks_are_the_maxima_of_a_dense_grid(crowd):
             assert curve.max() >= peak * (1 - 2e-2), name
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("velocity", ["sampled", "differenced"])
 @pytest.mark.parametrize("integrator", ["exact", "euler"])
 def test_response_equals_the_resolvent(velocity, integrator):

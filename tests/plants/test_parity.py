@@ -172,6 +172,7 @@ def one(option="", flag="", geom="", body="", actuator='<motor joint="j"/>'):
     return ONE.format(option=option, flag=flag, geom=geom, body=body, actuator=actuator)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("field", "text"),
     [

@@ -148,6 +148,7 @@ def test_text_is_shown_as_text(page, report):
     assert page.said == []
 
 
+@pytest.mark.exhaustive
 @in_browser
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", [1280, 390])

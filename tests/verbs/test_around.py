@@ -225,6 +225,7 @@ def test_a_traced_loop_needs_its_longest():
         jax.jit(build)(1e-3)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("late", ["delay", "output_delay", "measurement_delay", "setpoint_delay"])
 @pytest.mark.parametrize("room", [0.0, 0.002, 0.05])
 def test_a_traced_delay_without_room_gives_no_number_and_never_a_wrong_one(late, room):
@@ -363,6 +364,7 @@ def _command(drive, state, setpoint):
     return state, output.command
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("late", ["delay", "output_delay"])
 @pytest.mark.parametrize("limits", [{}, {"force_limit": 1.0}], ids=str)
 def test_no_number_stays_none_when_all_is_compiled_as_one(late, limits):

@@ -81,6 +81,7 @@ def written(tmp_path):
     return write
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("own", "given", "used", "why"),
     [
