@@ -24,6 +24,7 @@ from jaxact.analysis.sampled.pulse import (
     denominators,
     polynomial,
 )
+from jaxact.compilation.once import once
 
 _STATES = 4
 
@@ -93,14 +94,17 @@ def in_two_parts(
     s = 2.0 * jnp.sin(half) * jax.lax.complex(jnp.sin(half), jnp.cos(half))
     transfer = late.transfer
     servo, own, single = denominators(transfer, s)
-    by_state = polynomial(late.position[:, :, None], u[None]) / (own * servo)[None]
     if transfer.differenced:
+        by_state = polynomial(late.position[:, :, None], u[None]) / (own * servo)[None]
         pole = transfer.pole
         rate = s / transfer.period * (1.0 - pole) / (1.0 - pole + pole * s)
         by_state = (loop.kp + loop.kd * rate)[None] * by_state
     else:
-        velocity = polynomial(late.velocity[:, :, None], u[None]) / (single * servo)[None]
-        by_state = loop.kp * by_state + loop.kd * velocity
+        both = jnp.stack([late.position, late.velocity], axis=1)
+        denominator = jnp.stack([own * servo, single * servo])
+        position, velocity = polynomial(both[..., None], u[None, None]) / denominator[:, None]
+        by_state = loop.kp * position + loop.kd * velocity
+    by_state = once(by_state)
     held = jnp.sum(by_state * late.whole[:, None], axis=0)
     return u, u * held, s[None] * by_state
 

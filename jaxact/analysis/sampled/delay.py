@@ -68,9 +68,10 @@ def delay_limits(loops: SampledLoop, transfers: PulseTransfer, found: Found) -> 
     phi, newer = jax.vmap(at_parts)(loops, parts)
     late = jax.vmap(any_delay)(transfers, phi, newer[:, 0])
     newer = newer[:, 1:]
-    demanding = jnp.any(jax.vmap(is_demanding)(loops, late, newer, found))
+    demands, left = jax.vmap(is_demanding)(loops, late, newer, found)
+    demanding = jnp.any(demands)
     theta, start, bounds, overflow = jax.lax.cond(
-        demanding, jax.vmap(starts), jax.vmap(near_starts), loops, late, newer, found
+        demanding, jax.vmap(starts), jax.vmap(near_starts), loops, late, newer, found, left
     )
     number, steps = (
         jnp.where(demanding, a, b) for a, b in ((STARTS + AT_NYQUIST, _NEAR), (_STEPS, _FEW))

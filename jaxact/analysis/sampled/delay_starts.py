@@ -30,7 +30,6 @@ from jaxact.analysis.sampled.search import (
     Found,
     bracketing_grid,
     first_cells,
-    response_at,
     with_slope,
 )
 
@@ -52,8 +51,12 @@ _FAR, _MOVED = 0.5, 0.1
 _BESIDE = 1e-3
 
 
-def is_demanding(loop: SampledLoop, late: AnyDelay, newer: jax.Array, found: Found) -> jax.Array:
-    """Whether a part of a period may matter to which crossovers there are, or to their order."""
+def is_demanding(
+    loop: SampledLoop, late: AnyDelay, newer: jax.Array, found: Found
+) -> tuple[jax.Array, jax.Array]:
+    """Whether a part of a period may matter to which crossovers there are, or to their order; and
+    arg(-L) of the loop's own ones, in [0, 2 pi), shape (GAIN_SLOTS,).
+    """
     own = jnp.where(found.gain_present, found.gain, 1.0)
     end = jnp.full(1, math.pi, own.dtype)
     theta = jnp.concatenate([own, (1.0 - _BESIDE) * own, found.extremes, end])
@@ -71,7 +74,7 @@ def is_demanding(loop: SampledLoop, late: AnyDelay, newer: jax.Array, found: Fou
     left = _phase_left(value[0, here] * hold(own, parts_beyond(loop)[0]))
     far = (own > _FAR) | ~(left * spread[here] < _MOVED * own**2 * slope)
     close = jnp.abs(size[0, others]) < 2.0 * spread[others]
-    return jnp.any(close) | (size[0, -1] > 0.0) | jnp.any(found.gain_present & far)
+    return jnp.any(close) | (size[0, -1] > 0.0) | jnp.any(found.gain_present & far), left
 
 
 def _phase_left(value: jax.Array) -> jax.Array:
@@ -80,11 +83,10 @@ def _phase_left(value: jax.Array) -> jax.Array:
 
 
 def near_starts(
-    loop: SampledLoop, late: AnyDelay, _: jax.Array, found: Found
+    loop: SampledLoop, _: AnyDelay, __: jax.Array, found: Found, left: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """As `starts`, from the loop's own crossovers, those that leave the least first."""
-    left = _phase_left(response_at(loop, late.transfer, found.gain)) / found.gain
-    left = jnp.where(found.gain_present, left, jnp.inf)
+    left = jnp.where(found.gain_present, left / found.gain, jnp.inf)
     order, more = jnp.argsort(left), STARTS + AT_NYQUIST - GAIN_SLOTS
     theta = jnp.where(found.gain_present, found.gain, jnp.nan)[order]
     start = loop.delay / loop.control_period + left[order]
@@ -111,12 +113,12 @@ def parts_beyond(loop: SampledLoop) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 
 def starts(
-    loop: SampledLoop, late: AnyDelay, newer: jax.Array, found: Found
+    loop: SampledLoop, late: AnyDelay, newer: jax.Array, found: Found, _: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Where Newton begins, from the crossovers at parts of a period.
 
     Args:
-        loop, late, found: of one loop.
+        loop, late, found: of one loop; the last argument is for `near_starts`.
         newer: Gamma_new at each of `parts_beyond`, shape (PARTS + 1, 4).
 
     Returns:

@@ -32,6 +32,7 @@ from jaxact.analysis.sampled.search import (
     with_slopes,
 )
 from jaxact.compilation.filling import filled
+from jaxact.compilation.once import once
 from jaxact.parameters import JOINT_DAMPING, JOINT_STIFFNESS
 
 _TILE = 64
@@ -156,7 +157,7 @@ def _assemble(
     period = loop.control_period
     response = partial(response_at, loop, transfer)
     theta_gain, theta_phase, theta_peak, direction = _live_frequencies(response, found)
-    value = response(jnp.concatenate([theta_gain, theta_phase, theta_peak]))
+    value = once(response(jnp.concatenate([theta_gain, theta_phase, theta_peak])))
     at_gain, at_phase, at_peak = jnp.split(value, [GAIN_SLOTS, GAIN_SLOTS + PHASE_SLOTS + 1])
 
     # At z = -1 the response is real: a single root crosses there, whatever the slope.

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from jaxact.analysis.sampled.period_map import SampledLoop
 from jaxact.analysis.sampled.pulse import PulseTransfer, plant_response, pulse_transfer
+from jaxact.compilation.once import once, together
 
 GAIN_SLOTS = 8
 PHASE_SLOTS = 12
@@ -78,14 +79,19 @@ def response_at(loop: SampledLoop, transfer: PulseTransfer, theta: jax.Array) ->
 
 def with_slope(function: Response, theta: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Value and derivative by theta of an elementwise function."""
-    return jax.jvp(function, (theta,), (jnp.ones_like(theta),))
+    value, first = together(*jax.jvp(function, (theta,), (jnp.ones_like(theta),)))
+    return value, first
 
 
 def with_slopes(function: Response, theta: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Value, first and second derivative by theta of an elementwise function."""
-    (value, first), (_, second) = jax.jvp(
-        lambda x: with_slope(function, x), (theta,), (jnp.ones_like(theta),)
-    )
+    one = jnp.ones_like(theta)
+
+    def slope(theta: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return jax.jvp(function, (theta,), (one,))
+
+    (value, first), (_, second) = jax.jvp(slope, (theta,), (one,))
+    value, first, second = together(value, first, second)
     return value, first, second
 
 
@@ -139,7 +145,7 @@ def search(loop: SampledLoop, transfer: PulseTransfer, max_delay_steps: int) -> 
     grid = bracketing_grid(loop, max_delay_steps)
     extremes = _gain_extremes(response, grid)
     grid = jnp.sort(jnp.concatenate([grid, extremes]))
-    value = response(grid)
+    value = once(response(grid))
     gain = jnp.log(jnp.abs(value))
     changes = (gain[:-1] > 0) != (gain[1:] > 0)
     gain_cells, gain_present = first_cells(changes, GAIN_SLOTS)
@@ -153,7 +159,7 @@ def search(loop: SampledLoop, transfer: PulseTransfer, max_delay_steps: int) -> 
 
     cells = jnp.concatenate([gain_cells, phase_cells])
     of_gain = jnp.arange(GAIN_SLOTS + PHASE_SLOTS) < GAIN_SLOTS
-    theta = _solve_crossings(response, of_gain, grid[cells], grid[cells + 1])
+    theta = _solve_crossings(response, of_gain, grid[cells], grid[cells + 1], value[cells])
     # At pi, which is looked at by itself, L is real but for rounding.
     rounding = 64.0 * jnp.finfo(theta.dtype).eps * (2.0 + transfer.steps)
     apart = theta[GAIN_SLOTS:] < math.pi - rounding
@@ -220,20 +226,21 @@ def first_cells(mask: jax.Array, slots: int) -> tuple[jax.Array, jax.Array]:
 
 
 def _solve_crossings(
-    response: Response, of_gain: jax.Array, low: jax.Array, high: jax.Array
+    response: Response, of_gain: jax.Array, low: jax.Array, high: jax.Array, at_low: jax.Array
 ) -> jax.Array:
-    """The crossover in each cell: bisection, then Newton inside the bracket."""
+    """The crossover in each cell, L at the beginning of which is known: bisection, then Newton
+    inside the bracket.
+    """
 
-    def side(theta: jax.Array) -> jax.Array:
-        value = response(theta)
+    def side(value: jax.Array) -> jax.Array:
         return jnp.where(of_gain, jnp.abs(value) > 1.0, value.imag > 0)
 
-    start = side(low)
+    start = side(at_low)
 
     def halve(_: int, bracket: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = bracket
         middle = 0.5 * (low + high)
-        before = side(middle) == start
+        before = side(once(response(middle))) == start
         return jnp.where(before, middle, low), jnp.where(before, high, middle)
 
     low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (low, high))

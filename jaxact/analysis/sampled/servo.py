@@ -13,14 +13,21 @@ exponential of the whole matrix.
 """
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from jaxact.compilation.once import together
 from jaxact.matrix_exponential import exponential_less_one
 
 _SERIES_REACH = 2.0
 _SERIES_TERMS = 26
+# 1 / (n + 3)! and 1 / (n + 4)!, from the last n.
+_SHARES = [
+    [1.0 / math.factorial(n + 3), 1.0 / math.factorial(n + 4)]
+    for n in reversed(range(_SERIES_TERMS))
+]
 
 
 def servo_integrals(x: jax.Array, damping_ratio: jax.Array) -> tuple[jax.Array, ...]:
@@ -39,22 +46,26 @@ def servo_integrals(x: jax.Array, damping_ratio: jax.Array) -> tuple[jax.Array, 
     x_near = jnp.where(near, x, 0.0)
     series = _servo_integrals_by_series(x_near, zeta)
     closed = _servo_integrals_by_recurrence(jnp.where(near, _SERIES_REACH, x), zeta)
-    return tuple(jnp.where(near, a, b) for a, b in zip(series, closed, strict=True))
+    return together(*(jnp.where(near, a, b) for a, b in zip(series, closed, strict=True)))
 
 
 def _servo_integrals_by_series(x: jax.Array, zeta: jax.Array) -> tuple[jax.Array, ...]:
     """b_k = x^{k+1} sum_n c_n x^n / (n + k + 1)!, c_0 = 1, c_n = -2 zeta c_{n-1} - c_{n-2}.
 
-    For k = 3 and 2; the recurrence, downwards, gives the others without cancelling.
+    For k = 2 and 3, summed from the last term as Clenshaw does; the recurrence, downwards, gives
+    the others without cancelling.
     """
-    term, before = jnp.ones_like(x * zeta), jnp.zeros_like(x * zeta)
-    b_2 = b_3 = jnp.zeros_like(term)
-    of_term, of_before = -2.0 * zeta * x, -x * x
-    for n in range(_SERIES_TERMS):
-        b_2 = b_2 + term * (1.0 / math.factorial(n + 3))
-        b_3 = b_3 + term * (1.0 / math.factorial(n + 4))
-        term, before = of_term * term + of_before * before, term
-    b_2, b_3 = x**3 * b_2, x**4 * b_3
+    of_next, of_second = (-2.0 * zeta * x)[None], (-x * x)[None]
+
+    def add(sums: tuple[jax.Array, jax.Array], share: jax.Array) -> tuple[Any, None]:
+        total, after = sums
+        return (share + of_next * total + of_second * after, total), None
+
+    ones = (1,) * (of_next.ndim - 1)
+    shares = jnp.asarray(_SHARES, of_next.dtype).reshape(_SERIES_TERMS, 2, *ones)
+    none = jnp.zeros((2, *of_next.shape[1:]), of_next.dtype)
+    (sums, _), _ = jax.lax.scan(add, (none, none), shares)
+    b_2, b_3 = x**3 * sums[0], x**4 * sums[1]
     b_1 = 0.5 * x * x - 2.0 * zeta * b_2 - b_3
     b_0 = x - 2.0 * zeta * b_1 - b_2
     return 1.0 - 2.0 * zeta * b_0 - b_1, b_0, b_1, b_2, b_3
@@ -97,9 +108,11 @@ def damped_oscillation(x: jax.Array, damping_ratio: jax.Array) -> tuple[jax.Arra
     fast_over_slow = jnp.expm1(-2.0 * root * x)
     creeping = (slow * (1.0 + 0.5 * fast_over_slow), -0.5 * slow * fast_over_slow / root)
 
-    cosine, sine = (
-        jnp.where(small, a, jnp.where(under, b, c))
-        for a, b, c in zip(near_critical, oscillating, creeping, strict=True)
+    cosine, sine = together(
+        *(
+            jnp.where(small, a, jnp.where(under, b, c))
+            for a, b, c in zip(near_critical, oscillating, creeping, strict=True)
+        )
     )
     return cosine, sine
 
