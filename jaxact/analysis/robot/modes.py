@@ -192,9 +192,9 @@ def participation(
     # A joint that no force moves feels an infinite inertia.
     inertias = np.where(np.isfinite(robot.inertias), robot.inertias, 0.0)
     rows = robot.positions if still else robot.velocities
-    moved = (rows[:, kept] @ states).reshape(len(inertias), -1)
+    moved = np.sqrt(inertias)[:, None] * (rows[:, kept] @ states).reshape(len(inertias), -1)
     if not moved.any() or not np.isfinite(moved).all():
         return np.full(len(inertias), 1.0 / len(inertias))
-    motions, sizes, _ = np.linalg.svd(np.sqrt(inertias)[:, None] * moved, full_matrices=False)
+    motions, sizes, _ = np.linalg.svd(moved, full_matrices=False)
     motions = motions[:, sizes > ALIKE * sizes[0]]
     return np.mean(np.abs(motions) ** 2, axis=1)
