@@ -21,7 +21,8 @@ with an ideal actuator, with HyQ's (800 rad/s, damping ratio 0.45) and with Star
 0.9). *held*: standing in contact with the trunk held, ideal, or
 *falls* where the robot does not come to rest on its feet from that keyframe. *stuck*: what MuJoCo's
 linearisation at rest says, in which dry friction is very strong damping; it is not the margin of a
-joint that moves. The joint is the one that shakes first on the stand.
+joint that moves. The joint is the one that shakes first on the stand, the first of those that are
+alike.
 
 | robot | gains of | stand [ms] | HyQ's [ms] | StarlETH's [ms] | joint | at [rad/s] | held [ms] | stuck [ms] | the PD loop closes in |
 |---|---|---|---|---|---|---|---|---|---|
