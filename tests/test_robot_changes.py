@@ -120,8 +120,9 @@ def test_legs_that_are_alike_have_equal_shares_in_what_begins_to_shake(tmp_path)
     legs = of(0.0)
     borne, changes = legs.delay_borne, legs.margins.changes
     shaking = of(1.2 * borne.delay)
-    for motion in (borne, changes.more_delay, changes.more_gain, shaking.margins.critical,
-                   shaking.margins.changes.less_delay, shaking.delay_borne):  # fmt: skip
+    for motion in (borne, changes.more_delay, changes.more_gain, legs.margins.at_peak,
+                   shaking.margins.critical, shaking.margins.changes.less_delay,
+                   shaking.delay_borne):  # fmt: skip
         shares = motion.participation.reshape(3, 2)
         np.testing.assert_allclose(shares, np.tile(shares[:1], (3, 1)), atol=1e-6)
         assert shares.sum() == pytest.approx(1.0) and shares.min() > 1e-4

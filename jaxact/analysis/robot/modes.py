@@ -162,8 +162,9 @@ def alike(roots: np.ndarray, number: int) -> np.ndarray:
 def response(robot: Robot, loop: Multiloop, frequency: float) -> Mode:
     """What the joints do under the forces that S amplifies most, at one frequency [rad/s]."""
     angle = frequency * robot.period
-    _, _, rows = np.linalg.svd(_multiloop.sensitivity(loop, np.array([angle]))[0])
-    moved = _multiloop.states(loop, angle, rows[0].conj())
+    _, sizes, rows = np.linalg.svd(_multiloop.sensitivity(loop, np.array([angle]))[0])
+    forces = rows[sizes > (1.0 - ALIKE) * sizes[0]].conj()  # of legs that are alike all
+    moved = np.stack([_multiloop.states(loop, angle, one) for one in forces], axis=-1)
     return Mode(0.0, frequency, 0.0, participation(robot, loop.kept, moved))
 
 
