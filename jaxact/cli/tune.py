@@ -302,17 +302,15 @@ def _phases(robot: Robot, whole: bool) -> list[str]:
 
 def _held_against(best: Tuned, seconds: float, phase: Told) -> tuple[Tuned, Rollouts | None]:
     """The gains, and rollouts with them; none where they are not wanted, or interrupted."""
+    if seconds:  # before a signal ends what is done at once, and the gains with it
+        from jaxact.tuning.rollouts import validation
     left_out = "the rollouts are left out"
     _signals.keep(_AT_ONCE)
     if best.interrupted:
         _signals.accept()
         return best.stopped(left_out) if seconds else best, None
-    if not seconds:
-        return best, None
-    from jaxact.tuning.rollouts import validation
-
     try:
-        return best, validation.rollouts(best, seconds, phase)
+        return best, validation.rollouts(best, seconds, phase) if seconds else None
     except KeyboardInterrupt:
         _signals.accept()
         return best.stopped(f"interrupted while simulating: {left_out}"), None

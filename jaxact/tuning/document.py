@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import jax
+import mujoco
 import numpy as np
 
 from jaxact import __version__
@@ -43,8 +45,6 @@ def document(
         nominal: metrics of a joint's nominal loop by name, None where they are not known.
         rollouts: that a robot's gains were held against, None if they were not.
     """
-    import jax
-
     goal, certificate, robot = tuned.goal, tuned.certificate, tuned.robot
     asked = {name: getattr(goal, name) for name in goal.active}
     asked |= {"min_kp": goal.min_kp} if goal.min_kp > 0 else {}
@@ -70,8 +70,6 @@ def document(
         seen |= {"worst": _known(report.worst(tuned)[""])} if len(tuned.members) > 1 else {}
         seen |= _shown_of_joint(tuned)
     else:
-        import mujoco
-
         gains, assumed = _gains(tuned, robot), _of_robot(tuned, robot)
         seen = {"before": _before(tuned, robot), "checks": _checks(tuned)}
         seen |= {"simulated": _simulated(robot.tracked, rollouts)}

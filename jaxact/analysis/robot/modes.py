@@ -19,7 +19,7 @@ from jaxact.analysis.robot.stability import beyond, drifting, excess, neutral
 # A root that turns by less than this in a period does not turn [rad].
 _STILL = 1e-9
 ALIKE = 1e-9
-"""Roots nearer to each other than this are equal but for rounding."""
+"""Roots, or sizes beside the largest, that differ by less are equal but for rounding."""
 
 
 @dataclass(frozen=True)
