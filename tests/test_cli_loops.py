@@ -178,6 +178,7 @@ def test_margins_of_a_sweeps_specification(capsys):
         (["simulate", "--joint", "3"], "the driven joints are joint"),
         (["simulate", "--seed", "-1"], "seed = -1"),
         (["simulate", "--velocity", "guessed"], "allowed: sampled, differenced"),
+        (["margins", "--stiffness", "300"], "did you mean `--kp`"),
     ],
 )
 def test_a_mistake_is_one_line_and_writes_nothing(capsys, arguments, message):

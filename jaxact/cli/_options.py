@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import difflib
 import functools
 import importlib
 import inspect
@@ -124,5 +125,15 @@ def _condensed(boxed: str) -> str:
     said = said[0].lower() + said[1:]
     hint = sections[1] if len(sections) > 1 else []
     if hint and hint[0].startswith("Perhaps you meant") and len(hint) > 1:
-        said += f"; did you mean `{hint[1]}`?"
+        said += f"; did you mean `{_of_long_name(said) or hint[1]}`?"
     return said
+
+
+def _of_long_name(said: str) -> str:
+    """The option of a parameter whose long name was written as one, "" where none was."""
+    from jaxact.parameters import ALIASES, PARAMETERS
+
+    written = re.search(r"--([a-z-]+)", said)
+    word = written[1].replace("-", "_") if written else ""
+    close = difflib.get_close_matches(word, [*PARAMETERS, *ALIASES], n=1, cutoff=0.8)
+    return f"--{ALIASES[close[0]].replace('_', '-')}" if close and close[0] in ALIASES else ""
