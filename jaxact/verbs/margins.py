@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -16,7 +17,7 @@ from jaxact.analysis.joint.margins import margins as _continuous_margins
 from jaxact.analysis.joint.roots import collocation_matrices, rightmost_root
 from jaxact.analysis.sampled.margins import SampledMargins
 from jaxact.analysis.sampled.margins import sampled_margins as _sampled_margins
-from jaxact.analysis.sampled.period_map import delay_steps
+from jaxact.analysis.sampled.period_map import SampledLoop, delay_steps, one_period_matrix
 from jaxact.compilation import filling
 from jaxact.compilation.programs import Program
 from jaxact.engines import LINEARISING as ENGINES
@@ -332,8 +333,19 @@ def _sampled(values: Mapping[str, np.ndarray], velocity: str) -> SampledMargins:
     steps = delay_steps(conversion.total_delay(values), 1.0 / values[CONTROL_RATE])
     # Long delays take long to compute, so that one loop is not to wait for others.
     filled = _filled_up(values) if steps <= _STEPS else values
-    loops = conversion.sampled(filled, velocity)
-    return _with_steps(loops, steps=_rounded_up(steps, _STEPS))
+    loops, steps = conversion.sampled(filled, velocity), _rounded_up(steps, _STEPS)
+    plain = jax.tree.map(np.asarray, loops)  # JAX would compile each slice
+    size = min(_MANY, len(filled[KP]))
+    roots = filling.in_chunks(partial(_period_roots, steps=steps), plain, size)
+    return _with_steps(loops, roots, steps=steps)
+
+
+def _period_roots(loop: SampledLoop, *, steps: int) -> np.ndarray:
+    """Roots of sampled loops, shape (k, n); by NumPy's LAPACK as in `_continuous`."""
+    matrices = np.asarray(_period_matrices(loop, steps=steps))
+    fits = np.isfinite(matrices).all(axis=(1, 2))
+    roots = np.linalg.eigvals(np.where(fits[:, None, None], matrices, 0.0))
+    return np.where(fits[:, None], roots, np.nan).astype(complex).T
 
 
 def _filled_up(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -364,5 +376,10 @@ def _roots(loop: Any, approximate: jax.Array) -> jax.Array:
 
 
 @Program
-def _with_steps(loop: Any, *, steps: int) -> SampledMargins:
-    return _sampled_margins(loop, max_delay_steps=steps)
+def _period_matrices(loop: Any, *, steps: int) -> jax.Array:
+    return jax.vmap(partial(one_period_matrix, max_delay_steps=steps))(loop)
+
+
+@Program
+def _with_steps(loop: Any, roots: jax.Array, *, steps: int) -> SampledMargins:
+    return _sampled_margins(loop, max_delay_steps=steps, roots=roots)

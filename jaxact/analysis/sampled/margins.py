@@ -62,13 +62,17 @@ _ARRAYS = tuple(f.name for f in fields(SampledLoop))[:8]
 _OF_JOINT = (JOINT_DAMPING, JOINT_STIFFNESS)
 
 
-def sampled_margins(loop: SampledLoop, *, max_delay_steps: int) -> SampledMargins:
+def sampled_margins(
+    loop: SampledLoop, *, max_delay_steps: int, roots: jax.Array | None = None
+) -> SampledMargins:
     """All margins of every sampled loop of a batch, safe under jit, vmap and grad.
 
     Args:
         loop: fields of any broadcastable shape; the result has their common shape.
         max_delay_steps: at least the largest floor(delay / T) in the batch; fixes all sizes. A loop
             whose delay does not fit comes out unstable with NaN throughout.
+        roots: `sampled_roots` of each loop where they are known already, constant, the batch's
+            shape after an axis for the roots.
     """
     names = (*_ARRAYS, *(_OF_JOINT if loop.sprung else ()))
     if loop.sprung:
@@ -79,36 +83,44 @@ def sampled_margins(loop: SampledLoop, *, max_delay_steps: int) -> SampledMargin
     shape = values[0].shape
     kind = {name: getattr(loop, name) for name in ("velocity", "integrator", "substeps")}
 
-    def tile(rows: list[jax.Array]) -> SampledMargins:
+    def tile(rows: list[jax.Array], roots: jax.Array | None) -> SampledMargins:
         loops = SampledLoop(**dict(zip(names, rows, strict=True)), **kind)
-        return _margins_of_tile(loops, max_delay_steps)
+        return _margins_of_tile(loops, max_delay_steps, roots)
 
-    flat = [v.reshape(-1) for v in values]
-    count = flat[0].shape[0]
+    flat = [v.reshape(-1) for v in values], None if roots is None else roots.reshape(len(roots), -1)
+    count = flat[0][0].shape[0]
     if count <= _TILE:
-        result = tile(flat)
+        result = tile(*flat)
     else:
         full = filled(flat, count + -count % _TILE)
-        parts = jax.lax.map(tile, jax.tree.map(lambda a: a.reshape((-1, _TILE)), full))
+        parts = jax.lax.map(lambda part: tile(*part), jax.tree.map(_tiles, full))
         result = jax.tree.map(lambda a: a.reshape(-1)[:count], parts)
     return jax.tree.map(lambda a: a.reshape(shape), result)
 
 
-def _margins_of_tile(loops: SampledLoop, max_delay_steps: int) -> SampledMargins:
+def _tiles(array: jax.Array) -> jax.Array:
+    """(..., n) as (n / _TILE, ..., _TILE)."""
+    return jnp.moveaxis(array.reshape((*array.shape[:-1], -1, _TILE)), -2, 0)
+
+
+def _margins_of_tile(
+    loops: SampledLoop, max_delay_steps: int, roots: jax.Array | None
+) -> SampledMargins:
     transfers = jax.vmap(pulse_transfer)(loops)
     constant, fixed = jax.lax.stop_gradient((loops, transfers))
     found = jax.vmap(partial(search, max_delay_steps=max_delay_steps))(constant, fixed)
     limits = delay_limits(constant, fixed, found)
-    return jax.vmap(partial(_margins_of_one, max_delay_steps))(loops, transfers, found, limits)
+    if roots is None:
+        known = jax.vmap(partial(sampled_roots, max_delay_steps=max_delay_steps))(constant)
+    else:
+        known = jax.lax.stop_gradient(roots.T)
+    return jax.vmap(_margins_of_one)(loops, transfers, found, limits, known)
 
 
 def _margins_of_one(
-    max_delay_steps: int, loop: SampledLoop, transfer: PulseTransfer, found: Found,
-    limit: DelayLimit,
-) -> SampledMargins:  # fmt: skip
-    constant = jax.lax.stop_gradient(loop)
-    roots = sampled_roots(constant, max_delay_steps)
-    count = count_unstable(constant, roots)
+    loop: SampledLoop, transfer: PulseTransfer, found: Found, limit: DelayLimit, roots: jax.Array
+) -> SampledMargins:
+    count = count_unstable(jax.lax.stop_gradient(loop), roots)
     radius = dominant_modulus(loop, transfer, roots)
     found = replace(found, overflow=found.overflow | limit.overflow)
     return _assemble(loop, transfer, found, radius, count, added_delay(loop, limit))
