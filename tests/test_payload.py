@@ -285,3 +285,33 @@ def test_gains_are_not_certified_where_a_force_limit_does_not_bear_the_payload(f
 def test_the_world_carries_no_payload(folder):
     with pytest.raises(jx.UserError, match="'world': no such body.*rod, hand"):
         jx.margins(jx.robot(folder / "rod.xml", payload_body="world", payload=1.0, kp=9.0, kd=1.0))
+
+
+@pytest.fixture(scope="module")
+def pedestal(folder):
+    """The rod on a base that is heavier than all that moves, and stands on the ground."""
+    path = folder / "pedestal.xml"
+    base = '<worldbody>\n<body name="stand"><geom type="box" size=".1 .1 .1" mass="20"/></body>'
+    path.write_text(ROD.replace("<worldbody>", base))
+    return path
+
+
+def test_a_payload_that_moves_nothing_is_refused(pedestal):
+    """No margin holds for a load that the robot does not carry."""
+    given = {"keyframe": "home", "kp": 40.0, "kd": 4.0}
+    bare = jx.margins(jx.robot(pedestal, **given))
+    assert bare.stable
+    said = r"plant.payload_body: 'stand' cannot move.*of which 'rod' is the heaviest$"
+    with pytest.raises(jx.UserError, match=said):
+        jx.margins(jx.robot(pedestal, **given, payload=0.5))
+    with pytest.raises(jx.UserError, match=said):
+        jx.tune(jx.robot(pedestal, **given), max_peak=2.0, uncertainty={"payload": (0.0, 0.5)})
+    carried = jx.margins(jx.robot(pedestal, **given, payload=0.5, payload_body="rod"))
+    assert carried.details[0].rest.sag[0] > 1e-3
+
+
+def test_a_push_that_moves_nothing_is_refused(pedestal):
+    push = {"body": "stand", "impulse": [0.0, 1.0, 0.0], "time": 0.01, "duration": 0.01}
+    loop = jx.robot(pedestal, keyframe="home", kp=40.0, kd=4.0, push=push)
+    with pytest.raises(jx.UserError, match=r"push.body: 'stand' cannot move"):
+        jx.simulate(loop, duration=0.1)

@@ -19,7 +19,9 @@ from jaxact.errors import UserError, nearest, shown
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 _SIDES = "│┃|"
 # Options that are called otherwise than the library's parameter.
-_OTHERWISE = {"front": "pareto", "columns": "map", "goal": "objective"}
+_OTHERWISE = {
+    "front": "pareto", "columns": "map", "goal": "objective", "samples": "ensemble",
+}  # fmt: skip
 _RULE = re.compile(r"[─━═_-]{8,}")
 
 
@@ -47,9 +49,9 @@ def typed(text: str, verb: str) -> str:
 
     def replaced(found: re.Match[str]) -> str:
         name, value = found.groups()
-        option = _OTHERWISE.get(name, name)
+        option = name if name in names else _OTHERWISE.get(name, name)
         value = value.lower() if value in ("True", "False") else value
-        if {name, option} & names:
+        if option in names:
             return "--" + option.replace("_", "-") + (f" {value}" if value else "")
         return f"--set {name}={value}" if value else found[0]
 

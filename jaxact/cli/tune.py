@@ -107,7 +107,7 @@ class Search:
     ] = ""
     ensemble: Annotated[
         int,
-        option("NUMBER", "Samples of the uncertainty, beside its corners.", "32, of a robot 8"),
+        option("NUMBER", "Samples of the uncertainty, corners beside them.", "32, of a robot 8"),
     ] = UNSET_NUMBER
     starts: Annotated[int, option("NUMBER", "Default starts of the descent.")] = 8
     steps: Annotated[

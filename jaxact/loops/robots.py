@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 
 from jaxact import files
-from jaxact.errors import UserError, nearest
-from jaxact.loops import joint_ranges
+from jaxact.errors import UserError
+from jaxact.loops import bodies, joint_ranges
 from jaxact.loops.joint_ranges import RANGES
 from jaxact.loops.specification import Plant
 from jaxact.parameters import (
@@ -75,8 +75,7 @@ class Scene:
     @property
     def carrier(self) -> str:
         """Name of the body that carries a payload, or its number in words."""
-        name = self.robot.model.body(self.payload_body).name
-        return name or f"body {self.payload_body}"
+        return bodies.label(self.robot, self.payload_body)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -103,7 +102,7 @@ def scene(plant: Plant) -> Scene:
         find = _posture.settled if plant.posture == "settled" else _posture.given
         _POSTURES.clear()
         _POSTURES[key] = find(robot)
-    return Scene(robot, _POSTURES[key], body(robot, plant.payload_body, "plant.payload_body"))
+    return Scene(robot, _POSTURES[key], bodies.payload_body(robot, plant.payload_body))
 
 
 def read(plant: Plant) -> Robot:
@@ -133,22 +132,6 @@ def linearised(scene: Scene, plant: Plant | None) -> Scene:
         return scene
     robot, posture = _friction.moving(scene.robot, scene.posture)
     return replace(scene, robot=robot, posture=posture)
-
-
-def body(robot: Robot, name: str | None, key: str) -> int:
-    """Number of a body; of the heaviest one without a name.
-
-    Raises:
-        UserError: there is none of that name.
-    """
-    model = robot.model
-    if name is None:
-        return int(np.argmax(model.body_mass))
-    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-    if number <= 0:  # the world cannot be pushed, and carries any weight
-        known = [model.body(index).name for index in range(1, model.nbody)]
-        raise UserError(f"{key} = {name!r}: no such body; {nearest(name, filter(None, known))}")
-    return int(number)
 
 
 def overloaded(scene: Scene) -> tuple[str, ...]:
@@ -356,7 +339,7 @@ def of_drives(plant: Plant, values: Mapping[str, Any]) -> dict[str, Any]:
         UserError: as `read` and `check`.
     """
     robot = read(plant)
-    placed = Scene(robot, _posture.given(robot), body(robot, None, "plant.payload_body"))
+    placed = Scene(robot, _posture.given(robot), bodies.payload_body(robot, None))
     keys = [key for key in values if "@" in key]
     given = {
         key for key, value in values.items()

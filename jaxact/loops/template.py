@@ -132,7 +132,7 @@ def _linear(setting: Setting, scene: Scene, plant: Any, step: float) -> Linearis
 
 def _placed(setting: Setting, scene: Scene, varied: tuple[str, ...], impl: str) -> Any:
     """The MJX plant of a robot, its push included."""
-    from jaxact.loops import robots
+    from jaxact.loops import bodies
     from jaxact.plants.mjx import plant as mjx
 
     plant = mjx.place(
@@ -147,6 +147,6 @@ def _placed(setting: Setting, scene: Scene, varied: tuple[str, ...], impl: str) 
     if push is None:
         return plant
     force = jnp.asarray(np.array(push.impulse) / push.duration)
-    number = robots.body(scene.robot, push.body, "push.body")
+    number = bodies.pushed(scene.robot, push.body)
     start, duration = jnp.asarray(push.time), jnp.asarray(push.duration)
     return replace(plant, push=mjx.Push(force, start, duration, number))

@@ -35,6 +35,7 @@ from jaxact.parameters import (
     KP,
     MASS,
     OF_JOINT,
+    PAYLOAD,
     SETPOINT,
 )
 from jaxact.plants.mass import Mass
@@ -141,13 +142,15 @@ def occurring(setting: Setting, along: Mapping[str, np.ndarray]) -> Mapping[str,
     """
     if setting.plant is None:
         return along
-    from jaxact.loops import robots  # as above
+    from jaxact.loops import bodies, robots  # as above
 
     scene = robots.scene(setting.plant)
     given = {name for name, values in along.items() if not np.isnan(values).any()}
     robots.check(scene, setting.keys, given)
     if setting.corrected:
         robots.check_integrator(scene)
+    if np.any(np.nan_to_num(along[PAYLOAD]) > 0.0):
+        bodies.check_payload(scene.robot, scene.payload_body)
     return robots.spread(along, robots.brought(scene))
 
 

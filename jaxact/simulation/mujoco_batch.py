@@ -21,7 +21,7 @@ from jaxact.drive import step as _drive
 from jaxact.drive.controller import Setpoint
 from jaxact.drive.step import Coefficients
 from jaxact.engines import MUJOCO
-from jaxact.loops import joint_ranges, robots
+from jaxact.loops import bodies, joint_ranges
 from jaxact.loops.conversion import drive_of
 from jaxact.loops.robots import Scene
 from jaxact.loops.specification import Setting
@@ -214,7 +214,7 @@ def _impulse(setting: Setting, scene: Scene) -> Impulse | None:
     push = setting.push
     if push is None:
         return None
-    number = robots.body(scene.robot, push.body, "push.body")
+    number = bodies.pushed(scene.robot, push.body)
     force = np.array(push.impulse) / push.duration
     return Impulse(number, force, push.time, push.duration)
 

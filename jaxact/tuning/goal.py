@@ -41,6 +41,9 @@ CONSTRAINTS = {
     "max_noise_gain": (("noise_gain", 1.0),),
 }
 
+WORST = "worst"
+"""The risk of the worst member."""
+
 DERIVATIVES = ("auto", "forward", "reverse")
 """How the gains' effect on simulated tracking may be computed."""
 
@@ -79,7 +82,7 @@ class Goal:
     max_noise_gain: float = math.inf
     min_kp: float = 0.0
     max_kp: float = math.inf
-    risk: str = "worst"
+    risk: str = WORST
     reference: tuple[float, ...] = ()
     reference_period: float = 1e-3
 
@@ -178,7 +181,7 @@ def risk_tail(risk: str) -> float:
     Raises:
         UserError: any other word.
     """
-    if risk == "worst":
+    if risk == WORST:
         return 0.0
     if risk == "mean":
         return 1.0

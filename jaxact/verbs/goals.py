@@ -14,7 +14,7 @@ import numpy as np
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.parameters import INERTIA
-from jaxact.tuning.goal import DERIVATIVES, OBJECTIVES, Goal, check
+from jaxact.tuning.goal import DERIVATIVES, OBJECTIVES, WORST, Goal, check
 
 _TRACKED = ("reference", "reference_period")
 # Fields of a goal that are given otherwise than as a bound.
@@ -84,14 +84,24 @@ def check_options(
         raise UserError(f"`derivative` {shown(derivative)}; {nearest(derivative, DERIVATIVES)}")
 
 
-def check_inertia(uncertain: Any, loop: ControlLoop) -> None:
-    """Raise UserError for an uncertain inertia of a joint that slides.
+def check_uncertain(uncertain: Any, loop: ControlLoop, samples: int | None, risk: str) -> None:
+    """Raise UserError for samples or a risk of nothing, and for an inertia of a joint that slides.
 
     Args:
         uncertain: what is, as for `jaxact.tune`.
         loop: which is tuned.
+        samples: of it, as asked for.
+        risk: of the goal.
     """
-    sliding = loop.kind.plant is None and loop.kind.unit != "rad"
+    joint = loop.kind.plant is None
+    if isinstance(uncertain, str | Mapping) and not uncertain:
+        if samples is not None:
+            raise UserError("`samples`: of what is uncertain, and nothing is; give `uncertainty`")
+        if joint and risk != WORST:
+            raise UserError(f"`risk` {risk}: is over loops, and this is one; give `uncertainty`")
+    elif samples == 1 and joint and risk != WORST and not isinstance(uncertain, ControlLoop):
+        raise UserError(f"`samples` 1: `risk` {risk} would be that of a single draw; give more")
+    sliding = joint and loop.kind.unit != "rad"
     if sliding and isinstance(uncertain, Mapping) and INERTIA in uncertain:
         raise UserError(
             "`uncertainty` inertia: is that of a rotary joint, and this one slides; give mass"

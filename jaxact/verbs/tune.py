@@ -40,7 +40,7 @@ from jaxact.tuning.joint.ensemble import FIELDS, Ensemble, Sampling, ensemble, j
 from jaxact.tuning.optimise import Descent
 from jaxact.tuning.result import Tuned
 from jaxact.verbs import naming, notebook, showing
-from jaxact.verbs.goals import check_inertia, check_options, goal_of
+from jaxact.verbs.goals import check_options, check_uncertain, goal_of
 
 if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
@@ -90,8 +90,8 @@ def tune(
             inertia_scale, ...; or as the command line writes it; or an identified drive, for the
             95 % intervals of all that the loop has from it. Of a joint also a batch of loops, such
             as the `samples` of what was identified; their gains do not count.
-        samples: of the uncertainty, beside its corners and its worst interior point; None: 32, of a
-            robot 8.
+        samples: of the uncertainty, beside its corners and its worst interior point (where the
+            worst member counts; a mean is over the samples alone); None: 32, of a robot 8.
         sampled: of a joint, whether the margins are those of the sampled loop; None: where the loop
             was given a control rate. A robot's are always sampled.
         groups: of a robot, patterns found in the names of joints or actuators: the joints of one
@@ -135,7 +135,7 @@ def tune(
         raise UserError("`front`: cannot be combined with `tracking_weight`")
     if not isinstance(uncertainty, str | Mapping | ControlLoop):
         uncertainty = intervals(drives.taken(uncertainty), loops[0])
-    check_inertia(uncertainty, loops[0])
+    check_uncertain(uncertainty, loops[0], samples, asked.risk)
     unsure = _ranges(uncertainty) if isinstance(uncertainty, Mapping) else uncertainty
     common: dict[str, Any] = {"uncertainty": unsure, "samples": samples, "starts": starts,
                               "steps": steps, "seed": seed, "front": front,

@@ -17,7 +17,7 @@ import numpy as np
 from jaxact.parameters import KP
 from jaxact.tuning.box import sobol
 from jaxact.tuning.certificate import Metrics
-from jaxact.tuning.goal import Goal, tail_weights
+from jaxact.tuning.goal import WORST, Goal, tail_weights
 from jaxact.tuning.joint import metrics
 from jaxact.tuning.joint.ensemble import PLANT, Ensemble
 from jaxact.tuning.joint.metrics import Exact
@@ -158,7 +158,7 @@ def family(goal: Goal) -> Goal:
     kept = {"max_peak": 2.0, "min_gain_margin": 2.0, "min_delay_margin": 1.0,
             "min_disk_margin": 0.5, "max_noise_gain": 1.0}  # fmt: skip
     bounds = {name: kept[name] for name in goal.active}
-    risk = "worst" if goal.tail == 0.0 else "mean"
+    risk = WORST if goal.tail == 0.0 else "mean"
     return replace(goal, **bounds, min_kp=0.0, max_kp=np.inf, risk=risk)
 
 

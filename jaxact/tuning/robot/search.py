@@ -20,9 +20,10 @@ import numpy as np
 from jaxact.analysis.robot.one_thread import one_thread
 from jaxact.errors import UserError
 from jaxact.loops import robots
+from jaxact.parameters import KD, KP
 from jaxact.tuning.certificate import Effort
 from jaxact.tuning.course import INTERRUPTED, NOTHING, Course, Told, silent
-from jaxact.tuning.goal import Goal, check
+from jaxact.tuning.goal import WORST, Goal, check
 from jaxact.tuning.groups import Groups
 from jaxact.tuning.optimise import Descended, Descent, no_path
 from jaxact.tuning.result import Gains, OfRobot, Outcome, Tuned, judged
@@ -378,11 +379,9 @@ def _check(
     for name in goal.active:
         if name not in BOUNDS:
             raise UserError(f"`{name}`: is for a single joint; of a robot {_instead(name, goal)}")
-    if goal.risk != "worst":
-        raise UserError(
-            f"`risk` {goal.risk}: of a robot every loop counts, worst; leave out what need not "
-            "hold by a narrower `uncertainty`"
-        )
+    if goal.risk != WORST:
+        instead = "leave out what need not hold by a narrower `uncertainty`"
+        raise UserError(f"`risk` {goal.risk}: of a robot every loop counts, worst; {instead}")
     if goal.objective == "stiffness" and not goal.active:
         raise UserError("nothing limits the gains; give `max_peak` or `min_disk_margin`")
     for one in situations:
@@ -395,5 +394,6 @@ def _check(
                 f"the joints of '{one.name}' are not those of '{situations[0].name}': "
                 f"{', '.join(joints)}"
             )
-    if start is not None and not all(np.all((k > 0) & np.isfinite(k)) for k in start):
-        raise UserError("gains to start from must be positive and finite")
+    for name, k in zip((KP, KD), start or (), strict=False):
+        if not np.all((k > 0) & np.isfinite(k)):
+            raise UserError(f"`{name}` {np.min(k):g}: a start must be positive and finite")
