@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import brentq, fsolve
 
 import jaxact as jx
+from jaxact.cli.main import main
 from jaxact.loops import reading, robots
 from jaxact.loops.samples import expand
 from jaxact.robots import rest
@@ -27,6 +28,7 @@ YAW = """<mujoco model="yaw"><option timestep="0.001"/>
 <position name="pitch" joint="pitch" kp="12" kv="0.5"/></actuator>
 <keyframe><key name="home" qpos="0 0.2" ctrl="0 0.2"/></keyframe>
 </mujoco>"""
+HELD = 0.2  # of the pitch joint [rad]
 YAW_KP, YAW_KD, DELAY = np.array([340.0, 12.0]), np.array([34.0, 0.5]), 12
 
 # A point mass M on a rod of length 0.5 m, upright at 0, with a hand that weighs nothing.
@@ -136,6 +138,25 @@ def test_margins_say_who_carries_a_payload_and_how_far_it_sags(folder):
     (posture,) = (one.rest.posture for one in found.details)
     bearing = _plain(2.0)[1](posture.qpos)
     np.testing.assert_allclose(posture.force, bearing, atol=1e-5)
+
+
+def test_simulate_says_in_json_how_far_a_payload_makes_it_sag(folder, capsys):
+    words = ("simulate", "--model", str(folder / "yaw.xml"), "--keyframe", "home", "--json",
+             "--kp", "12", "--kd", "2", "--duration", "0.05", "--engine", "mujoco",
+             "--out", str(folder / "run.png"), "--set", "plant.payload_body=hand")  # fmt: skip
+    assert main([*words, "--set", "payload=1"]) == 0
+    loaded = json.loads(capsys.readouterr().out)
+    assert loaded["payload_body"] == "hand" and loaded["leaves_posture"] is None
+    at = fsolve(lambda q: 12.0 * (HELD - q) + _moment(q, 1.0) - _moment(HELD, 0.0), HELD)[0]
+    assert loaded["sag"]["pitch"] == pytest.approx(at - HELD, abs=1e-5)
+    assert main([*words]) == 0
+    bare = json.loads(capsys.readouterr().out)
+    assert bare["payload_body"] is bare["sag"] is bare["leaves_posture"] is None
+
+
+def _moment(angle, payload):
+    """Of gravity on the pitch joint of the turntable's arm, about its axis [N m]."""
+    return GRAVITY * 0.4 * (0.4 / 2.0 + 0.2 + payload) * np.cos(angle)
 
 
 def _rod(payload, kp, lead=0.3):

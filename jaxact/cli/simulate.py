@@ -85,7 +85,9 @@ def main(
     The loop is that of the study where nothing is given: 0.7 kg, kp 400 N/m, kd 20 N s/m, ideal
     actuator, no delay, control at 1 kHz. All units are SI, delays in seconds; for a rotary joint
     read rad and N m. Where quantisation, friction, or a robot that nothing disturbs ask for it, the
-    verdict is the worst of several starts, which are listed.
+    verdict is the worst of several starts, which are listed. JSON of a robot says what dry friction
+    holds (stiction), and what `jaxact margins` says of a changed model (payload_body, sag,
+    leaves_posture).
 
     With --replay: an identified drive on the time stamps of a log, for the setpoint under the gains
     that the map states, or for the command; measured and simulated over each other, and the errors.
@@ -135,7 +137,7 @@ def main(
 
         held = whole_robot.nominal(specification).stiction
     if json:
-        print(run_tables.as_json(run, held))
+        print(run_tables.as_json(run, held, _changes_as_object(specification)))
         return
     print("\n".join([*_changes(specification), run_tables.text(run)]))
     if held is not None:
@@ -150,6 +152,15 @@ def _changes(specification: Specification) -> list[str]:
     from jaxact.verbs import changed_robot
 
     return changed_robot.of_nominal(specification)
+
+
+def _changes_as_object(specification: Specification) -> dict[str, Any]:
+    """The same for JSON."""
+    if specification.plant is None:
+        return {}
+    from jaxact.verbs import changed_robot
+
+    return changed_robot.of_nominal_as_object(specification)
 
 
 def specified(

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 # A smaller distance from the posture is not worth a word [rad or m].
 _WORTH_A_WORD = 1e-3
+_KEYS = "payload_body", "sag", "leaves_posture"
 
 
 def lines(found: WholeRobot) -> list[str]:
@@ -61,6 +62,15 @@ def of_nominal(specification: Specification) -> list[str]:
     return lines(whole_robot.nominal(specification)) if whole_robot.changed(specification) else []
 
 
+def of_nominal_as_object(specification: Specification) -> dict[str, Any]:
+    """As `as_object`, of a specification's nominal loop."""
+    from jaxact.robot_margins import whole_robot
+
+    if not whole_robot.changed(specification):
+        return dict.fromkeys(_KEYS)
+    return as_object(whole_robot.nominal(specification))
+
+
 def as_object(found: WholeRobot) -> dict[str, Any]:
     """The same for JSON.
 
@@ -71,11 +81,9 @@ def as_object(found: WholeRobot) -> dict[str, Any]:
 
     assert found.specification.plant is not None
     scene, rest = robots.scene(found.specification.plant), found.rest
-    row: dict[str, Any] = {
-        "payload_body": scene.carrier if found.values[PAYLOAD] > 0.0 else None,
-        "sag": None,
-        "leaves_posture": None,
-    }
+    row: dict[str, Any] = dict.fromkeys(_KEYS)
+    if found.values[PAYLOAD] > 0.0:
+        row["payload_body"] = scene.carrier
     if rest is not None:
         row["sag"] = dict(zip(scene.labels, rest.sag.tolist(), strict=True))
         row["leaves_posture"] = rest.leaves or None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -53,12 +54,15 @@ def text(run: Single) -> str:
     return "\n".join([said, *starts.lines(run)])
 
 
-def as_json(run: Single, stiction: Stiction | None = None) -> str:
+def as_json(
+    run: Single, stiction: Stiction | None = None, changed: Mapping[str, Any] | None = None
+) -> str:
     """Everything but the trajectory as one object.
 
     Args:
         run: of one loop.
         stiction: of a robot, what dry friction holds of it.
+        changed: of a robot, from `jaxact.verbs.changed_robot.of_nominal_as_object`.
     """
     from jaxact.verbs import robot_tables
 
@@ -71,6 +75,7 @@ def as_json(run: Single, stiction: Stiction | None = None) -> str:
     }
     if run.trajectory.configuration is not None:  # of a robot
         found["stiction"] = None if stiction is None else robot_tables.as_object(stiction)
+        found |= changed or {}
     found |= {"starts": starts.document(run), "parameters": plain(run.values)}
     return json.dumps(found)
 

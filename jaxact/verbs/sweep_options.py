@@ -117,6 +117,7 @@ def forecast(asked: Specification, how: SweepOptions) -> str:
     samples = expand(asked)
     planned: Planned = how.planner(asked, samples)
     layout = planned.layout(samples)
+    count = len(layout)
     first = f"{len(samples):,} loops" + _shape(samples)
     if how.width is not None:
         grid = _adaptive.lattice(asked, how.width)
@@ -129,7 +130,7 @@ def forecast(asked: Specification, how: SweepOptions) -> str:
     return "\n".join(
         [
             first,
-            f"{len(layout):,} chunks of up to {layout.loops:,} loops,"
+            f"{count:,} chunk{'' if count == 1 else 's'} of up to {layout.loops:,} loops,"
             f" in tiles of {planned.tile:,} on {planned.device}",
             f"memory: about {memory.text(planned.peak)} of {memory.text(planned.memory)} allowed;"
             f" on disk: {memory.text(size * len(layout))}",
