@@ -32,7 +32,7 @@ from jaxact.tuning.robot.exact import exact  # noqa: E402
 from jaxact.tuning.robot.loops import VARIED, situation  # noqa: E402
 from jaxact.tuning.rollouts.exposure import exposed  # noqa: E402
 from jaxact.tuning.rollouts.validation import Rollouts, Validation, validate  # noqa: E402
-from jaxact.verbs import tuning_tables  # noqa: E402
+from jaxact.verbs import tuning_folder, tuning_tables  # noqa: E402
 
 RESULTS = HERE.parent.parent / "results" / "tuning" / "quadruped"
 GROUPS = ("HAA", "HFE", "KFE")
@@ -70,7 +70,7 @@ def main() -> None:
     held = Rollouts(duration, rollouts["tuned"], rollouts["nominal"])
     shown = tuning_tables.Robot(tuned, held)
     document = shown.report()
-    shown.write(asked.out, document, "make tuning")
+    tuning_folder.write(shown, asked.out, document, "make tuning")
     print(shown.text(document))
     document |= {"seconds": seconds}
     document["rollouts"] = {name: report.verdicts(rows) for name, rows in rollouts.items()}

@@ -194,6 +194,8 @@ def sentence(
     goal: Goal,
     closest: Sequence[Check] = (),
     effort: Effort | None = None,
+    *,
+    continuous: bool = False,
 ) -> str:
     """What is guaranteed, or why not, in one sentence.
 
@@ -202,12 +204,14 @@ def sentence(
         goal: what was asked.
         closest: the checks where the constraints are missed by as little as possible.
         effort: of the search; what it did not find is not proven not to be there.
+        continuous: it is of loops in continuous time, which no controller is.
     """
     if certificate.met:
         of = "the loop" if certificate.members == 1 else f"all {certificate.members} members"
         if goal.tail and certificate.members > 1:
             of = f"{_counted(goal.tail)} of the {certificate.members} members, which are all stable"
-        words = [f"every constraint holds for {of}, computed exactly"]
+        how = " in continuous time" if continuous else ""
+        words = [f"every constraint holds for {of}, computed exactly{how}"]
         if certificate.corners:
             point = "" if certificate.interior is None else " and the worst interior point"
             words.append(f"{certificate.corners} corners{point} included")

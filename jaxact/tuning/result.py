@@ -59,6 +59,8 @@ class OfRobot:
 class Tuned(Reportable):
     """Tuned gains of a joint, an ensemble or a robot, and what is known of them.
 
+    `certified` tells whether all that was asked for holds, `verdict` says it.
+
     Attributes:
         goal: what was asked.
         members: every plant, or every loop of a robot, that was looked at.
@@ -223,7 +225,9 @@ def judged(
     certificate = replace(
         certificate, agreeing=_agreeing(outcome.paths), gap=outcome.gap, notes=outcome.notes
     )
-    words = sentence(certificate, goal, closest, outcome.effort)
+    sampling = getattr(members, "sampling", None)  # robots are always sampled
+    continuous = sampling is not None and sampling.control_period is None
+    words = sentence(certificate, goal, closest, outcome.effort, continuous=continuous)
     if not improved and certificate.stable:
         why = "nothing better than the start was found until then"
         words = f"{why if outcome.interrupted else 'the start cannot be improved upon'}; {words}"

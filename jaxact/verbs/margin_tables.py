@@ -231,8 +231,8 @@ def _tall(labels: Sequence[str], rates: np.ndarray, found: Mapping[str, Metrics]
     heads, cells = [""], []
     for index, label in enumerate(labels):
         for prefix, metrics in found.items():
-            kind = f"\n{'sampled' if prefix else 'continuous'}" if len(found) > 1 else ""
-            heads.append(f"{label}{kind}")
+            kind = f"sampled at {quantity(rates[index], 'Hz')}" if prefix else "continuous"
+            heads.append(f"{label}\n{kind}")
             cells.append(_column(metrics, index, float(rates[index]),
                                  periods=len(found) > 1))  # fmt: skip
     made = table(*heads)
@@ -299,7 +299,8 @@ def _phase_range(disk: float) -> float:
 
 def _wide(labels: Sequence[str], found: Mapping[str, Metrics], rows: Sequence[int]) -> Any:
     """A line for each of these loops, an empty one where some between them are left out."""
-    made = table("loop", "gain margin", "phase margin [°]", "delay margin [ms]", "Ms", "Mt",
+    head = "loop" if "sampled_" in found else "loop, continuous"
+    made = table(head, "gain margin", "phase margin [°]", "delay margin [ms]", "Ms", "Mt",
                  "disk margin", "unstable roots", "log gain to boundary")  # fmt: skip
     for before, index in zip((rows[0] - 1, *rows), rows, strict=False):
         if index > before + 1:

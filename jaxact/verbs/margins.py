@@ -197,8 +197,9 @@ def margins(
     Args:
         loop: from `jaxact.joint` or `jaxact.robot`. A robot is linearised at its posture and judged
             as its controllers sample it.
-        sampled: of a joint: False for the loop in continuous time, True for the loop as its
-            controller samples it at `control_rate`, "both" for both side by side.
+        sampled: of a joint: False for the loop in continuous time, whatever its `control_rate`;
+            True for the loop as its controller samples it at that, which has less margin; "both"
+            for both side by side.
         max_delay_steps: most whole control periods of delay; needed only where the delay or the
             control rate of a sampled loop is traced.
         engine: of a robot, "mujoco" linearises C MuJoCo by differences, "mjx" differentiates MJX.

@@ -44,10 +44,11 @@ _UNITS = {
 class RobotLoopMargins(Reportable):
     """Margins of a robot's loop, or of a batch of them; each metric is an array.
 
-    Of all joints at once, of the batch's shape: `stable`, `growth_rate`, `shaking_rate`,
-    `toppling_rate` [1/s], `gain_margin`, `gain_reduction_margin`, `delay_margin` [s],
-    `sensitivity_peak`, `complementary_peak`, `disk_margin`, ...; NaN where the robot is unstable.
-    A pytree of these arrays.
+    Of all joints at once, of the batch's shape: `stable`, `growth_rate` [1/s] of the fastest motion
+    (negative: it decays), `shaking_rate` and `toppling_rate`, that of the fastest which swings and
+    which does not, `gain_margin`, `gain_reduction_margin`, `delay_margin` [s], `sensitivity_peak`,
+    `complementary_peak`, `disk_margin`, ...; NaN where the robot is unstable. A pytree of these
+    arrays.
 
     Attributes:
         loop: what they are of.

@@ -103,6 +103,14 @@ def test_what_is_printed_names_the_loops():
         assert words in text
 
 
+def test_a_table_says_whether_it_is_of_the_sampled_loop():
+    loop = jx.joint(actuator="starleth", delay=1e-3, control_rate=500.0)
+    assert repr(jx.margins(loop)).split("─")[0].split()[-1] == "continuous"
+    assert "continuous" in repr(jx.margins(loop.replace(kp=np.arange(1.0, 30.0))))
+    text = repr(jx.margins(loop, sampled=True))
+    assert "sampled at 500 Hz" in text and "continuous" not in text
+
+
 @pytest.mark.parametrize("sampled", [False, True])
 def test_the_growth_rate_has_the_name_of_tables_too(sampled):
     found = jx.margins(jx.joint(kp=[200.0, 400.0]), sampled=sampled)

@@ -30,6 +30,7 @@ def test_the_tuned_loop_meets_its_bound_and_no_more(tuned):
     assert tuned.certified and found.sensitivity_peak == pytest.approx(1.6, rel=1e-6)
     assert found.complementary_peak <= 1.6 * (1.0 + 1e-9)
     assert tuned.loop.kp == tuned.kp and tuned.loop.wn == 110.0
+    assert tuned.verdict.endswith("computed exactly in continuous time")
     # No neighbour is stiffer: along the bound kp is at its largest.
     for factor in np.geomspace(0.9, 1.1, 7):
         near = jx.margins(tuned.loop.replace(kp=1.002 * tuned.kp, kd=factor * tuned.kd))
@@ -42,6 +43,14 @@ def test_a_front_trades_stiffness_for_robustness(loop):
     kp = [one.kp for one in tuned.front]
     assert len(kp) == 3 and kp == sorted(kp)
     assert "front of 3 points" in repr(tuned)
+
+
+@pytest.mark.exhaustive
+def test_what_is_certified_of_a_sampled_loop_does_not_speak_of_continuous_time(loop):
+    tuned = jx.tune(loop, max_peak=1.6, sampled=True)
+    found = jx.margins(tuned.loop, sampled=True)
+    assert tuned.certified and float(found.sensitivity_peak) == pytest.approx(1.6, rel=1e-6)
+    assert tuned.verdict.endswith("computed exactly")
 
 
 @pytest.mark.exhaustive
