@@ -138,9 +138,11 @@ def test_metrics_equal_those_of_the_trajectory(setpoint):
         path, got = jax.tree.map(np.asarray, _both(setpoint))
     for name, value in _step_figures(path.time, path.position, setpoint, period).items():
         assert getattr(got, name) == pytest.approx(value, rel=1e-9), name
-    error, force, command = path.position[1:] - setpoint, path.force[:-1], path.command[:-1]
-    assert got.integrated_absolute_error == pytest.approx(np.sum(np.abs(error)) * period)
-    assert got.integrated_squared_error == pytest.approx(np.sum(error**2) * period)
+    force, command = path.force[:-1], path.command[:-1]
+    whole = path.position - setpoint
+    absolute, squared = (np.trapezoid(f(whole), dx=period) for f in (np.abs, np.square))
+    assert got.integrated_absolute_error == pytest.approx(absolute, rel=1e-9)
+    assert got.integrated_squared_error == pytest.approx(squared, rel=1e-9)
     assert got.control_effort == pytest.approx(np.sum(command**2) * period)
     assert got.peak_force == pytest.approx(np.max(np.abs(force)))
     assert got.rms_force == pytest.approx(np.sqrt(np.mean(force**2)))

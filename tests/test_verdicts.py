@@ -329,6 +329,11 @@ def test_what_a_motion_that_remains_means():
     assert verdict(0.1, 0.2, 0.4, plant=False, **slow) == Verdict.UNSTABLE
     # Sped up by what brings it back.
     assert verdict(0.1, 0.2, 0.4, plant=False, leaving=False, **slow) == Verdict.STABLE
+    # Within a count of an encoder too, where it slows down.
+    counted = {"frequency": np.nan, "growth": -0.3, "leaving": False}
+    assert verdict(6e-4, 4e-4, 3e-4, plant=False, **counted) == Verdict.STABLE
+    assert verdict(3e-4, 3e-4, 3e-4, plant=False, **counted) == Verdict.LIMIT_CYCLE
+    assert verdict(6e-3, 4e-3, 3e-3, plant=False, **counted) == Verdict.LIMIT_CYCLE
     turning = still | {"frequency": 20.0}
     assert verdict(0.192, 0.177, 0.148, plant=False, **turning) == Verdict.UNSTABLE
     assert verdict(0.3, 0.2, 0.15, plant=False, **turning) == Verdict.LIMIT_CYCLE  # slows down
@@ -436,6 +441,26 @@ def test_a_robot_that_c_mujoco_throws_out_of_the_world_is_not_called_bounded(tmp
     assert int(run.verdict) == Verdict.UNSTABLE and "stays bounded" not in run.report
 
 
+def test_a_fall_counts_where_it_is_the_loops_own_and_nothing_shakes():
+    rest, scale = _of([1e-2, 1e-4, 1e-5, 1e-6], -1.0, plant=False)
+    rolling, _ = _of([1e-1, 1e-1, 1e-1, 2e-1], -1.0, plant=False, frequency=np.nan)
+    shaking, _ = _of([1e-1] * 4, -1.0, plant=False)
+    assert int(shaking.verdict) == Verdict.LIMIT_CYCLE
+    fell = [verdicts.of_fallen(one, jnp.asarray(True), jnp.asarray(-1.0))
+            for one in (rest, rolling, shaking)]  # fmt: skip
+    assert [int(one.verdict) for one in fell] == [4, 4, Verdict.LIMIT_CYCLE]
+    assert not fell[1].moving and fell[2].moving
+    grown = verdicts.of_fallen(rolling, jnp.asarray(True), jnp.asarray(1.0))
+    assert int(grown.verdict) == int(rolling.verdict)  # it grew, and fell of that
+    stood = verdicts.of_fallen(rest, jnp.asarray(False), jnp.asarray(-1.0))
+    assert int(stood.verdict) == Verdict.STABLE
+    others = jax.tree.map(lambda leaf: leaf[None], fell[1])
+    assert int(verdicts.together(rest, others, scale).verdict) == Verdict.STABLE
+    assert int(verdicts.together(fell[0], others, scale).verdict) == Verdict.TOPPLES
+    codes = jnp.array([[0, 4, 0], [4, 1, 0], [4, 2, 3], [0, 0, 1]])
+    assert verdicts.worst(codes, axis=1).tolist() == [4, 1, 3, 1]
+
+
 def test_counts_are_felt_as_positions():
     drive = Drive(
         Controller(jnp.array([100.0, 100.0, 0.0]), 5.0, command_resolution=0.2),
@@ -460,3 +485,15 @@ def test_the_frequency_of_several_joints_is_that_of_the_largest_limit_cycle():
     assert metrics.worst(figures(Verdict.STABLE)).limit_cycle_amplitude.tolist() == [0.0]
     fallen = metrics.worst(figures(Verdict.UNSTABLE))
     assert np.isnan([fallen.limit_cycle_amplitude[0], fallen.limit_cycle_frequency[0]]).all()
+
+
+def test_a_robot_has_settled_when_all_of_its_joints_have_that_were_to_move():
+    given = {name: jnp.zeros(3) for name in Metrics.__dataclass_fields__}
+    given |= {"growth_rate": jnp.asarray(-1.0), "verdict": jnp.asarray(0, jnp.int8)}
+    nan = jnp.nan
+    moved = {"overshoot": jnp.array([0.1, nan, 0.2]), "rise_time": jnp.array([0.1, nan, 0.3])}
+    never = Metrics(**given | moved | {"settling_time": jnp.array([0.4, nan, nan])})
+    found = metrics.worst(never)
+    assert np.isnan(found.settling_time) and float(found.rise_time) == pytest.approx(0.3)
+    settled = replace(never, settling_time=jnp.array([0.4, nan, 0.2]))
+    assert float(metrics.worst(settled).settling_time) == pytest.approx(0.4)

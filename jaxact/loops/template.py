@@ -40,6 +40,7 @@ class Template:
         profile: setpoint over time as a share of its amplitude, shape (ticks,), or None for a step.
         track: setpoint over time that is added to the posture [m or rad], (ticks, joints), or None.
         scene: the robot, None for the built-in plants.
+        upright: of a robot that may fall over, from `jaxact.robots.standing.base`.
     """
 
     plant: Any = None
@@ -53,6 +54,7 @@ class Template:
     profile: np.ndarray | None = None
     track: np.ndarray | None = None
     scene: Scene | None = None
+    upright: int | None = None
 
 
 def built_in(engine: Engine, *, corrected: bool = False) -> Template:
@@ -89,6 +91,7 @@ def of_robot(
         UserError: the robot, or what is said of it, cannot be used.
     """
     from jaxact.loops import motions, robots
+    from jaxact.robots import standing
 
     assert setting.plant is not None
     scene = robots.scene(setting.plant)
@@ -112,6 +115,7 @@ def of_robot(
         profile=profile,
         track=track,
         scene=scene,
+        upright=standing.base(scene.robot, scene.posture.qpos),
     )
 
 

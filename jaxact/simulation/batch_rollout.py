@@ -32,6 +32,7 @@ from jaxact.simulation import envelope as _envelope
 from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import verdicts as _verdicts
 from jaxact.simulation.envelope import Envelope
+from jaxact.simulation.falling import fallen
 from jaxact.simulation.metrics import SEGMENTS, Metrics, Period, Reference, Running
 from jaxact.simulation.verdicts import Judgement
 
@@ -234,6 +235,7 @@ def evaluate(
     setpoints: Setpoint | None = None,
     observe: Callable[[int, BatchState, jax.Array], None] | None = None,
     others: Judgement | None = None,
+    upright: int | None = None,
 ) -> tuple[Metrics, Judgement]:
     """Metrics of a batch of loops; every leaf has a leading axis for the loops.
 
@@ -252,6 +254,7 @@ def evaluate(
         observe: called before each physics step with the number of the step in its period, the
             state of the loops as NumPy arrays, and the mean force on the joints.
         others: what came of other starts, from calls before, shape (loops, starts, joints).
+        upright: as for `jaxact.simulation.falling.fallen`.
 
     Returns:
         See `jaxact.simulation.metrics.Metrics`, shape (loops,) or (loops, joints); and what came of
@@ -263,6 +266,7 @@ def evaluate(
     places = np.arange(1, options.substeps, dtype=np.int32)
     with silenced():
         simulations.start(*start)
+        begun = simulations.configuration()
         seen = _seen(simulations, dtype, None if aims is None else aims[0])
         fixed = _fixed(coefficients, setpoint, active_ticks, keys, seen)
         held = _packed(_before(state, setpoint, seen))
@@ -294,7 +298,8 @@ def evaluate(
     reference = _unpacked(fixed).reference
     running = _unpacked(held).running
     loops = running, envelopes, reference, growth_rate, period, counted, rest_amplitude
-    return _finish(np.int32(ticks), *loops, coefficients.drive, others)
+    fell = fallen(upright, begun, simulations.configuration())
+    return _finish(np.int32(ticks), *loops, coefficients.drive, others, fell)
 
 
 def _fixed(
@@ -333,11 +338,11 @@ def _before(drive: DriveState, setpoint: Setpoint, seen: np.ndarray) -> BatchSta
 
 @Program
 def _finish(ticks: jax.Array, *loops: Any) -> tuple[Metrics, Judgement]:
-    return jax.vmap(_finished, (None, *(0,) * 9))(ticks, *loops)
+    return jax.vmap(_finished, (None, *(0,) * 10))(ticks, *loops)
 
 
 def _finished(
-    ticks, running, envelopes, reference, growth_rate, period, counted, rest, drive, others
+    ticks, running, envelopes, reference, growth_rate, period, counted, rest, drive, others, fell
 ) -> tuple[Metrics, Judgement]:
     """The end of a rollout of so many control periods."""
     size = jnp.maximum(jnp.abs(reference.start), jnp.abs(reference.target))
@@ -351,6 +356,7 @@ def _finished(
         counted=counted,
         scale=_verdicts.scale(drive, size, rest, linear_plant=False),
         others=others,
+        fallen=fell,
     )
 
 

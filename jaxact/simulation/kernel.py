@@ -334,6 +334,7 @@ def metrics(
         setpoints=setpoints(template, values, case.rollout.ticks),
         rest_amplitude=rest,
         others=others,
+        upright=template.upright,
     )
     return _metrics.worst(result)
 
@@ -353,7 +354,8 @@ def other_starts(
     def judged(given: Values, drive: Drive, rest: jax.Array) -> Judgement:
         prepared, state, setpoint = begun(case, template, {**values, **given}, drive)
         loop = prepared, case.drive, case.rollout, state, setpoint, key
-        return _rollout.judged(*loop, growth_rate=growth_rate, rest_amplitude=rest)
+        told = {"growth_rate": growth_rate, "rest_amplitude": rest}
+        return _rollout.judged(*loop, **told, upright=template.upright)
 
     friction = _starts.friction(template)
     if _starts.LINEAR in case.starts:

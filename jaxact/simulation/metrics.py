@@ -5,12 +5,13 @@ With the response y = (q - q0) / (r - q0) to a setpoint that steps from q0 to r:
     overshoot max(y) - 1,   rise time from y = 0.1 to 0.9,   settling time to |y - 1| <= 0.02,
     integrals of |r - q| and (r - q)^2, of the squared command and the squared force
 
-Rise is interpolated between ticks; settling counts whole ticks.
+Rise is interpolated between ticks, and so are the first two integrals (trapezoidal rule); settling
+counts whole ticks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -140,6 +141,11 @@ class Period:
         return self.output.position - self.reference.target
 
     @property
+    def error_before(self) -> jax.Array:
+        """The same at the beginning of the period [m or rad]."""
+        return self.output.position_before - self.reference.target
+
+    @property
     def response(self) -> jax.Array:
         """Position at the end of the period, relative to the step [-]."""
         return (self.output.position - self.reference.start) * self.reference.per_span
@@ -167,6 +173,19 @@ def _passed(passed: jax.Array, periods: Sequence[Period], level: float) -> jax.A
     return jnp.where(passed == jnp.inf, tick - above / rise, passed)
 
 
+def _integral(periods: Sequence[Period], of: Callable[[jax.Array], jax.Array]) -> jax.Array:
+    """Of a function of the error over some periods, in periods, by the trapezoidal rule."""
+    first, last = periods[0], periods[-1]
+    after = [of(period.error) for period in periods]
+    if all(each.weight is None and each.reference is first.reference for each in periods):
+        # One period ends where the next one begins.
+        return sum(after, start=0.5 * (of(first.error_before) - of(last.error)))
+    before = [of(period.error_before) for period in periods]
+    mean = [0.5 * (early + late) for early, late in zip(before, after, strict=True)]
+    parts = [period.counted(part) for period, part in zip(periods, mean, strict=True)]
+    return sum(parts[1:], start=parts[0])
+
+
 def update(
     running: Running, envelope: Envelope, periods: Sequence[Period]
 ) -> tuple[Running, Envelope]:
@@ -182,18 +201,16 @@ def update(
         The accumulators.
     """
     highest, farthest, unsettled = running.highest, running.farthest, running.unsettled
-    absolute, squared, effort = running.absolute_error, running.squared_error, running.effort
+    effort = running.effort
     peak, squared_force = running.peak_force, running.squared_force
     for period in periods:
-        output, error, response = period.output, period.error, period.response
-        size = jnp.abs(error)
+        output, response = period.output, period.response
+        size = jnp.abs(period.error)
         outside = size * jnp.abs(period.reference.per_span) > SETTLED
         # Comparisons rather than maxima: what is not a number never replaces what came before.
         highest = jnp.where(response > highest, response, highest)
         farthest = jnp.where(size > farthest, size, farthest)
         unsettled = jnp.where(outside, period.tick, unsettled)
-        absolute = absolute + period.counted(size)
-        squared = squared + period.counted(error * error)
         effort = effort + period.counted(output.command * output.command)
         peak = jnp.maximum(peak, output.peak_force)
         squared_force = squared_force + period.counted(output.square_force)
@@ -203,8 +220,8 @@ def update(
         low=_passed(running.low, periods, _LOW),
         high=_passed(running.high, periods, _HIGH),
         unsettled=unsettled,
-        absolute_error=absolute,
-        squared_error=squared,
+        absolute_error=running.absolute_error + _integral(periods, jnp.abs),
+        squared_error=running.squared_error + _integral(periods, jnp.square),
         effort=effort,
         peak_force=peak,
         squared_force=squared_force,
@@ -240,12 +257,14 @@ def judge(
     period: jax.Array,
     ticks: int | jax.Array,
     scale: Scale | None,
+    fallen: jax.Array | None = None,
 ) -> Judgement:
     """What came of one start; arguments as for `finish`, leaves of shape (joints,)."""
     done = motion(running, envelopes, reference, period)
     if scale is None:
         return verdicts.of_growth(growth_rate, done.span)
-    return verdicts.of_motion(done, scale, growth_rate, period * (ticks // SEGMENTS))
+    found = verdicts.of_motion(done, scale, growth_rate, period * (ticks // SEGMENTS))
+    return found if fallen is None else verdicts.of_fallen(found, fallen, growth_rate)
 
 
 def finish(
@@ -259,6 +278,7 @@ def finish(
     counted: jax.Array | float,
     scale: Scale | None,
     others: Judgement | None = None,
+    fallen: jax.Array | None = None,
 ) -> tuple[Metrics, Judgement]:
     """The metrics of a finished rollout, and what came of its start alone.
 
@@ -277,10 +297,11 @@ def finish(
         scale: from `jaxact.simulation.verdicts.scale`; None for a loop that is linear, but for
         noise.
         others: from `judge`, of other starts of the same loop, shape (starts, joints).
+        fallen: whether a robot that stood has fallen over in the end, shape (); None of others.
     """
     span = jnp.abs(reference.target - reference.start)
     loop = running, envelopes, reference, growth_rate
-    own = each = judge(*loop, period=period, ticks=ticks, scale=scale)
+    own = each = judge(*loop, period=period, ticks=ticks, scale=scale, fallen=fallen)
     if others is not None and scale is not None:
         each = verdicts.together(own, others, scale)
     finite = jnp.isfinite(running.squared_error) & jnp.isfinite(running.effort)
@@ -293,7 +314,8 @@ def finish(
         idle = ~scale.plant_linear & ~each.moving & (each.verdict == Verdict.UNSTABLE)
         idle &= jnp.any(each.moving)
         each = replace(each, verdict=jnp.where(idle, Verdict.STABLE, each.verdict))
-    verdict = jnp.max(each.verdict).astype(jnp.int8)
+    verdict = (jnp.max(each.verdict) if fallen is None else
+               verdicts.worst(each.verdict, axis=-1)).astype(jnp.int8)  # fmt: skip
     finite &= verdict != Verdict.INVALID
 
     def known(value: jax.Array, when: jax.Array | bool = True) -> jax.Array:
@@ -324,8 +346,9 @@ def finish(
 def worst(result: Metrics) -> Metrics:
     """A loop with several joints is as good as its worst one.
 
-    Joints that have no such metric (NaN) do not hide the others'. The frequency of a limit cycle is
-    that of the joint with the largest one; a loop with another verdict has none.
+    Joints that have no such metric (NaN) do not hide the others', but for one that was to move and
+    did not rise or settle in time. The frequency of a limit cycle is that of the joint with the
+    largest one; a loop with another verdict has none.
 
     Args:
         result: metrics of the joints along the last axis, or of a loop without one: as it is.
@@ -340,6 +363,12 @@ def worst(result: Metrics) -> Metrics:
     found = jax.tree.map(
         lambda leaf: jnp.nanmax(leaf, axis=-1) if leaf.ndim > axes else leaf, result
     )
+    moved = jnp.isfinite(result.overshoot)
+
+    def of_all(time: jax.Array) -> jax.Array:
+        never = jnp.any(moved & jnp.isnan(time), axis=-1)
+        return jnp.where(never, jnp.nan, jnp.nanmax(time, axis=-1))
+
     turning = jnp.where(jnp.isfinite(frequency), amplitude, -1.0)
     most = jnp.argmax(turning, axis=-1)[..., None]
     its = jnp.take_along_axis(frequency, most, axis=-1)[..., 0]
@@ -347,6 +376,8 @@ def worst(result: Metrics) -> Metrics:
     quiet = jnp.where(result.verdict == Verdict.STABLE, 0.0, jnp.nan).astype(amplitude.dtype)
     return replace(
         found,
+        rise_time=of_all(result.rise_time),
+        settling_time=of_all(result.settling_time),
         limit_cycle_amplitude=jnp.where(cycling, found.limit_cycle_amplitude, quiet),
         limit_cycle_frequency=jnp.where(cycling, its, jnp.nan),
     )

@@ -207,6 +207,7 @@ def _rolled(
         setpoints=setpoints,
         observe=None if watch is None else watch(simulations, coefficients),
         others=others,
+        upright=made.upright,
     )
 
 

@@ -26,6 +26,7 @@ from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import stopping
 from jaxact.simulation import verdicts as _verdicts
 from jaxact.simulation.envelope import Envelope
+from jaxact.simulation.falling import fallen
 from jaxact.simulation.growth import rate as _growth
 from jaxact.simulation.growth.rate import GrowthOptions
 from jaxact.simulation.metrics import SEGMENTS, Metrics, Period, Reference, Running
@@ -186,6 +187,7 @@ def evaluate(
     setpoints: Setpoint | None = None,
     rest_amplitude: jax.Array | float = 0.0,
     others: Judgement | None = None,
+    upright: int | None = None,
 ) -> Metrics:
     """Metrics of a step response, verdict and growth rate included.
 
@@ -195,6 +197,7 @@ def evaluate(
         others: from `judged`, of other starts of the same loop, shape (starts, joints).
         growth_rate: [1/s] if it is known already (in float64, say), else it is measured here.
         growth: static; how it is measured; None for the usual way.
+        upright: static; as for `jaxact.simulation.falling.fallen`.
     """
     if growth_rate is None:
         # Whether a policy holds the setpoint is none of the loop's business.
@@ -202,7 +205,7 @@ def evaluate(
         drive, how = replace(options, held_setpoint=False), growth or GrowthOptions()
         growth_rate = _growth.growth_rate(prepared, drive, free, setpoint, how)
     start, _ = prepared.plant.measure(state.plant)
-    _, running, envelopes = run(
+    end, running, envelopes = run(
         prepared, options, rollout, state, setpoint, key,
         active_ticks=active_ticks, setpoints=setpoints,
     )  # fmt: skip
@@ -217,6 +220,7 @@ def evaluate(
         counted=rollout.ticks if active_ticks is None else active_ticks,
         scale=_scale(prepared, options, rollout.linear_plant, reference, rest_amplitude),
         others=others,
+        fallen=fallen(upright, state.plant, end.plant),
     )
     return found
 
@@ -246,19 +250,21 @@ def judged(
     *,
     growth_rate: jax.Array,
     rest_amplitude: jax.Array | float = 0.0,
+    upright: int | None = None,
 ) -> Judgement:
     """What comes of one start, for `others` of `evaluate`; arguments as there, (joints,)."""
     start, _ = prepared.plant.measure(state.plant)
-    _, running, envelopes = run(prepared, options, rollout, state, setpoint, key)
+    end, running, envelopes = run(prepared, options, rollout, state, setpoint, key)
     reference = _metrics.reference(start, jnp.broadcast_to(setpoint.position, start.shape))
     return _metrics.judge(
         running,
         envelopes,
         reference,
-        growth_rate,
+        growth_rate,  # fmt: skip
         period=prepared.drive.drive.control_period,
         ticks=rollout.ticks,
         scale=_scale(prepared, options, rollout.linear_plant, reference, rest_amplitude),
+        fallen=fallen(upright, state.plant, end.plant),
     )
 
 
@@ -303,7 +309,7 @@ def follow(
     *,
     setpoints: Setpoint | None = None,
     configuration: Callable[[Any], jax.Array] | None = None,
-) -> tuple[Trajectory, Output]:
+) -> tuple[Trajectory, Output, LoopState]:
     """Simulate a loop from a state and keep every physics step.
 
     Args:
@@ -313,11 +319,10 @@ def follow(
         configuration: static; what to keep of the plant's state at every control tick.
 
     Returns:
-        The trajectory, and what `metrics_of` needs of it, leaves of shape (ticks, joints).
+        The trajectory, what `metrics_of` needs, leaves (ticks, joints), and the final state.
     """
     start, _ = prepared.plant.measure(state.plant)
-    step = prepared.drive.step
-    shape = (options.substeps, *start.shape)
+    step, shape = prepared.drive.step, (options.substeps, *start.shape)
     numbers = jnp.arange(ticks, dtype=jnp.int32)
 
     def tick(state, inputs):
@@ -335,10 +340,10 @@ def follow(
         row = (held[0], record.position, record.velocity, held[1], delayed, record.force)
         return state, (row, kept, output)
 
-    _, (rows, kept, outputs) = jax.lax.scan(tick, state, (numbers, setpoints))
+    end, (rows, kept, outputs) = jax.lax.scan(tick, state, (numbers, setpoints))
     rows = [row.reshape((ticks * options.substeps, *start.shape)) for row in rows]
     time = step * jnp.arange(ticks * options.substeps)
-    return Trajectory(time, *rows, configuration=kept), outputs
+    return Trajectory(time, *rows, configuration=kept), outputs, end
 
 
 def metrics_of(
@@ -354,17 +359,17 @@ def metrics_of(
     setpoints: Setpoint | None = None,
     rest_amplitude: jax.Array | float = 0.0,
     others: Judgement | None = None,
+    fell: jax.Array | None = None,
 ) -> tuple[Metrics, Judgement]:
-    """Metrics of a loop that was followed, those that `evaluate` gives, and its own judgement.
+    """Metrics of a loop that was followed, as `evaluate` gives them, and its own judgement.
 
     Args:
         outputs: from `follow`, a multiple of `jaxact.simulation.metrics.SEGMENTS` of them.
         start: joint positions before the first tick [m or rad], shape (joints,).
-        setpoint, active_ticks, setpoints: as for `run`.
-        growth_rate: [1/s], shape ().
-        prepared, options: of the loop.
+        setpoint, active_ticks, setpoints, prepared, options: as for `run`.
+        growth_rate, rest_amplitude, others: as for `evaluate`.
         linear_plant: static; whether the plant is linear.
-        rest_amplitude, others: as for `evaluate`.
+        fell: whether it has fallen over, shape (); None of what cannot.
     """
     reference = _metrics.reference(start, jnp.broadcast_to(setpoint.position, start.shape))
     ticks = outputs.position.shape[0]
@@ -391,4 +396,5 @@ def metrics_of(
         counted=ticks if active_ticks is None else active_ticks,
         scale=_scale(prepared, options, linear_plant, reference, rest_amplitude),
         others=others,
+        fallen=fell,
     )

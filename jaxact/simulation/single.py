@@ -20,6 +20,7 @@ from jaxact.loops.template import Template
 from jaxact.simulation import execute, kernel, plans, spectra, starts
 from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import rollout as _rollout
+from jaxact.simulation.falling import fallen
 from jaxact.simulation.kernel import Case
 from jaxact.simulation.metrics import Metrics
 from jaxact.simulation.rollout import Trajectory
@@ -261,7 +262,7 @@ def _one(
     begin, _ = prepared.plant.measure(state.plant)
     growth_rate = growth_rate.astype(begin.dtype)
     others, rest = kernel.other_starts(case, template, values, growth_rate, key)
-    trajectory, outputs = _rollout.follow(
+    trajectory, outputs, end = _rollout.follow(
         prepared,
         case.drive,
         case.rollout.ticks,
@@ -283,6 +284,7 @@ def _one(
         setpoints=moving,
         rest_amplitude=rest,
         others=others,
+        fell=fallen(template.upright, state.plant, end.plant),
     )
     return _metrics.worst(result), trajectory, starts.listed(own, others)
 

@@ -225,7 +225,7 @@ def of_joints(rows: Judgement) -> Judgement:
         return jnp.take_along_axis(leaf, most, axis=-1)[..., 0]
 
     return Judgement(
-        verdict=jnp.max(rows.verdict, axis=-1),
+        verdict=verdicts.worst(rows.verdict, axis=-1),
         moving=jnp.any(rows.moving, axis=-1),
         resting=jnp.all(rows.resting, axis=-1),
         amplitude=its(rows.amplitude),

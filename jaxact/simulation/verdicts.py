@@ -11,7 +11,7 @@ the setpoint's step: see `rest`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -273,7 +273,9 @@ def of_motion(
     # Nor is what neither turns nor grows where small motions decay: it takes longer than was seen.
     shrinking = (last < previous) | ((growth_rate < 0.0) & ~growing)
     shrinking &= ~motion.turning
-    ending = (falling | shrinking) & (scale.count == 0.0)
+    # Within a count nothing turns a motion back: one that slows down there only creeps.
+    creeping = (growth_rate < 0.0) & ~motion.turning & (last < previous) & (last <= scale.count)
+    ending = ((falling | shrinking) & (scale.count == 0.0)) | creeping
     ending |= ~motion.turning & (last <= 0.5 * previous)
     ending &= ~scale.plant_linear
     ending |= slow & ~beyond
@@ -299,8 +301,39 @@ def of_motion(
     )
 
 
+def of_fallen(judgement: Judgement, fallen: jax.Array, growth_rate: jax.Array) -> Judgement:
+    """What came of a start, of a robot that may have fallen over in it.
+
+    What has not swung, where small motions decay, is then the fall, and says nothing of the gains.
+
+    Args:
+        judgement: leaves of shape (joints,).
+        fallen: whether it has, shape ().
+        growth_rate: [1/s], shape ().
+    """
+    still = jnp.isnan(judgement.frequency) & (growth_rate < 0.0)
+    still &= judgement.verdict != Verdict.INVALID
+    fell = fallen & (still | (judgement.verdict == Verdict.STABLE))
+    return replace(
+        judgement,
+        verdict=jnp.where(fell, Verdict.TOPPLES, judgement.verdict),
+        moving=judgement.moving & ~fell,
+        resting=judgement.resting | fell,
+    )
+
+
+def worst(verdict: jax.Array, axis: int) -> jax.Array:
+    """The worst verdict along an axis: a fall is one where nothing is worse."""
+    fell = verdict == Verdict.TOPPLES
+    other = jnp.max(jnp.where(fell, Verdict.STABLE, verdict), axis=axis)
+    alone = jnp.any(fell, axis=axis) & (other == Verdict.STABLE)
+    return jnp.where(alone, Verdict.TOPPLES, other)
+
+
 def together(own: Judgement, others: Judgement, scale: Scale) -> Judgement:
     """The worst of a loop's own start and of others, joint by joint.
+
+    A start after which a robot has fallen over counts only if it is the loop's own.
 
     Of a start that has come to rest where small perturbations grow, nothing is known but that; what
     one that still moves shows is more. What remains of the own start counts where it is more than a
@@ -334,7 +367,9 @@ def together(own: Judgement, others: Judgement, scale: Scale) -> Judgement:
 
     minor = own.moving & (own.verdict == Verdict.LIMIT_CYCLE) & (own.amplitude <= scale.count)
     mine = jnp.where(minor, Verdict.STABLE, proven(own))
-    verdict = jnp.maximum(mine, jnp.max(jax.vmap(proven)(others), axis=0))
+    theirs = jax.vmap(proven)(others)
+    theirs = jnp.where(theirs == Verdict.TOPPLES, Verdict.STABLE, theirs)
+    verdict = worst(jnp.concatenate([mine[None], theirs]), axis=0)
     # A motion that passes its middle but once in a segment has no frequency to be measured.
     itself = (cycle & jnp.isfinite(own.frequency)) | ~jnp.any(cycling, axis=0)
     return Judgement(

@@ -92,6 +92,11 @@ def advice(run: Single) -> str:
             f"Small perturbations decay, but the motion after {_listed(lost)} grew: large ones do, "
             f"where limits are reached, or where a robot loses its footing and falls.{_short(run)}"
         )
+    if verdict == Verdict.TOPPLES and run.results["growth_rate"] < 0.0:
+        return (
+            "The robot has fallen over, although small perturbations decay, and nothing shakes: it "
+            "was pushed or moved too far for gains alone to keep it upright."
+        )
     held = _rubs(run) and not any(start.moving for start in run.starts)
     if verdict == Verdict.UNSTABLE and held:
         return (
@@ -158,6 +163,8 @@ def _end(start: Start, rotary: bool, rubs: bool) -> str:
             return "decaying by friction alone" if rubs else "decaying, although unstable,"
         still = "though unstable where joints move" if rubs else "where perturbations grow"
         return f"at rest, {still},"
+    if start.verdict == Verdict.TOPPLES:
+        return "fallen over"
     if not start.moving:
         return "at rest" if start.resting else "decaying"
     size = quantity(float(f"{start.amplitude:.3g}"), "rad" if rotary else "m")
