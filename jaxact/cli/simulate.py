@@ -225,7 +225,13 @@ def _write(
     figure = trajectory.trajectory(
         run_pictures.signals(run, joint),
         title=name + naming.loop_name(specification, run.values),
-        footer=caption.loop(run.values, run.results, dataclasses.asdict(specification), units[0]),
+        footer=caption.loop(
+            run.values,
+            run.results,
+            dataclasses.asdict(specification),
+            units[0],
+            joints=len(run.joints),
+        ),  # fmt: skip
         units=units,
         resolution=run.values[POSITION_RESOLUTION],
     )

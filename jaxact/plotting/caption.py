@@ -130,8 +130,9 @@ def _parameter(results: xr.Dataset, name: str) -> np.ndarray:
 
 
 def loop(
-    values: dict[str, float], results: dict[str, float], static: dict[str, object], unit: str = "m"
-) -> str:
+    values: dict[str, float], results: dict[str, float], static: dict[str, object],
+    unit: str = "m", *, joints: int = 1,
+) -> str:  # fmt: skip
     """Of one loop: its gains and mass, how it was simulated, and what came out.
 
     Args:
@@ -139,6 +140,7 @@ def loop(
         results: metrics by the names of a sweep's variables.
         static: options of a specification by name.
         unit: of the joint's position.
+        joints: how many there are; of several, what came out is that of the worst.
     """
     engine = _engine(str(static["engine"]))
     rate = wording.quantity(values[CONTROL_RATE], "Hz")
@@ -161,10 +163,14 @@ def loop(
         step = values.get(f"{name}_resolution", 0.0)
         if step > 0.0:
             asked += f", {name} resolution {step:.4g} {own}"
-    return f"{asked}\n{', '.join(_outcome(results, unit))}"
+    for name in (FORCE_LIMIT, FORCE_RATE_LIMIT):
+        if math.isfinite(values.get(name, math.nan)):
+            asked += f", {name.replace('_', ' ')} {values[name]:g} {of(name, unit).unit}"
+    which = " of the worst joint" if joints > 1 else ""
+    return f"{asked}\n{', '.join(_outcome(results, unit, which))}"
 
 
-def _outcome(results: dict[str, float], unit: str) -> list[str]:
+def _outcome(results: dict[str, float], unit: str, which: str) -> list[str]:
     """What came out of a loop; overshoot and settling of what is at rest in the end only."""
     verdict = Verdict(int(results["verdict"]))
     found = [verdict.label, f"growth rate {results['growth_rate']:.3g}/s"]
@@ -178,9 +184,10 @@ def _outcome(results: dict[str, float], unit: str) -> list[str]:
     if verdict is not Verdict.STABLE:
         return found
     if math.isfinite(results.get("overshoot", math.nan)):
-        found.append(f"overshoot {100.0 * results['overshoot']:.3g} %")
+        found.append(f"overshoot{which} {100.0 * results['overshoot']:.3g} %")
     if math.isfinite(results.get("settling_time", math.nan)):
-        found.append(f"settled after {wording.quantity(results['settling_time'], 's')}")
+        all_of = "all joints settled" if which else "settled"
+        found.append(f"{all_of} after {wording.quantity(results['settling_time'], 's')}")
     return found
 
 

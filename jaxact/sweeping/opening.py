@@ -31,6 +31,8 @@ def readable(where: str | Path) -> Iterator[None]:
     """
     try:
         yield
+    except BrokenPipeError:  # who reads our output has gone; the place is none of it
+        raise
     except OSError as error:
         raise UserError(f"{where}: cannot be read ({error.strerror or error})") from error
 

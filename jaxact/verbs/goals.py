@@ -85,7 +85,7 @@ def check_options(
 
 
 def check_uncertain(uncertain: Any, loop: ControlLoop, samples: int | None, risk: str) -> None:
-    """Raise UserError for samples or a risk of nothing, and for an inertia of a joint that slides.
+    """Raise UserError for a risk of one loop or draw, and for an inertia of a joint that slides.
 
     Args:
         uncertain: what is, as for `jaxact.tune`.
@@ -95,8 +95,6 @@ def check_uncertain(uncertain: Any, loop: ControlLoop, samples: int | None, risk
     """
     joint = loop.kind.plant is None
     if isinstance(uncertain, str | Mapping) and not uncertain:
-        if samples is not None:
-            raise UserError("`samples`: of what is uncertain, and nothing is; give `uncertainty`")
         if joint and risk != WORST:
             raise UserError(f"`risk` {risk}: is over loops, and this is one; give `uncertainty`")
     elif samples == 1 and joint and risk != WORST and not isinstance(uncertain, ControlLoop):

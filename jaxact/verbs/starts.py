@@ -46,14 +46,15 @@ def lines(run: Single) -> list[str]:
     starts = run.starts
     if len(starts) == 1:
         return [_ON_ITS_WAY] if _on_its_way(run) else []
+    stable = int(run.results["verdict"]) == Verdict.STABLE
     rotary, rubs = run.rotary[0], _rubs(run)
     groups: dict[str, list[str]] = {}
     for start in starts:
-        groups.setdefault(_end(start, rotary, rubs), []).append(_NAMES[start.name])
+        groups.setdefault(_end(start, rotary, rubs, stable), []).append(_NAMES[start.name])
     parts = [f"{end} after {_listed(names)}" for end, names in groups.items()]
     found = [f"From {len(starts)} starts: {'; '.join(parts)}."]
     open_ones = [start for start in starts if not (start.moving or start.resting)]
-    if open_ones and int(run.results["verdict"]) == Verdict.STABLE:
+    if open_ones and stable:
         found.append(
             "What still decays at the end may yet go on as a limit cycle: a longer duration tells."
         )
@@ -152,7 +153,7 @@ def _rubs(run: Single) -> bool:
     return any(start.name == "slide" for start in run.starts)
 
 
-def _end(start: Start, rotary: bool, rubs: bool) -> str:
+def _end(start: Start, rotary: bool, rubs: bool, stable: bool) -> str:
     from jaxact.plotting.wording import quantity
     from jaxact.status import Verdict
 
@@ -168,6 +169,8 @@ def _end(start: Start, rotary: bool, rubs: bool) -> str:
     if not start.moving:
         return "at rest" if start.resting else "decaying"
     size = quantity(float(f"{start.amplitude:.3g}"), "rad" if rotary else "m")
+    if stable:  # as the other starts show
+        return f"moving by {size}, within a count,"
     at = f" at {start.frequency:.3g} rad/s" if np.isfinite(start.frequency) else ""
     return f"limit cycle of {size}{at}"
 

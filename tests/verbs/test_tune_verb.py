@@ -90,7 +90,6 @@ def test_a_robot_is_tuned_by_the_same_call():
         ({"uncertainty": {"delay": (0.0, 0.9e-3)}}, "leaves out the loop's own 0.001 s"),
         ({"uncertainty": {"wn": (1.1, 1.2)}}, "a factor of 1.1 to 1.2 leaves out 1"),
         ({"uncertainty": {"mass": (0.5, 1.2)}, "samples": -1}, "`samples` -1: give a whole number"),
-        ({"samples": 5}, "`samples`: of what is uncertain, and nothing is"),
         ({"risk": "mean"}, "`risk` mean: is over loops, and this is one"),
         ({"uncertainty": {"delay": (0.0, 5e-3)}, "samples": 1, "risk": "cvar:0.5"}, "single draw"),
         ({"groups": ("hip",)}, "is for a robot"),
