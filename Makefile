@@ -99,11 +99,12 @@ $(ROBOTS)/.complete: $(STAMP)
 
 # What the tests of jaxact[playground], jaxact[gymnasium] and jaxact[notebook] import, and axe, which looks
 # at reports for people who cannot see them: with all that the first two depend on, MJX-Warp among it, a gigabyte.
+# Python 3.11 gets an older flax and no axe.
 $(ENVIRONMENTS)/.complete: $(STAMP)
 	@rm -rf $(ENVIRONMENTS)
 	@$(PIP) install --no-deps --no-compile --target $(ENVIRONMENTS) playground==0.2.0 brax==0.14.2 \
-		flax==0.12.12 ml-collections==1.1.0 jaxopt==0.8.5 cloudpickle==3.1.3 lxml==6.1.3 tqdm==4.70.1 \
-		gymnasium==1.4.0 farama-notifications==0.0.6 imageio==2.38.1 pytest-playwright-axe==4.14.0 \
+		'flax==0.12.12; python_version >= "3.12"' 'flax==0.12.8; python_version < "3.12"' ml-collections==1.1.0 jaxopt==0.8.5 cloudpickle==3.1.3 lxml==6.1.3 tqdm==4.70.1 \
+		gymnasium==1.4.0 farama-notifications==0.0.6 imageio==2.38.1 'pytest-playwright-axe==4.14.0; python_version >= "3.12"' \
 		anywidget==0.11.0 ipywidgets==8.1.9 psygnal==0.16.1 traitlets==5.16.1 comm==0.2.3 ipython==9.18.1 \
 		asttokens==3.0.2 executing==2.3.0 ipython-pygments-lexers==1.1.1 jedi==0.20.1 matplotlib-inline==0.2.2 \
 		parso==0.8.7 pexpect==4.9.0 prompt-toolkit==3.0.53 ptyprocess==0.7.0 pure-eval==0.2.4 stack-data==0.6.3 wcwidth==0.9.4 \

@@ -331,9 +331,9 @@ def test_what_a_motion_that_remains_means():
     assert verdict(0.1, 0.2, 0.4, plant=False, leaving=False, **slow) == Verdict.STABLE
     # Within a count of an encoder too, where it slows down.
     counted = {"frequency": np.nan, "growth": -0.3, "leaving": False}
-    assert verdict(6e-4, 4e-4, 3e-4, plant=False, **counted) == Verdict.STABLE
-    assert verdict(3e-4, 3e-4, 3e-4, plant=False, **counted) == Verdict.LIMIT_CYCLE
-    assert verdict(6e-3, 4e-3, 3e-3, plant=False, **counted) == Verdict.LIMIT_CYCLE
+    assert verdict(6e-4, 5.9e-4, 5.85e-4, plant=False, **counted) == Verdict.STABLE
+    assert verdict(6e-4, 5.9e-4, 5.9e-4, plant=False, **counted) == Verdict.LIMIT_CYCLE
+    assert verdict(6e-3, 5.9e-3, 5.85e-3, plant=False, **counted) == Verdict.LIMIT_CYCLE
     turning = still | {"frequency": 20.0}
     assert verdict(0.192, 0.177, 0.148, plant=False, **turning) == Verdict.UNSTABLE
     assert verdict(0.3, 0.2, 0.15, plant=False, **turning) == Verdict.LIMIT_CYCLE  # slows down
