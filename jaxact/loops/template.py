@@ -95,6 +95,7 @@ def of_robot(
 
     assert setting.plant is not None
     scene = robots.scene(setting.plant)
+    upright = standing.base(scene.robot, scene.posture.qpos)
     plant = found = None
     # What has no derivatives is linearised in C.
     if engine.impl and (engine.differentiable or not growth):
@@ -115,7 +116,7 @@ def of_robot(
         profile=profile,
         track=track,
         scene=scene,
-        upright=standing.base(scene.robot, scene.posture.qpos),
+        upright=upright,
     )
 
 
