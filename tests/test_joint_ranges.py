@@ -127,6 +127,7 @@ def test_a_force_limit_to_both_sides_needs_no_range(tmp_path):
     assert joint_ranges.LOWEST_FORCE not in own and own["force_limit"].tolist() == [2.0]
 
 
+@pytest.mark.exhaustive
 def test_setpoints_beyond_a_servos_range_are_said_to_be_clamped(tmp_path):
     said = r"setpoint: a is asked to go to 1, beyond .*\(-0.4 to 0.5, `ctrlrange`\).* clamped"
     loop = _loop("gear", tmp_path)

@@ -140,6 +140,7 @@ def test_margins_say_who_carries_a_payload_and_how_far_it_sags(folder):
     np.testing.assert_allclose(posture.force, bearing, atol=1e-5)
 
 
+@pytest.mark.exhaustive
 def test_simulate_says_in_json_how_far_a_payload_makes_it_sag(folder, capsys):
     words = ("simulate", "--model", str(folder / "yaw.xml"), "--keyframe", "home", "--json",
              "--kp", "12", "--kd", "2", "--duration", "0.05", "--engine", "mujoco",
@@ -331,6 +332,7 @@ def test_a_payload_that_moves_nothing_is_refused(pedestal):
     assert carried.details[0].rest.sag[0] > 1e-3
 
 
+@pytest.mark.exhaustive
 def test_a_push_that_moves_nothing_is_refused(pedestal):
     push = {"body": "stand", "impulse": [0.0, 1.0, 0.0], "time": 0.01, "duration": 0.01}
     loop = jx.robot(pedestal, keyframe="home", kp=40.0, kd=4.0, push=push)

@@ -202,6 +202,7 @@ def sprung():
     return found
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("gains", "joint", "between"),
     [

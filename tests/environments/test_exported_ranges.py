@@ -158,6 +158,7 @@ GOOD = (
 )  # fmt: skip
 
 
+@pytest.mark.exhaustive
 @needs_torch
 def test_torch_clamps_as_the_model_does_and_refuses_what_no_drive_has(model):
     import json

@@ -159,6 +159,7 @@ def test_the_report_has_every_drive_of_the_robot(found, tmp_path):
     assert json.dumps(drive["ladder"]) in again
 
 
+@pytest.mark.exhaustive
 def test_the_command_writes_the_drives_of_a_robot(folder, tmp_path, capsys):
     out = tmp_path / "drive.toml"
     given = ["identify", str(folder / "fit.csv"), "--map", str(folder / "map.toml")]

@@ -227,6 +227,7 @@ def test_a_robot_without_gains_moves_as_it_would_alone(page, tmp_path):
     assert page.said == []
 
 
+@pytest.mark.exhaustive
 @in_browser
 def test_keys_and_pointer_move_the_point_and_widths_and_colours_are_accessible(page, report):
     page.open(report)

@@ -117,6 +117,7 @@ def test_the_worst_points_on_edges_of_a_sampled_resonance_are_found():
     assert peak.max() > 2.4
 
 
+@pytest.mark.exhaustive
 def test_a_box_that_no_search_settles_names_the_point_and_what_to_do(monkeypatch):
     monkeypatch.setattr("jaxact.tuning.joint.exchange._EXCHANGES", 0)
     tuned = jaxact.tune(
