@@ -231,7 +231,7 @@ def _write(
             dataclasses.asdict(specification),
             units[0],
             joints=len(run.joints),
-        ),  # fmt: skip
+        ),
         units=units,
         resolution=run.values[POSITION_RESOLUTION],
     )

@@ -30,4 +30,7 @@ def base(robot: Robot, qpos: np.ndarray) -> int | None:
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
-    return int(model.jnt_qposadr[free[0]]) + 3 if data.ncon else None
+    # Parts of the robot that touch each other carry nothing.
+    touching = model.body_rootid[model.geom_bodyid[data.contact.geom]]
+    stands = np.any(touching[:, 0] != touching[:, 1])
+    return int(model.jnt_qposadr[free[0]]) + 3 if stands else None

@@ -314,8 +314,7 @@ def finish(
         idle = ~scale.plant_linear & ~each.moving & (each.verdict == Verdict.UNSTABLE)
         idle &= jnp.any(each.moving)
         each = replace(each, verdict=jnp.where(idle, Verdict.STABLE, each.verdict))
-    verdict = (jnp.max(each.verdict) if fallen is None else
-               verdicts.worst(each.verdict, axis=-1)).astype(jnp.int8)  # fmt: skip
+    verdict = verdicts.worst(jnp.atleast_1d(each.verdict), axis=-1).astype(jnp.int8)
     finite &= verdict != Verdict.INVALID
 
     def known(value: jax.Array, when: jax.Array | bool = True) -> jax.Array:

@@ -260,7 +260,7 @@ def judged(
         running,
         envelopes,
         reference,
-        growth_rate,  # fmt: skip
+        growth_rate,
         period=prepared.drive.drive.control_period,
         ticks=rollout.ticks,
         scale=_scale(prepared, options, rollout.linear_plant, reference, rest_amplitude),
