@@ -61,6 +61,20 @@ def _has_a_report(kept):
     assert main(["report", "tuned", "--out", "damaged.html"]) == 2
 
 
+def test_a_robot_is_tuned_and_certified(capsys):
+    asked = ("--groups", "shoulder,elbow", "--uncertainty", "delay=0.001..0.003", "--validate", "0")
+    assert main(["tune", *ASKED, *QUICK, *asked, "--out", "tuned", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["certified"] and found["feasible"] and found["corners"] == 2
+    (peak,) = (side["sensitivity_peak"] for side in found["margins"]["after"].values())
+    assert peak <= 1.8 * (1 + 1e-9)
+    kept = tomllib.loads(Path("tuned/gains.toml").read_text())
+    assert kept["guaranteed"]["certified"] and list(kept["kp"]) == ["shoulder", "elbow"]
+    assert main(["report", "tuned", "--out", "tuned.html"]) == 0
+    assert kept["guaranteed"]["verdict"] in Path("tuned.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.exhaustive
 def test_a_robot_is_tuned_certified_simulated_and_written(capsys):
     asked = ("--groups", "shoulder,elbow", "--uncertainty", "delay=0.001..0.003,payload=0..0.3",
              "--set", "plant.payload_body=lower", "--pareto", "3", "--validate", "2")  # fmt: skip

@@ -19,13 +19,13 @@ from jaxact.drive.step import Drive, DriveOptions
 from jaxact.loops import loop
 from jaxact.loops.loop import Loop
 from jaxact.plants.mass import Mass
-from jaxact.simulation import rollout
+from jaxact.simulation import rollout, trajectory
 from jaxact.simulation.growth import rate as growth
 
 BASE = Drive(Controller(400.0, 20.0), Actuator(300.0, 0.6, 2.3e-3))
 
 
-_trajectory = jax.jit(rollout.trajectory, static_argnums=(1, 2))
+_trajectory = jax.jit(trajectory.of_loop, static_argnums=(1, 2))
 
 
 @functools.partial(jax.jit, static_argnums=1)

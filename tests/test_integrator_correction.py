@@ -21,12 +21,12 @@ from jaxact.loops.samples import expand
 from jaxact.parameters import PRESETS
 from jaxact.plants.mass import Mass
 from jaxact.plants.mjx import plant as mjx
-from jaxact.simulation import plans, rollout, single, spectra
+from jaxact.simulation import plans, single, spectra, trajectory
 from jaxact.simulation.growth import rate as growth
 
 SUBSTEPS = 4
 OPTIONS = drives.options(Drive(Controller(1.0, 1.0), Actuator(delay=5e-3)), substeps=SUBSTEPS)
-_run = jax.jit(rollout.trajectory, static_argnums=(1, 2))
+_run = jax.jit(trajectory.of_loop, static_argnums=(1, 2))
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from jaxact.drive.sensor import Sensor
 from jaxact.drive.step import Drive
 from jaxact.loops.loop import Loop
 from jaxact.plants.mass import Mass
-from jaxact.simulation import rollout
+from jaxact.simulation import trajectory
 
 SLEWING = Drive(Controller(1654.0, 76.95), Actuator(force_rate_limit=2054.5))
 FAST = 200  # steps of the reference in a control period
@@ -36,7 +36,7 @@ CASES = {
 
 @functools.partial(jax.jit, static_argnums=(1, 2))
 def _path(loop, options, ticks):
-    return rollout.trajectory(loop, options, ticks, Setpoint(0.1))
+    return trajectory.of_loop(loop, options, ticks, Setpoint(0.1))
 
 
 def simulate(drive, plant, ticks, substeps=1):

@@ -17,7 +17,7 @@ from jaxact.drive.step import Drive, DriveOptions
 from jaxact.loops import loop
 from jaxact.loops.loop import Loop
 from jaxact.plants.mass import Mass
-from jaxact.simulation import metrics, rollout
+from jaxact.simulation import metrics, rollout, trajectory
 from jaxact.simulation.rollout import RolloutOptions
 from jaxact.status import Verdict
 
@@ -46,7 +46,7 @@ def _final(options, delays, direction):
             Sensor(delay=delays[1]),
             output_delay=delays[2],
         )
-        path = rollout.trajectory(Loop(Mass(0.7), drive), options, 150, Setpoint(0.1))
+        path = trajectory.of_loop(Loop(Mass(0.7), drive), options, 150, Setpoint(0.1))
         return path.position[-1]
 
     return jax.jvp(final, (delays,), (direction,))
@@ -83,7 +83,7 @@ def test_gradients_of_every_kind():
 
     def error(kp, kd, wn, zeta, delay, mass):
         drive = Drive(Controller(kp, kd), Actuator(wn, zeta, delay))
-        path = rollout.trajectory(Loop(Mass(mass), drive), options, 200, Setpoint(0.1))
+        path = trajectory.of_loop(Loop(Mass(mass), drive), options, 200, Setpoint(0.1))
         return jnp.sum((path.position - 0.1) ** 2)
 
     with jax.enable_x64(True):
@@ -128,7 +128,7 @@ def _both(setpoint):
     prepared = loop.prepare(built, options)
     state = loop.init(prepared, options, 0.0, 0.0)
     got = rollout.evaluate(prepared, options, RolloutOptions(ticks), state, Setpoint(setpoint))
-    return rollout.trajectory(built, options, ticks + 1, Setpoint(setpoint)), got
+    return trajectory.of_loop(built, options, ticks + 1, Setpoint(setpoint)), got
 
 
 @pytest.mark.parametrize("setpoint", [0.1, -0.25])

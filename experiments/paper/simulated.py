@@ -25,7 +25,7 @@ from jaxact.drive.step import Drive
 from jaxact.loops import loop as _loop
 from jaxact.loops.loop import Loop
 from jaxact.plants.mass import Mass
-from jaxact.simulation import rollout
+from jaxact.simulation import trajectory
 from jaxact.simulation.growth.rate import growth_rate
 
 LARGEST_GAIN = 200.0  # no margin of the sampled loops is larger [-]
@@ -111,7 +111,7 @@ def _steps(options: DriveOptions, ticks: int) -> Callable:
 
     def one(wn: jax.Array, zeta: jax.Array, delay: jax.Array) -> tuple[jax.Array, jax.Array]:
         loop = Loop(Mass(jnp.asarray(MASS)), _drive_of(Cases(wn, zeta, delay), 1.0, 0.0))
-        run = rollout.trajectory(loop, options, ticks, Setpoint(jnp.asarray(1.0)))
+        run = trajectory.of_loop(loop, options, ticks, Setpoint(jnp.asarray(1.0)))
         return run.position.reshape(ticks), run.command.reshape(ticks)
 
     return jax.vmap(one)

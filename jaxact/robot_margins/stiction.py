@@ -33,7 +33,7 @@ from jaxact.parameters import (
 from jaxact.plants.mujoco import JointPush
 from jaxact.robots import friction as _friction
 from jaxact.simulation import mujoco_batch, plans
-from jaxact.simulation.rollout import Trajectory
+from jaxact.simulation.trajectory import Trajectory
 
 START, PUSH = 0.05, 0.05
 """When a joint is pushed, and how long [s]."""

@@ -106,7 +106,8 @@ class Metrics:
 
 
 def reference(start: jax.Array, target: jax.Array) -> Reference:
-    """Reference of a step from `start` to `target`, [m or rad], shape (joints,)."""
+    """Reference of a step from `start` to `target` [m or rad], shapes (joints,) and that or ()."""
+    target = jnp.broadcast_to(target, start.shape)
     span = target - start
     per_span = jnp.where(span == 0.0, 1.0, 1.0 / jnp.where(span == 0.0, 1.0, span))
     return Reference(start=start, target=target, per_span=per_span)
@@ -173,21 +174,36 @@ def _passed(passed: jax.Array, periods: Sequence[Period], level: float) -> jax.A
     return jnp.where(passed == jnp.inf, tick - above / rise, passed)
 
 
-def _integral(periods: Sequence[Period], of: Callable[[jax.Array], jax.Array]) -> jax.Array:
-    """Of a function of the error over some periods, in periods, by the trapezoidal rule."""
-    first, last = periods[0], periods[-1]
+def _integral(
+    periods: Sequence[Period], of: Callable[[jax.Array], jax.Array], ends: bool
+) -> jax.Array:
+    """Of a function of the error over some periods, in periods."""
     after = [of(period.error) for period in periods]
-    if all(each.weight is None and each.reference is first.reference for each in periods):
-        # One period ends where the next one begins.
-        return sum(after, start=0.5 * (of(first.error_before) - of(last.error)))
-    before = [of(period.error_before) for period in periods]
-    mean = [0.5 * (early + late) for early, late in zip(before, after, strict=True)]
-    parts = [period.counted(part) for period, part in zip(periods, mean, strict=True)]
+    if not ends:
+        before = [of(period.error_before) for period in periods]
+        after = [0.5 * (early + late) for early, late in zip(before, after, strict=True)]
+    parts = [period.counted(part) for period, part in zip(periods, after, strict=True)]
     return sum(parts[1:], start=parts[0])
 
 
+def trapezoidal(running: Running, aim: Reference, start: jax.Array, end: jax.Array) -> Running:
+    """What `update` summed at the periods' ends, by the trapezoidal rule.
+
+    One period ends where the next one begins: only halves of the first and last error are amiss.
+
+    Args:
+        running: of all periods, none of them left out and all with the same target.
+        aim: of the step.
+        start, end: q before the first of them and after the last one, shape (joints,).
+    """
+    first, last = start - aim.target, end - aim.target
+    absolute = running.absolute_error + 0.5 * (jnp.abs(first) - jnp.abs(last))
+    squared = running.squared_error + 0.5 * (jnp.square(first) - jnp.square(last))
+    return replace(running, absolute_error=absolute, squared_error=squared)
+
+
 def update(
-    running: Running, envelope: Envelope, periods: Sequence[Period]
+    running: Running, envelope: Envelope, periods: Sequence[Period], *, ends: bool = False
 ) -> tuple[Running, Envelope]:
     """Take in some control periods, in order.
 
@@ -196,6 +212,7 @@ def update(
     Args:
         running, envelope: of the rollout and of its segment so far.
         periods: at least one; shape (joints,).
+        ends: static; errors are summed at the periods' ends, for `trapezoidal` to set right.
 
     Returns:
         The accumulators.
@@ -220,8 +237,8 @@ def update(
         low=_passed(running.low, periods, _LOW),
         high=_passed(running.high, periods, _HIGH),
         unsettled=unsettled,
-        absolute_error=running.absolute_error + _integral(periods, jnp.abs),
-        squared_error=running.squared_error + _integral(periods, jnp.square),
+        absolute_error=running.absolute_error + _integral(periods, jnp.abs, ends),
+        squared_error=running.squared_error + _integral(periods, jnp.square, ends),
         effort=effort,
         peak_force=peak,
         squared_force=squared_force,

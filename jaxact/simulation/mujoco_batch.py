@@ -44,7 +44,8 @@ from jaxact.simulation import starts as _starts
 from jaxact.simulation.batch_rollout import BatchState
 from jaxact.simulation.kernel import Case
 from jaxact.simulation.metrics import Metrics
-from jaxact.simulation.rollout import RolloutOptions, Trajectory
+from jaxact.simulation.rollout import RolloutOptions
+from jaxact.simulation.trajectory import Trajectory
 from jaxact.simulation.verdicts import Judgement
 
 Observer = Callable[[int, BatchState, jax.Array], None]
@@ -273,7 +274,7 @@ def followed(
     numbers: np.ndarray,
     push: JointPush | None = None,
 ) -> tuple[Metrics, Trajectory, Judgement]:
-    """Metrics of a few samples, and every physics step; see `jaxact.simulation.rollout.follow`.
+    """Metrics of a few samples, and every physics step; see `jaxact.simulation.trajectory.follow`.
 
     Args:
         case, setting, values, growth_rate, seed, numbers, push: as for `metrics`.

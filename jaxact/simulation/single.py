@@ -19,11 +19,11 @@ from jaxact.loops.specification import Setting, Specification
 from jaxact.loops.template import Template
 from jaxact.simulation import execute, kernel, plans, spectra, starts
 from jaxact.simulation import metrics as _metrics
-from jaxact.simulation import rollout as _rollout
+from jaxact.simulation import trajectory as _trajectory
 from jaxact.simulation.falling import fallen
 from jaxact.simulation.kernel import Case
 from jaxact.simulation.metrics import Metrics
-from jaxact.simulation.rollout import Trajectory
+from jaxact.simulation.trajectory import Trajectory
 from jaxact.simulation.verdicts import Judgement
 from jaxact.status import Verdict
 
@@ -262,7 +262,7 @@ def _one(
     begin, _ = prepared.plant.measure(state.plant)
     growth_rate = growth_rate.astype(begin.dtype)
     others, rest = kernel.other_starts(case, template, values, growth_rate, key)
-    trajectory, outputs, end = _rollout.follow(
+    trajectory, outputs, end = _trajectory.follow(
         prepared,
         case.drive,
         case.rollout.ticks,
@@ -272,7 +272,7 @@ def _one(
         setpoints=moving,
         configuration=None if template.scene is None else lambda plant: plant.qpos,
     )
-    result, own = _rollout.metrics_of(
+    result, own = _trajectory.metrics_of(
         outputs,
         begin,
         setpoint,

@@ -36,6 +36,7 @@ def _force(command, wn, zeta, delay, gain, offset):
     return gain * (force + held[0])[::fine] + offset
 
 
+@pytest.mark.exhaustive
 def test_the_bound_is_that_of_differences(promises):
     promise = next(one for one in promises if one.name == "chirp to 60 Hz")
     at = np.array([np.log(WN), ZETA, DELAY, 1.0, 0.0])

@@ -19,7 +19,7 @@ from jaxact.loops.loop import Loop
 from jaxact.parameters import PRESETS
 from jaxact.plants.mass import Mass
 from jaxact.plants.mjx import plant as mjx
-from jaxact.simulation import rollout
+from jaxact.simulation import trajectory
 from jaxact.simulation.growth import rate as growth
 
 SUBSTEPS = 4
@@ -102,7 +102,7 @@ def test_positions_approach_the_exact_mass_with_the_step():
     errors = []
     with jax.enable_x64(True):
         plant = mjx.load().with_mass(0.7)
-        run = jax.jit(rollout.trajectory, static_argnums=(1, 2))
+        run = jax.jit(trajectory.of_loop, static_argnums=(1, 2))
         for substeps in (2, 4):
             options = drives.options(drive, substeps=substeps)
             simulated = run(Loop(plant, drive), options, 300, Setpoint(0.1)).position[:, 0]
@@ -126,7 +126,7 @@ def _c_model(delay_steps, step):
 def test_c_mujoco_with_its_own_delay_is_the_referee(steps):
     drive = Drive(Controller(400.0, 20.0), Actuator(delay=steps * 1e-3))
     options = drives.options(drive)
-    run = jax.jit(rollout.trajectory, static_argnums=(1, 2))
+    run = jax.jit(trajectory.of_loop, static_argnums=(1, 2))
     path = run(Loop(mjx.load(), drive), options, 2000, Setpoint(0.1))
     model = _c_model(steps, 1e-3)
     data = mujoco.MjData(model)
@@ -171,6 +171,6 @@ def test_gears_turn_forces_into_controls(tmp_path):
     path.write_text(mjx.SLIDE.read_text().replace('joint="slide"/>', 'joint="slide" gear="50"/>'))
     drive = Drive(Controller(400.0, 20.0), Actuator(110.0, 0.9, 1e-3))
     options = drives.options(drive)
-    run = jax.jit(rollout.trajectory, static_argnums=(1, 2))
+    run = jax.jit(trajectory.of_loop, static_argnums=(1, 2))
     paths = [run(Loop(mjx.load(p), drive), options, 100, Setpoint(0.1)) for p in (path, mjx.SLIDE)]
     np.testing.assert_allclose(paths[0].position, paths[1].position, rtol=1e-5)

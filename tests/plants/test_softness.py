@@ -115,7 +115,8 @@ def test_armature_makes_contacts_as_soft_as_those_of_a_model_that_has_it(tmp_pat
         assert found == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.parametrize("engine", ["mujoco", pytest.param("mjx", marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("engine", ["mujoco", "mjx"])
 @pytest.mark.filterwarnings("ignore::jaxact.InexactWarning")
 def test_heavier_legs_move_as_those_of_a_model_that_has_them(tmp_path, engine):
     """Feet without joints of their own included, against limits and dry friction."""

@@ -19,13 +19,13 @@ from jaxact.drive.step import Drive
 from jaxact.loops import loop
 from jaxact.loops.loop import Loop
 from jaxact.plants.mass import Mass
-from jaxact.simulation import rollout
+from jaxact.simulation import trajectory
 from jaxact.simulation.growth import rate as growth
 
 PERIOD, TICKS = 1e-3, 60
 DRIVE = Drive(Controller(400.0, 20.0), Actuator(110.0, 0.9, 2.3e-3), Sensor(delay=1.7e-3))
 UPRIGHT, HANGING = Mass(0.7, 3.0, -250.0), Mass(0.7, 0.4, 5e4)
-_trajectory = jax.jit(rollout.trajectory, static_argnums=(1, 2))
+_trajectory = jax.jit(trajectory.of_loop, static_argnums=(1, 2))
 
 
 @pytest.fixture(autouse=True)
@@ -96,6 +96,7 @@ def _growth_rate(plant, drive, options):
     return growth.growth_rate(prepared, options, state, Setpoint(0.0), dense)
 
 
+@pytest.mark.exhaustive
 def test_the_derivative_of_the_step_is_the_matrix_of_the_sampled_theory():
     rng = np.random.default_rng(5)
     for _ in range(40):
@@ -161,7 +162,7 @@ def test_a_saturated_force_moves_the_joint_as_what_is_left_of_it():
 @pytest.mark.exhaustive
 def test_coefficients_have_derivatives_by_damping_and_stiffness():
     def end(c, k):
-        path = rollout.trajectory(Loop(Mass(0.7, c, k), DRIVE), OPTIONS, 40, Setpoint(0.1))
+        path = trajectory.of_loop(Loop(Mass(0.7, c, k), DRIVE), OPTIONS, 40, Setpoint(0.1))
         return path.position[-1]
 
     at = jnp.asarray(3.0), jnp.asarray(-250.0)

@@ -59,6 +59,7 @@ def checked_by_node(cases, folder):
     assert "# skipped 0" in ran.stdout
 
 
+@pytest.mark.exhaustive
 @needs_node
 def test_the_page_computes_what_python_computes(tmp_path):
     checked_by_node(CASES, tmp_path)

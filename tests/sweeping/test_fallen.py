@@ -44,7 +44,8 @@ def _tilt(model, push):
 
 # Edges of boxes on the ground are in MJX not quite those of MuJoCo, as it says.
 @pytest.mark.filterwarnings("ignore::jaxact.errors.InexactWarning")
-@pytest.mark.parametrize("engine", ["mujoco", pytest.param("mjx", marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("engine", ["mujoco", "mjx"])
 def test_a_robot_that_was_pushed_over_is_not_stable(model, engine):
     tilts = [_tilt(model, push) for push in PUSHES]
     assert tilts[0] < 0.1 and tilts[1] > 1.4

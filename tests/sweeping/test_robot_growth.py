@@ -77,13 +77,8 @@ def _exact(plan, specification, loops, rate):
     return rate * np.log(np.where(roots == 0.0, 1e-300, roots).astype(complex))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        name if name == "shaking" else pytest.param(name, marks=pytest.mark.exhaustive)
-        for name in CASES
-    ],
-)
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", CASES)
 def test_growth_rates_are_those_of_the_slowest_or_wildest_mode(name):
     specification, loops = _loops(CASES[name])
     (plan,) = plans.groups(specification, loops)

@@ -51,13 +51,8 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(name, marks=pytest.mark.exhaustive) if name == "hopper" else name
-        for name in CASES
-    ],
-)
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("case", CASES)
 def test_both_engines_simulate_the_same_loop(case, folder):
     plant, parameters = CASES[case]
     found = {}

@@ -103,6 +103,7 @@ def test_a_loop_that_does_not_settle_has_no_time_and_no_certificate():
     assert sentence(certificate, SETTLING).startswith("found infeasible: no gains that keep the")
 
 
+@pytest.mark.exhaustive
 def test_what_is_left_at_the_end_leads_to_gains_that_settle():
     how = timed(SETTLING, [ensemble(0.7, 2.0, 1.0, 0.0)], use="descent")
     plant = np.array([0.7, 2.0, 1.0, 0.0], np.float32)

@@ -28,7 +28,7 @@ from jaxact.drive.step import Drive
 from jaxact.errors import UserError
 from jaxact.loops.loop import Loop
 from jaxact.plants.mass import Mass
-from jaxact.simulation import rollout
+from jaxact.simulation import trajectory
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.joint import march
 from jaxact.tuning.joint.ensemble import PLANT, Ensemble, Sampling
@@ -121,7 +121,7 @@ class Timed:
         sensor = Sensor(velocity_filter=self.sampling.velocity_filter)
         drive = Drive(Controller(kp=kp, kd=kd), actuator, sensor, control_period=self.period)
         still = jnp.zeros_like(given)
-        path = rollout.trajectory(
+        path = trajectory.of_loop(
             Loop(plant=own, drive=drive), self.options, self.ticks, Setpoint(given[0]),
             setpoints=Setpoint(given, still, still),
             position=given[0] if self.reference else 0.0,

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxact.simulation.rollout import Trajectory
 from jaxact.simulation.thinning import thinned
+from jaxact.simulation.trajectory import Trajectory
 
 _MOST_POINTS = 240
 _DIGITS = 6
