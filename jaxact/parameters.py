@@ -132,7 +132,7 @@ _TABLE = (
     ),
     _at_least_zero(
         SETPOINT_DELAY, "setpoint delay", "s", 0.0, 10.0,
-        "Delay of the setpoint before the controller.",
+        "Delay of the setpoint before the controller; linear between its control ticks.",
     ),
     _at_least_zero(
         MEASUREMENT_DELAY, "measurement delay", "s", 0.0, 10.0,

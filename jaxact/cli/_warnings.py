@@ -114,7 +114,4 @@ def overload(plant: Plant | None) -> None:
         warn(line)
     weak = robots.overloaded(scene)
     if weak:
-        warn(
-            f"{', '.join(weak)}: more than the model's joints can exert; linear metrics are those "
-            "of joints that could, simulations saturate"
-        )
+        warn(robots.too_weak(weak))

@@ -50,9 +50,10 @@ def main(
 
     JSON: model, keyframe, digest, physics_step [s], degrees_of_freedom; engines that can simulate
     it (warp where it is installed); on_stand with control_rate [Hz], drive, outside (joints beyond
-    their ranges), hidden_gains (joints), friction, falls (why), and as_it_is, in_drive, stuck,
-    free, of each joint, participation (shares of all), stable, shakes, topples, growth_rate [1/s],
-    delay [s] and frequency [rad/s]; on_stand_not_known (why); joints with name, actuator, kind,
+    their ranges), edges (what is said of joints on a limit), overloaded (joints too weak for the
+    posture), hidden_gains (joints), friction, falls (why), and as_it_is, in_drive, stuck, free, of
+    each joint, participation (shares of all), stable, shakes, topples, growth_rate [1/s], delay [s]
+    and frequency [rad/s]; on_stand_not_known (why); joints with name, actuator, kind,
     kp, kd, force_limits, setpoint_limits, setpoint, setpoint_velocity, delay and setpoint_delay
     [s], natural_frequency [rad/s], damping_ratio, inertia, inertia_others_held, joint_damping,
     joint_friction, armature (what the joint itself has), bandwidth [rad/s]; findings with where,

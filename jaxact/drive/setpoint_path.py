@@ -4,8 +4,9 @@ A policy, or a planner, gives setpoints at a rate of its own, an n-th of the con
 
     r_k = r(t_j),   j = n floor(k / n),     n = control rate / policy rate,
 
-and what reaches the controller at tick k is that signal as it was the setpoint delay ago. Nothing
-of it lies inside the loop, so that stability and margins do not depend on it.
+and what reaches the controller at tick k is that signal as it was the setpoint delay ago, linear
+between the ticks: of a step, a part arrives a tick before the whole of it does. Nothing of it lies
+inside the loop, so that stability and margins do not depend on it.
 """
 
 from __future__ import annotations

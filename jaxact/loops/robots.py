@@ -153,6 +153,14 @@ def overloaded(scene: Scene) -> tuple[str, ...]:
     return tuple(found)
 
 
+def too_weak(joints: Sequence[str]) -> str:
+    """A line on joints from `overloaded`."""
+    return (
+        f"{', '.join(joints)}: more than the model's joints can exert; linear metrics are those "
+        "of joints that could, simulations saturate"
+    )
+
+
 # Beyond its range by more than this share of it, a joint is held by its limit: one that rests
 # against a stop is so by less.
 BEYOND = 0.01

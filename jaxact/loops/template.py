@@ -16,6 +16,7 @@ import numpy as np
 from jaxact.engines import Engine
 from jaxact.loops.specification import Setting
 from jaxact.parameters import JOINT_FRICTION
+from jaxact.robots.base import Base
 
 if TYPE_CHECKING:
     from jaxact.loops.robots import Scene
@@ -40,7 +41,7 @@ class Template:
         profile: setpoint over time as a share of its amplitude, shape (ticks,), or None for a step.
         track: setpoint over time that is added to the posture [m or rad], (ticks, joints), or None.
         scene: the robot, None for the built-in plants.
-        upright: of a robot that may fall over, from `jaxact.robots.standing.base`.
+        bases: of a robot that may fall, from `jaxact.robots.standing.bases`.
     """
 
     plant: Any = None
@@ -54,7 +55,7 @@ class Template:
     profile: np.ndarray | None = None
     track: np.ndarray | None = None
     scene: Scene | None = None
-    upright: int | None = None
+    bases: tuple[Base, ...] = ()
 
 
 def built_in(engine: Engine, *, corrected: bool = False) -> Template:
@@ -95,7 +96,7 @@ def of_robot(
 
     assert setting.plant is not None
     scene = robots.scene(setting.plant)
-    upright = standing.base(scene.robot, scene.posture.qpos)
+    bases = standing.bases(scene.robot, scene.posture.qpos)
     plant = found = None
     # What has no derivatives is linearised in C.
     if engine.impl and (engine.differentiable or not growth):
@@ -116,7 +117,7 @@ def of_robot(
         profile=profile,
         track=track,
         scene=scene,
-        upright=upright,
+        bases=bases,
     )
 
 

@@ -19,7 +19,7 @@ from jaxact import parameters
 from jaxact.analysis.robot import modes
 from jaxact.analysis.robot.delay import DelayBorne
 from jaxact.errors import UserError
-from jaxact.loops import robots
+from jaxact.loops import edges, robots
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Plant, Specification
 from jaxact.parameters import CONTROL_RATE
@@ -60,6 +60,8 @@ class OnStand:
         friction: largest dry friction of the model [N or N m].
         friction_unit: of it.
         outside: joints outside their ranges, see `jaxact.loops.robots.at_stops`.
+        edges: what is said of joints on a limit, from `jaxact.loops.edges.said`.
+        weak: joints too weak for the posture, from `jaxact.loops.robots.overloaded`.
         free: with its base free, where it is.
         falls: why there is no such loop: the robot does not come to rest; "" where there is.
     """
@@ -72,6 +74,8 @@ class OnStand:
     friction: float
     friction_unit: str
     outside: tuple[str, ...]
+    edges: tuple[str, ...]
+    weak: tuple[str, ...]
     free: Loop | None
     falls: str
 
@@ -141,6 +145,8 @@ def on_stand(plant: Plant, robot: Robot, drive: Mapping[str, float]) -> OnStand:
     hidden = hidden_gains(robot)
     rubs = plant.friction == "moving" and friction.rubs(robot.model)
     free, falls = _free(plant, drive) if mounting.floats(robot) else (None, "")
+    # What its joints carry is less on a stand than where it stands.
+    scenes = [robots.scene(each) for each in ([stand] if free is None else [stand, plant])]
     return OnStand(
         drive=dict(drive),
         as_it_is=loop(stand, drive),
@@ -150,6 +156,8 @@ def on_stand(plant: Plant, robot: Robot, drive: Mapping[str, float]) -> OnStand:
         friction=friction.largest(robot.model),
         friction_unit=friction_unit(robot.model),
         outside=outside,
+        edges=tuple(dict.fromkeys(line for scene in scenes for line in edges.said(scene))),
+        weak=robots.overloaded(scenes[-1]),
         free=free,
         falls=falls,
     )

@@ -1,15 +1,16 @@
-"""Whether a robot stands on the ground with a base that is free to fall over."""
+"""Whether robots stand on the ground with bases that are free to fall over, or to sink."""
 
 from __future__ import annotations
 
 import mujoco
 import numpy as np
 
+from jaxact.robots.base import Base
 from jaxact.robots.model import Robot
 
 
-def base(robot: Robot, qpos: np.ndarray) -> int | None:
-    """Where in a configuration the orientation of the base is, four numbers w, x, y, z.
+def bases(robot: Robot, qpos: np.ndarray) -> tuple[Base, ...]:
+    """The free bases of the robot that stand on something.
 
     Args:
         robot: from `jaxact.robots.model.read`.
@@ -20,17 +21,22 @@ def base(robot: Robot, qpos: np.ndarray) -> int | None:
     """
     model = robot.model
     own = {int(model.body_rootid[joint.body]) for joint in robot.joints}
-    free = [
-        joint
-        for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
-        if int(model.jnt_bodyid[joint]) in own
-    ]
-    if len(free) != 1 or not np.any(model.opt.gravity):
-        return None
+    gravity = float(np.linalg.norm(model.opt.gravity))
+    if gravity == 0.0:
+        return ()
+    up = -model.opt.gravity / gravity
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
-    # Parts of the robot that touch each other carry nothing.
     touching = model.body_rootid[model.geom_bodyid[data.contact.geom]]
-    stands = np.any(touching[:, 0] != touching[:, 1])
-    return int(model.jnt_qposadr[free[0]]) + 3 if stands else None
+    found = []
+    for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)):
+        root = int(model.jnt_bodyid[joint])
+        # Parts of the robot that touch each other carry nothing.
+        carries = np.any(touching == root, axis=1) & (touching[:, 0] != touching[:, 1])
+        if root not in own or not carries.any():
+            continue
+        height = up @ data.subtree_com[root] - np.min(data.contact.pos[carries] @ up)
+        place = int(model.jnt_qposadr[joint])
+        found.append(Base(place, float(height) if height > 0.0 else np.inf, tuple(up.tolist())))
+    return tuple(found)

@@ -27,12 +27,13 @@ from jaxact.drive.step import Coefficients, DriveOptions, DriveState
 from jaxact.loops.loop import Output
 from jaxact.plants.linear import hermite
 from jaxact.plants.mujoco import Simulations
+from jaxact.robots.base import Base
 from jaxact.robots.silence import silenced
 from jaxact.simulation import envelope as _envelope
 from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import verdicts as _verdicts
 from jaxact.simulation.envelope import Envelope
-from jaxact.simulation.falling import fallen
+from jaxact.simulation.falling import fall
 from jaxact.simulation.metrics import SEGMENTS, Metrics, Period, Reference, Running
 from jaxact.simulation.verdicts import Judgement
 
@@ -235,7 +236,7 @@ def evaluate(
     setpoints: Setpoint | None = None,
     observe: Callable[[int, BatchState, jax.Array], None] | None = None,
     others: Judgement | None = None,
-    upright: int | None = None,
+    bases: tuple[Base, ...] = (),
 ) -> tuple[Metrics, Judgement]:
     """Metrics of a batch of loops; every leaf has a leading axis for the loops.
 
@@ -254,7 +255,7 @@ def evaluate(
         observe: called before each physics step with the number of the step in its period, the
             state of the loops as NumPy arrays, and the mean force on the joints.
         others: what came of other starts, from calls before, shape (loops, starts, joints).
-        upright: as for `jaxact.simulation.falling.fallen`.
+        bases: as for `jaxact.simulation.falling.fall`.
 
     Returns:
         See `jaxact.simulation.metrics.Metrics`, shape (loops,) or (loops, joints); and what came of
@@ -291,14 +292,16 @@ def evaluate(
             if number % (ticks // SEGMENTS) == 0:
                 whole = _unpacked(held)
                 envelopes.append(whole.envelope)
-                fresh = _envelope.following(whole.envelope)
+                with np.errstate(over="ignore", invalid="ignore"):  # of loops that blow up
+                    fresh = _envelope.following(whole.envelope)
                 held = _packed(replace(whole, envelope=fresh))
     period = jnp.asarray(coefficients.drive.control_period)
     counted = active_ticks if masked else jnp.full(period.shape, float(ticks), dtype)
     reference = _unpacked(fixed).reference
     running = _unpacked(held).running
     loops = running, envelopes, reference, growth_rate, period, counted, rest_amplitude
-    fell = fallen(upright, begun, simulations.configuration())
+    told = setpoints is not None
+    fell = fall(bases, begun, simulations.configuration(), told=told)
     return _finish(np.int32(ticks), *loops, coefficients.drive, others, fell)
 
 
@@ -356,7 +359,7 @@ def _finished(
         counted=counted,
         scale=_verdicts.scale(drive, size, rest, linear_plant=False),
         others=others,
-        fallen=fell,
+        fell=fell,
     )
 
 

@@ -334,7 +334,7 @@ def metrics(
         setpoints=setpoints(template, values, case.rollout.ticks),
         rest_amplitude=rest,
         others=others,
-        upright=template.upright,
+        bases=template.bases,
     )
     return _metrics.worst(result)
 
@@ -355,7 +355,7 @@ def other_starts(
         prepared, state, setpoint = begun(case, template, {**values, **given}, drive)
         loop = prepared, case.drive, case.rollout, state, setpoint, key
         told = {"growth_rate": growth_rate, "rest_amplitude": rest}
-        return _rollout.judged(*loop, **told, upright=template.upright)
+        return _rollout.judged(*loop, **told, bases=template.bases)
 
     friction = _starts.friction(template)
     if _starts.LINEAR in case.starts:

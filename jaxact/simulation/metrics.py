@@ -21,6 +21,7 @@ from jaxact.loops.loop import Output
 from jaxact.simulation import envelope as _envelope
 from jaxact.simulation import verdicts
 from jaxact.simulation.envelope import Envelope
+from jaxact.simulation.falling import Fall
 from jaxact.simulation.verdicts import Judgement, Motion, Scale
 from jaxact.status import Verdict
 
@@ -218,8 +219,7 @@ def update(
         The accumulators.
     """
     highest, farthest, unsettled = running.highest, running.farthest, running.unsettled
-    effort = running.effort
-    peak, squared_force = running.peak_force, running.squared_force
+    effort, peak, squared_force = running.effort, running.peak_force, running.squared_force
     for period in periods:
         output, response = period.output, period.response
         size = jnp.abs(period.error)
@@ -274,14 +274,17 @@ def judge(
     period: jax.Array,
     ticks: int | jax.Array,
     scale: Scale | None,
-    fallen: jax.Array | None = None,
+    fell: Fall | None = None,
 ) -> Judgement:
     """What came of one start; arguments as for `finish`, leaves of shape (joints,)."""
     done = motion(running, envelopes, reference, period)
     if scale is None:
         return verdicts.of_growth(growth_rate, done.span)
     found = verdicts.of_motion(done, scale, growth_rate, period * (ticks // SEGMENTS))
-    return found if fallen is None else verdicts.of_fallen(found, fallen, growth_rate)
+    if fell is None:
+        return found
+    fallen = fell.happened(envelopes, reference.target, done.span)
+    return verdicts.of_fallen(found, fallen, growth_rate)
 
 
 def finish(
@@ -295,7 +298,7 @@ def finish(
     counted: jax.Array | float,
     scale: Scale | None,
     others: Judgement | None = None,
-    fallen: jax.Array | None = None,
+    fell: Fall | None = None,
 ) -> tuple[Metrics, Judgement]:
     """The metrics of a finished rollout, and what came of its start alone.
 
@@ -314,11 +317,11 @@ def finish(
         scale: from `jaxact.simulation.verdicts.scale`; None for a loop that is linear, but for
         noise.
         others: from `judge`, of other starts of the same loop, shape (starts, joints).
-        fallen: whether a robot that stood has fallen over in the end, shape (); None of others.
+        fell: from `jaxact.simulation.falling.fall`; None of what cannot.
     """
-    span = jnp.abs(reference.target - reference.start)
+    stepped = reference.target != reference.start
     loop = running, envelopes, reference, growth_rate
-    own = each = judge(*loop, period=period, ticks=ticks, scale=scale, fallen=fallen)
+    own = each = judge(*loop, period=period, ticks=ticks, scale=scale, fell=fell)
     if others is not None and scale is not None:
         each = verdicts.together(own, others, scale)
     finite = jnp.isfinite(running.squared_error) & jnp.isfinite(running.effort)
@@ -337,8 +340,6 @@ def finish(
     def known(value: jax.Array, when: jax.Array | bool = True) -> jax.Array:
         return jnp.where(finite & when, value, jnp.nan)
 
-    stepped = span > 0.0
-    settled = running.unsettled < ticks
     cycling = each.verdict == Verdict.LIMIT_CYCLE
     rise = (running.high - running.low) * period
     quiet = jnp.where(each.verdict == Verdict.STABLE, 0.0, jnp.nan)
@@ -347,7 +348,7 @@ def finish(
         verdict=verdict,
         overshoot=known(jnp.maximum(running.highest - 1.0, 0.0), stepped),
         rise_time=known(rise, stepped & jnp.isfinite(running.high)),
-        settling_time=known(running.unsettled * period, stepped & settled),
+        settling_time=known(running.unsettled * period, stepped & (running.unsettled < ticks)),
         integrated_absolute_error=known(running.absolute_error * period),
         integrated_squared_error=known(running.squared_error * period),
         control_effort=known(running.effort * period),

@@ -208,7 +208,7 @@ def _rolled(
         setpoints=setpoints,
         observe=None if watch is None else watch(simulations, coefficients),
         others=others,
-        upright=made.upright,
+        bases=made.bases,
     )
 
 

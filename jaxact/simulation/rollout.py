@@ -18,12 +18,13 @@ from jaxact.drive.controller import Setpoint
 from jaxact.drive.step import DriveOptions
 from jaxact.loops import loop as _loop
 from jaxact.loops.loop import LoopState, Output, Prepared
+from jaxact.robots.base import Base
 from jaxact.simulation import envelope as _envelope
 from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import stopping
 from jaxact.simulation import verdicts as _verdicts
 from jaxact.simulation.envelope import Envelope
-from jaxact.simulation.falling import fallen
+from jaxact.simulation.falling import fall
 from jaxact.simulation.growth import rate as _growth
 from jaxact.simulation.growth.rate import GrowthOptions
 from jaxact.simulation.metrics import SEGMENTS, Metrics, Period, Reference, Running
@@ -164,7 +165,7 @@ def evaluate(
     setpoints: Setpoint | None = None,
     rest_amplitude: jax.Array | float = 0.0,
     others: Judgement | None = None,
-    upright: int | None = None,
+    bases: tuple[Base, ...] = (),
 ) -> Metrics:
     """Metrics of a step response, verdict and growth rate included.
 
@@ -174,7 +175,7 @@ def evaluate(
         others: from `judged`, of other starts of the same loop, shape (starts, joints).
         growth_rate: [1/s] if it is known already (in float64, say), else it is measured here.
         growth: static; how it is measured; None for the usual way.
-        upright: static; as for `jaxact.simulation.falling.fallen`.
+        bases: static; as for `jaxact.simulation.falling.fall`.
     """
     if growth_rate is None:
         # Whether a policy holds the setpoint is none of the loop's business.
@@ -197,7 +198,7 @@ def evaluate(
         counted=rollout.ticks if active_ticks is None else active_ticks,
         scale=scale_of(prepared, options, rollout.linear_plant, reference, rest_amplitude),
         others=others,
-        fallen=fallen(upright, state.plant, end.plant),
+        fell=fall(bases, state.plant, end.plant, told=setpoints is not None),
     )
     return found
 
@@ -227,7 +228,7 @@ def judged(
     *,
     growth_rate: jax.Array,
     rest_amplitude: jax.Array | float = 0.0,
-    upright: int | None = None,
+    bases: tuple[Base, ...] = (),
 ) -> Judgement:
     """What comes of one start, for `others` of `evaluate`; arguments as there, (joints,)."""
     start, _ = prepared.plant.measure(state.plant)
@@ -241,5 +242,5 @@ def judged(
         period=prepared.drive.drive.control_period,
         ticks=rollout.ticks,
         scale=scale_of(prepared, options, rollout.linear_plant, reference, rest_amplitude),
-        fallen=fallen(upright, state.plant, end.plant),
+        fell=fall(bases, state.plant, end.plant),
     )

@@ -20,7 +20,7 @@ from jaxact.loops.template import Template
 from jaxact.simulation import execute, kernel, plans, spectra, starts
 from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import trajectory as _trajectory
-from jaxact.simulation.falling import fallen
+from jaxact.simulation.falling import fall
 from jaxact.simulation.kernel import Case
 from jaxact.simulation.metrics import Metrics
 from jaxact.simulation.trajectory import Trajectory
@@ -284,7 +284,7 @@ def _one(
         setpoints=moving,
         rest_amplitude=rest,
         others=others,
-        fell=fallen(template.upright, state.plant, end.plant),
+        fell=fall(template.bases, state.plant, end.plant, told=moving is not None),
     )
     return _metrics.worst(result), trajectory, starts.listed(own, others)
 

@@ -22,6 +22,7 @@ from jaxact.loops.loop import Loop, LoopState, Output, Prepared
 from jaxact.simulation import envelope as _envelope
 from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import rollout
+from jaxact.simulation.falling import Fall
 from jaxact.simulation.metrics import SEGMENTS, Metrics
 from jaxact.simulation.stopping import parted
 from jaxact.simulation.verdicts import Judgement
@@ -143,7 +144,7 @@ def metrics_of(
     setpoints: Setpoint | None = None,
     rest_amplitude: jax.Array | float = 0.0,
     others: Judgement | None = None,
-    fell: jax.Array | None = None,
+    fell: Fall | None = None,
 ) -> tuple[Metrics, Judgement]:
     """Metrics of a loop that was followed, and its own judgement.
 
@@ -153,7 +154,7 @@ def metrics_of(
         setpoint, active_ticks, setpoints, prepared, options, growth_rate, rest_amplitude, others:
             as for `jaxact.simulation.rollout.evaluate`.
         linear_plant: static; whether the plant is linear.
-        fell: whether it has fallen over, shape (); None of what cannot.
+        fell: from `jaxact.simulation.falling.fall`.
     """
     reference = _metrics.reference(start, setpoint.position)
     ticks = outputs.position.shape[0]
@@ -180,5 +181,5 @@ def metrics_of(
         counted=ticks if active_ticks is None else active_ticks,
         scale=rollout.scale_of(prepared, options, linear_plant, reference, rest_amplitude),
         others=others,
-        fallen=fell,
+        fell=fell,
     )

@@ -46,8 +46,14 @@ VARIABLES: dict[str, Variable] = {
         "m^2 s", "integrated squared error", "Integral of (setpoint - position)^2."
     ),
     "control_effort": Variable("N^2 s", "control effort", "Integral of the squared command."),
-    "peak_force": Variable("N", "peak force", "Largest magnitude of the force."),
-    "rms_force": Variable("N", "rms force", "Root mean square of the force."),
+    "peak_force": Variable(
+        "N",
+        "peak force",
+        "Largest mean force of a physics step; a shorter physics_step shows shorter peaks.",
+    ),
+    "rms_force": Variable(
+        "N", "rms force", "Root mean square of the mean forces of the physics steps."
+    ),
     "limit_cycle_amplitude": Variable(
         "m",
         "limit cycle amplitude",

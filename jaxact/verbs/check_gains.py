@@ -54,6 +54,8 @@ def as_json(known: OnStand | str) -> dict[str, Any] | None:
         DRIVE: {name: value for name, value in known.drive.items() if name != CONTROL_RATE},
         **{name: None if loop is None else _loop(loop) for name, loop in loops.items()},
         "outside": list(known.outside),
+        "edges": list(known.edges),
+        "overloaded": list(known.weak),
         "hidden_gains": [joint.name for joint in known.hidden],
         "friction": known.friction,
         "falls": known.falls or None,
@@ -118,9 +120,12 @@ def _who(loop: Loop) -> tuple[str, bool]:
 def _of_limits(known: OnStand) -> list[str]:
     from jaxact.loops import robots
 
-    if not known.outside:
-        return []
-    return [f"{robots.held_by_limits(known.outside)}; {robots.keyframe_advice(())}."]
+    found = [f"{line}." for line in known.edges]
+    if known.weak:
+        found.append(f"{robots.too_weak(known.weak)}.")
+    if known.outside:
+        found.insert(0, f"{robots.held_by_limits(known.outside)}; {robots.keyframe_advice(())}.")
+    return found
 
 
 def _of_damping(known: OnStand) -> list[str]:

@@ -14,7 +14,7 @@ from jaxact.plotting.wording import quantity
 from jaxact.status import Verdict
 from jaxact.sweeping.variables import VARIABLES
 from jaxact.units import joint_units
-from jaxact.verbs import rendering, starts
+from jaxact.verbs import rendering, saturated, starts
 
 if TYPE_CHECKING:
     from jaxact.robot_margins.stiction import Stiction
@@ -51,7 +51,7 @@ def text(run: Single) -> str:
         shown = f"{100 * value:.3g} %" if name == "overshoot" else quantity(value, units)
         table.add_row(about.long_name, shown)
     said = rendering.rendered(table, starts.advice(run), width=100)
-    return "\n".join([said, *starts.lines(run)])
+    return "\n".join([said, *starts.lines(run), *saturated.lines(run)])
 
 
 def as_json(
@@ -75,6 +75,7 @@ def as_json(
     }
     if run.trajectory.configuration is not None:  # of a robot
         found["stiction"] = None if stiction is None else robot_tables.as_object(stiction)
+        found["saturated"] = [run.joints[place].name for place in saturated.joints(run)]
         found |= changed or {}
     found |= {"starts": starts.document(run), "parameters": plain(run.values)}
     return json.dumps(found)

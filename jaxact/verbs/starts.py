@@ -95,8 +95,9 @@ def advice(run: Single) -> str:
         )
     if verdict == Verdict.TOPPLES and run.results["growth_rate"] < 0.0:
         return (
-            "The robot has fallen over, although small perturbations decay, and nothing shakes: it "
-            "was pushed or moved too far for gains alone to keep it upright."
+            "The robot has fallen over or sunk, although small perturbations decay, and nothing "
+            "shakes: it was pushed or moved too far for gains alone to keep it up, or its joints "
+            "are too weak to."
         )
     held = _rubs(run) and not any(start.moving for start in run.starts)
     if verdict == Verdict.UNSTABLE and held:
@@ -165,7 +166,7 @@ def _end(start: Start, rotary: bool, rubs: bool, stable: bool) -> str:
         still = "though unstable where joints move" if rubs else "where perturbations grow"
         return f"at rest, {still},"
     if start.verdict == Verdict.TOPPLES:
-        return "fallen over"
+        return "fallen"
     if not start.moving:
         return "at rest" if start.resting else "decaying"
     size = quantity(float(f"{start.amplitude:.3g}"), "rad" if rotary else "m")
