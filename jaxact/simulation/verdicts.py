@@ -273,9 +273,9 @@ def of_motion(
     # Nor is what neither turns nor grows where small motions decay: it takes longer than was seen.
     shrinking = (last < previous) | ((growth_rate < 0.0) & ~growing)
     shrinking &= ~motion.turning
-    # Within a count nothing turns a motion back: one that slows down there only creeps.
-    creeping = (growth_rate < 0.0) & ~motion.turning & (last < previous) & (last <= scale.count)
-    ending = ((falling | shrinking) & (scale.count == 0.0)) | creeping
+    # Counts may keep up a motion, but it turns then: what does not creeps, or sways slowly, home.
+    ending = (falling | shrinking) & (scale.count == 0.0)
+    ending |= shrinking & (growth_rate < 0.0)
     ending |= ~motion.turning & (last <= 0.5 * previous)
     ending &= ~scale.plant_linear
     ending |= slow & ~beyond

@@ -310,6 +310,7 @@ def _posture_row(
         excursion[sample] = np.nanmax(off, axis=0, initial=0.0)[order]
         fallen[sample] = _posture.fallen(scene.robot, np.asarray(trajectory.configuration[-1]))
         code = Verdict(int(one.results["verdict"]))
+        fallen[sample] |= code == Verdict.TOPPLES and growth[sample] < 0.0
         if code == Verdict.TOPPLES or (fallen[sample] and code != Verdict.INVALID):
             code = Verdict.UNSTABLE
         verdict[sample] = code
