@@ -135,7 +135,6 @@ def test_a_robots_tuning_ends_with_what_is_certified(tmp_path, module, name, tur
         assert _arm_peaks(gains, delay) <= 1.8 * (1 + 1e-3)
 
 
-@pytest.mark.exhaustive
 def test_a_point_that_exceeds_its_bounds_is_led_inside(tmp_path):
     (tmp_path / "arm.xml").write_text(robots.PENDULUM)
     loop = jaxact.robot(tmp_path / "arm.xml", keyframe="home", actuator="hyq", delay=0.002)

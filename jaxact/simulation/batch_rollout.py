@@ -300,8 +300,7 @@ def evaluate(
     reference = _unpacked(fixed).reference
     running = _unpacked(held).running
     loops = running, envelopes, reference, growth_rate, period, counted, rest_amplitude
-    told = setpoints is not None
-    fell = fall(bases, begun, simulations.configuration(), told=told)
+    fell = fall(bases, begun, simulations.configuration(), told=setpoints is not None)
     return _finish(np.int32(ticks), *loops, coefficients.drive, others, fell)
 
 

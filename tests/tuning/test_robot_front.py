@@ -38,7 +38,6 @@ def tuned(arm):
     return robot.tune([arm], Goal(max_peak=1.8), group([], arm.names), **QUICK)
 
 
-@pytest.mark.exhaustive
 def test_the_front_rises_and_passes_through_optima_of_their_own(arm, tuned):
     points = robot_front.front(tuned, 4)
     peaks = [point.goal.max_peak for point in points]
