@@ -22,11 +22,17 @@ from jaxact.identification.model import (
     drive_unknowns,
 )
 from jaxact.identification.problem import Unknown
+from jaxact.identification.torque_loop import EARLIER, INITIAL_FORCE, INITIAL_RATE
 from jaxact.parameters import FORCE_LIMIT, WN, ZETA
 
 _ALWAYS = ("gain", "offset")
 _MOST_TICKS_OF_DELAY = 12
-_NEUTRAL = {"gain": 1.0, "offset": 0.0, FORCE_LIMIT: math.inf, **NEUTRAL_DRIVE}
+# Logs that are few each begin where the fit puts them; of many, at rest under the first row.
+_MOST_FREE_BEGINNINGS = 3
+# Rows over which a rate is taken, and how far from its first row a force may have begun.
+_ROWS_OF_A_RATE, _ROOM = 5, 0.05
+_BEGINNING = {INITIAL_FORCE: math.nan, INITIAL_RATE: 0.0, EARLIER: math.nan}
+_NEUTRAL = {"gain": 1.0, "offset": 0.0, FORCE_LIMIT: math.inf, **NEUTRAL_DRIVE, **_BEGINNING}
 
 
 def family(logs: Sequence[Log], *, longest: float = LONG_DELAYS[0]) -> Family:
@@ -60,6 +66,7 @@ def family(logs: Sequence[Log], *, longest: float = LONG_DELAYS[0]) -> Family:
         simulate=_simulate,
         measured=lambda log: log["force"],
         stimulus=lambda log: log["command"],
+        nuisances=_nuisances,
         signal="force",
         unit="N m" if logs[0].unit == "rad" else "N",
         perhaps=() if limited else (FORCE_LIMIT,),
@@ -81,6 +88,31 @@ def _unknowns(logs: Sequence[Log], longest: float) -> dict[str, Unknown]:
     return {unknown.name: unknown for unknown in sought}
 
 
+def _nuisances(logs: Sequence[Log], tried: bool) -> tuple[Unknown, ...]:
+    """What happened before each of a few logs, within what the log shows of its own signals."""
+    del tried
+    if len(logs) > _MOST_FREE_BEGINNINGS:
+        return ()
+    found = []
+    for number, log in enumerate(logs):
+        force, command = log["force"], log["command"]
+        unit = "N m" if log.unit == "rad" else "N"
+        apart = min(_ROWS_OF_A_RATE, len(force) - 1)
+        fast = np.max(
+            np.abs((force[apart:] - force[:-apart]) / (log.time[apart:] - log.time[:-apart]))
+        )
+        room = _ROOM * float(np.ptp(force))
+        low, high = min(0.0, float(np.min(command))), max(0.0, float(np.max(command)))
+        for name, kind, value, span in (
+            (INITIAL_FORCE, unit, float(force[0]), (force[0] - room, force[0] + room)),
+            (INITIAL_RATE, f"{unit}/s", 0.0, (-float(fast), float(fast))),
+            (EARLIER, unit, float(command[0]), (low, high)),
+        ):
+            least, most = span[0] - 1e-9, span[1] + 1e-9
+            found.append(Unknown(f"{name}[{number}]", kind, least, most, (value,), log=number))
+    return tuple(found)
+
+
 def _inputs(log: Log) -> dict[str, jax.Array]:
     return {
         "time": jnp.asarray(filled(log.time, rising=True)),
@@ -92,5 +124,11 @@ def _inputs(log: Log) -> dict[str, jax.Array]:
 def _simulate(
     values: Mapping[str, jax.Array | float], inputs: Mapping[str, jax.Array]
 ) -> jax.Array:
-    begun = {"initial_force": inputs["first"] - values["offset"]}
+    first = jnp.asarray(values[INITIAL_FORCE]), jnp.asarray(values[EARLIER])
+    measured = inputs["first"], inputs["command"][0]
+    force, earlier = (
+        jnp.where(jnp.isnan(given), known, given)
+        for given, known in zip(first, measured, strict=True)
+    )
+    begun = {INITIAL_FORCE: force - values["offset"], EARLIER: earlier}
     return torque_loop.simulate(inputs["time"], inputs["command"], {**values, **begun})

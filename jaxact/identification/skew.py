@@ -35,6 +35,8 @@ def taken_for(ladder: Ladder) -> str:
     moved = moved_by(chosen.fit, ladder.fitted)
     named = []
     for estimate in chosen.knowledge.estimates:
+        if not estimate.identified:
+            continue  # what changes nothing that logs show is moved by anything
         more = moved[estimate.name]
         if abs(more) > max(0.5 * (estimate.high - estimate.low), _NAMED * abs(estimate.value)):
             unit = "" if estimate.unit == "1" else f" {estimate.unit}"

@@ -2,7 +2,9 @@
 
     f'' + 2 zeta wn f' + wn^2 f = wn^2 gain u(t - delay),      measured: f + offset, within limits
 
-on the log's own time stamps, with the closed form of `jaxact.drive.actuator`.
+on the log's own time stamps, with the closed form of `jaxact.drive.actuator`. Of the time before a
+log three numbers are left: the force and its rate at the first row, and the command that was held
+before, which acts until the first one arrives.
 """
 
 from __future__ import annotations
@@ -16,6 +18,8 @@ from jaxact.identification import free_response
 from jaxact.identification.schedule import schedule
 from jaxact.parameters import DELAY, FORCE_LIMIT, WN, ZETA
 
+INITIAL_FORCE, INITIAL_RATE, EARLIER = "initial_force", "initial_rate", "earlier_command"
+
 
 def simulate(
     time: jax.Array, command: jax.Array, values: Mapping[str, jax.Array | float]
@@ -26,7 +30,9 @@ def simulate(
         time: of the rows [s], shape (rows,).
         command: held from each row on [N or N m], shape (rows,).
         values: `gain` [-], `offset` [N or N m], `wn` [rad/s] (may be infinite), `zeta`, `delay`
-            [s], `force_limit` [N or N m] (may be infinite), `initial_force` [N or N m].
+            [s], `force_limit` [N or N m] (may be infinite); `initial_force` without the offset
+            [N or N m], `initial_rate` of it [N/s or N m/s], 0 where it is not there, and
+            `earlier_command` [N or N m], the first one where it is not there.
 
     Returns:
         [N or N m], shape (rows,). An ideal drive's force at a row is the one just after a command
@@ -34,8 +40,10 @@ def simulate(
     """
     plan = schedule(time, jnp.asarray(values[DELAY], time.dtype))
     wn, zeta = (jnp.asarray(values[name], time.dtype) for name in (WN, ZETA))
-    # Before the first command arrives it acts already: of those before it nothing is known.
-    inputs = values["gain"] * command[jnp.maximum(plan.held, 0)]
+    held = jnp.where(
+        plan.held < 0, values.get(EARLIER, command[0]), command[jnp.maximum(plan.held, 0)]
+    )
+    inputs = values["gain"] * held
     known = free_response.coefficients(wn, zeta, plan.length)
 
     def advance(carry, at):
@@ -49,8 +57,9 @@ def simulate(
         )
         return after, force
 
-    start = jnp.asarray(values["initial_force"], time.dtype)
-    _, forces = jax.lax.scan(advance, (start, jnp.zeros_like(start)), (known, plan.length, inputs))
+    begun = values[INITIAL_FORCE], values.get(INITIAL_RATE, 0.0)
+    start = tuple(jnp.asarray(value, time.dtype) for value in begun)
+    _, forces = jax.lax.scan(advance, start, (known, plan.length, inputs))
     followed = jnp.where(jnp.isinf(wn), inputs[_last_of_instant(plan)], forces[plan.row])
     limit = values[FORCE_LIMIT]
     return jnp.clip(followed, -limit, limit) + values["offset"]
