@@ -161,8 +161,9 @@ def predicted(family: Family, log: Log, values: Mapping[str, float]) -> np.ndarr
     measured = family.measured(log)
     with jax.enable_x64(True):
         inputs = family.inputs(log)
+    numbers = {**family.neutral, **values}
     sought = Problem(
-        own, values, family.positive, family.simulate, (inputs,), (measured,), 1.0, None
+        own, numbers, family.positive, family.simulate, (inputs,), (measured,), 1.0, None
     )
     point = np.array([unknown.inner(unknown.starts[0]) for unknown in own])
     rest, slopes = sought.evaluate(point)
