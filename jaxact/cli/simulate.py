@@ -86,8 +86,8 @@ def main(
     actuator, no delay, control at 1 kHz. All units are SI, delays in seconds; for a rotary joint
     read rad and N m. Where quantisation, friction, or a robot that nothing disturbs ask for it, the
     verdict is the worst of several starts, which are listed. JSON of a robot says what dry friction
-    holds (stiction), and what `jaxact margins` says of a changed model (payload_body, sag,
-    leaves_posture).
+    holds (stiction), which joints give all they can in the last quarter (saturated), and what
+    `jaxact margins` says of a changed model (payload_body, sag, leaves_posture).
 
     With --replay: an identified drive on the time stamps of a log, for the setpoint under the gains
     that the map states, or for the command; measured and simulated over each other, and the errors.
