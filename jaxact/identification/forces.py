@@ -16,6 +16,7 @@ from jaxact.identification.log import Log, filled
 from jaxact.identification.model import (
     DYNAMICS,
     LONG_DELAYS,
+    MOST_FREE_BEGINNINGS,
     NEUTRAL_DRIVE,
     Family,
     Rung,
@@ -27,8 +28,6 @@ from jaxact.parameters import FORCE_LIMIT, WN, ZETA
 
 _ALWAYS = ("gain", "offset")
 _MOST_TICKS_OF_DELAY = 12
-# Logs that are few each begin where the fit puts them; of many, at rest under the first row.
-_MOST_FREE_BEGINNINGS = 3
 # Rows over which a rate is taken, and how far from its first row a force may have begun.
 _ROWS_OF_A_RATE, _ROOM = 5, 0.05
 _BEGINNING = {INITIAL_FORCE: math.nan, INITIAL_RATE: 0.0, EARLIER: math.nan}
@@ -91,7 +90,7 @@ def _unknowns(logs: Sequence[Log], longest: float) -> dict[str, Unknown]:
 def _nuisances(logs: Sequence[Log], tried: bool) -> tuple[Unknown, ...]:
     """What happened before each of a few logs, within what the log shows of its own signals."""
     del tried
-    if len(logs) > _MOST_FREE_BEGINNINGS:
+    if len(logs) > MOST_FREE_BEGINNINGS:
         return ()
     found = []
     for number, log in enumerate(logs):

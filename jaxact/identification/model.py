@@ -87,6 +87,8 @@ _STARTS_OF_A_LONG_DELAY = (24, 36, 52)
 LONG_DELAYS = (0.015, 0.03, 0.06)
 """A drive's delay may be so long, whatever the rate of the log [s]; the longer ones are tried where
 a fit ends at a shorter one."""
+MOST_FREE_BEGINNINGS = 3
+"""Logs that are so few each begin where the fit puts them; of more, where they were measured."""
 # The beginning of a log enters almost linearly.
 _STEPS_OF_A_BEGINNING = 2
 # A step that promises to lower the sum of squares by less than this share of it is not taken.

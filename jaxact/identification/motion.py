@@ -21,6 +21,7 @@ from jaxact.identification.log import LINKS, Log, filled
 from jaxact.identification.model import (
     DYNAMICS,
     LONG_DELAYS,
+    MOST_FREE_BEGINNINGS,
     NEUTRAL_DRIVE,
     Family,
     Rung,
@@ -45,8 +46,6 @@ from jaxact.parameters import (
 PLANTS = (MASS, "pendulum")
 GRAVITY = 9.81
 _MOST_TICKS_OF_DELAY = 6
-# Logs that are few each begin where the fit puts them; of many, where they were measured.
-_MOST_FREE_BEGINNINGS = 3
 # Share of its highest speed from which on a joint is in motion.
 _IN_MOTION = 0.15
 # Share of a controller's damping with which the search for viscous friction beside it begins.
@@ -309,7 +308,7 @@ class Context:
 
     def nuisances(self, logs: Sequence[Log], tried: bool) -> tuple[Unknown, ...]:
         """Where each of a few logs begins, and with which force where it begins in motion."""
-        if len(logs) > _MOST_FREE_BEGINNINGS:
+        if len(logs) > MOST_FREE_BEGINNINGS:
             return ()
         found = []
         for number, log in enumerate(logs):

@@ -9,7 +9,8 @@ import numpy as np
 if TYPE_CHECKING:
     from jaxact.simulation.single import Single
 
-# Over this last part of a run the force is less than the command, by this share of it at least.
+# Over this last part of a run the force is less than the command, by this share of it at least, and
+# changes by less: behind a command that grows a drive lags, without a limit.
 _LAST, _LESS = 0.25, 0.01
 _MOST_NAMED = 3
 
@@ -26,7 +27,8 @@ def joints(run: Single) -> list[int]:
     if run.trajectory.configuration is None:
         return []
     asked, given = (np.abs(_last(one)) for one in (run.trajectory.command, run.trajectory.force))
-    return np.flatnonzero(np.all(asked - given > _LESS * asked, axis=0)).tolist()
+    less = np.all(asked - given > _LESS * asked, axis=0)
+    return np.flatnonzero(less & (np.ptp(given, axis=0) < _LESS * given.max(axis=0))).tolist()
 
 
 def lines(run: Single) -> list[str]:
@@ -34,6 +36,8 @@ def lines(run: Single) -> list[str]:
     from jaxact.plotting.wording import quantity
 
     found = joints(run)
+    if not found:
+        return []
     away = np.abs(_last(run.trajectory.position) - _last(run.trajectory.setpoint)).max(axis=0)
     force = np.abs(_last(run.trajectory.force)).max(axis=0)
     parts = []
@@ -42,8 +46,6 @@ def lines(run: Single) -> list[str]:
         far = quantity(float(f"{away[place]:.3g}"), length)
         most = quantity(float(f"{force[place]:.3g}"), unit)
         parts.append(f"{run.joints[place].name} is up to {far} from its setpoint with {most}")
-    if not parts:
-        return []
     more = f" (and {len(found) - len(parts)} more)" if len(found) > len(parts) else ""
     return [f"In the last quarter {', '.join(parts)}, the most that it can exert{more}."]
 

@@ -1,13 +1,16 @@
 """Joints on a limit: of their force at the end of a run, of it or of their range in a check."""
 
 import json
+from types import SimpleNamespace
 
 import mujoco
+import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
 from jaxact.cli.main import main
+from jaxact.verbs import saturated
 
 # A horizontal arm of which gravity asks more than its servo has.
 ARM = """<mujoco><compiler angle="radian"/><option timestep="0.001"/><worldbody><body pos="0 0 1">
@@ -45,6 +48,14 @@ def test_a_run_says_which_joints_give_all_they_have(tmp_path, capsys, monkeypatc
     assert "with 1 N m, the most that it can exert" in said
     assert main(["simulate", "--model", "strong.xml", *asked, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["saturated"] == []
+
+
+def test_a_drive_that_lags_behind_a_command_that_grows_is_on_no_limit():
+    time = np.linspace(0.0, 2.0, 400)
+    asked = np.exp(5.0 * time)[:, None] * [1.0, 1.0]
+    given = np.stack([0.9 * asked[:, 0], np.minimum(asked[:, 1], 9.0)], axis=1)
+    path = SimpleNamespace(time=time, command=asked, force=given, configuration=given)
+    assert saturated.joints(SimpleNamespace(trajectory=path)) == [1]
 
 
 def test_a_check_names_joints_that_are_too_weak_and_those_at_the_end_of_their_range(tmp_path):
