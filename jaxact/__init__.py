@@ -30,6 +30,7 @@ _PUBLIC = {
     "Goal": "jaxact.tuning.goal",
     "identify": "jaxact.verbs.identify",
     "joint": "jaxact.loops.building",
+    "keep_programs": "jaxact.verbs.kept",
     "JointLoop": "jaxact.analysis.joint.frequency",
     "linear": "jaxact.verbs.sweep",
     "load_result": "jaxact.verbs.results",

@@ -252,10 +252,11 @@ def test_commands_of_the_readme_run(tmp_path):
 
 
 @pytest.mark.exhaustive
-def test_code_of_the_readme_runs():
+def test_code_of_the_readme_runs(tmp_path):
     code = "".join(_blocks("README.md", "python"))
     # mujoco.mjx relies on broadcasting of ranks
-    ran = _python(code, **ENVIRONMENT, JAX_NUMPY_RANK_PROMOTION="allow")
+    own = {"JAX_NUMPY_RANK_PROMOTION": "allow", "JAXACT_PROGRAMS": str(tmp_path)}
+    ran = _python(code, **ENVIRONMENT | own)
     assert ran.returncode == 0, ran.stderr
     said = [line for line in code.splitlines() if "# prints " in line]
     # What mujoco.mjx says of Warp when somebody imports it themselves.

@@ -15,6 +15,7 @@ BLOCK = re.compile(r"^```python\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 PAGES = {
     str(page.relative_to(ROOT)): [ast.parse(code) for code in BLOCK.findall(page.read_text())]
     for page in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    if not {"reference", "_build"}.intersection(page.parts)  # written when the site is built
 }
 
 

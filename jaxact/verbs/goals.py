@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops.control_loop import ControlLoop
-from jaxact.parameters import INERTIA
+from jaxact.parameters import INERTIA, canonical
 from jaxact.tuning.goal import DERIVATIVES, OBJECTIVES, WORST, Goal, check
 
 _TRACKED = ("reference", "reference_period")
@@ -104,6 +104,20 @@ def check_uncertain(uncertain: Any, loop: ControlLoop, samples: int | None, risk
         raise UserError(
             "`uncertainty` inertia: is that of a rotary joint, and this one slides; give mass"
         )
+
+
+def ranges_of(uncertainty: Mapping[str, Any]) -> str:
+    """Ranges as the command line writes them; raises UserError where one has not two ends."""
+    parts = []
+    for name, span in uncertainty.items():
+        try:
+            ends = [span] if isinstance(span, str) else [repr(float(end)) for end in np.ravel(span)]
+        except (TypeError, ValueError):  # such as a range of a sweep
+            ends = [""]
+        if len(ends) != 2 and ".." not in ends[0]:
+            raise UserError(f"`uncertainty` {name} = {shown(span)}: give (low, high)")
+        parts.append(f"{canonical(name)}={'..'.join(ends)}")
+    return ",".join(parts)
 
 
 def _is_number(value: Any) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -206,8 +206,9 @@ def margins(
 
     Returns:
         The margins, of a joint a `LoopMargins`, of the loop's shape, of a robot a
-        `RobotLoopMargins`; printed, they are the command line's table. NaN where a loop is
-        unstable; `stable` tells.
+        `RobotLoopMargins`; printed, they are the command line's table. Each metric is an attribute
+        (`delay_margin` [s], `phase_margin` [rad], `gain_margin`, `sensitivity_peak`, `disk_margin`,
+        ...; `dir` lists them). NaN where a loop is unstable; `stable` tells.
 
     Raises:
         UserError: what is not a loop, parameters or arguments that do not fit each other; of a
@@ -254,23 +255,9 @@ def _one(loop: ControlLoop, sampled: bool, steps: int | None) -> LoopMargins:
 
 def _traced(loop: ControlLoop, sampled: bool, steps: int | None) -> Margins | SampledMargins:
     values = loop.broadcast().parameters
-    found = _traced_metrics(loop, values, sampled, steps)
     known = conversion.within_bounds(values, (*LINEAR, GAIN_SCALE, CONTROL_RATE))
-    kind = SampledMargins if sampled else Margins
-
-    def if_known(name: str) -> jax.Array:
-        value = getattr(found, name)
-        other = -1 if name == "unstable_roots" else False if value.dtype == bool else jnp.nan
-        return jnp.where(known, value, other)
-
-    return kind(**{field.name: if_known(field.name) for field in fields(kind)})
-
-
-def _traced_metrics(
-    loop: ControlLoop, values: Mapping[str, jax.Array], sampled: bool, steps: int | None
-) -> Margins | SampledMargins:
     if not sampled:
-        return _continuous_margins(conversion.continuous(values))
+        return _known(conversion.continuous(values), known, of=_continuous_margins)
     if steps is None:
         delay, rate = conversion.total_delay(values), values[CONTROL_RATE]
         if any(isinstance(value, jax.core.Tracer) for value in (delay, rate)):
@@ -279,7 +266,23 @@ def _traced_metrics(
                 "the most whole control periods that the delay may have"
             )
         steps = delay_steps(np.asarray(delay), 1.0 / np.asarray(rate))
-    return _sampled_margins(conversion.sampled(values, loop.kind.velocity), max_delay_steps=steps)
+    loops = conversion.sampled(values, loop.kind.velocity)
+    return _known(loops, known, of=_sampled_margins, max_delay_steps=steps)
+
+
+# Compiled as a whole: what the caller maps or differentiates without compiling it would be compiled
+# operation by operation, which takes several times as long.
+@partial(jax.jit, static_argnames=("of", "max_delay_steps"))
+def _known(loop: Any, known: jax.Array, *, of: Callable, **static: int) -> Any:
+    """Margins where the parameters are within their bounds, NaN elsewhere."""
+    found = of(loop, **static)
+
+    def if_known(field: Any) -> jax.Array:
+        value = getattr(found, field.name)
+        other = -1 if field.name == "unstable_roots" else False if value.dtype == bool else jnp.nan
+        return jnp.where(known, value, other)
+
+    return type(found)(**{field.name: if_known(field) for field in fields(found)})
 
 
 def of_values(values: Mapping[str, np.ndarray], velocity: str | None) -> dict[str, np.ndarray]:

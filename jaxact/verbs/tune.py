@@ -40,7 +40,7 @@ from jaxact.tuning.joint.ensemble import FIELDS, Ensemble, Sampling, ensemble, j
 from jaxact.tuning.optimise import Descent
 from jaxact.tuning.result import Tuned
 from jaxact.verbs import naming, notebook, showing
-from jaxact.verbs.goals import check_options, check_uncertain, goal_of
+from jaxact.verbs.goals import check_options, check_uncertain, goal_of, ranges_of
 
 if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
@@ -136,7 +136,7 @@ def tune(
     if not isinstance(uncertainty, str | Mapping | ControlLoop):
         uncertainty = intervals(drives.taken(uncertainty), loops[0])
     check_uncertain(uncertainty, loops[0], samples, asked.risk)
-    unsure = _ranges(uncertainty) if isinstance(uncertainty, Mapping) else uncertainty
+    unsure = ranges_of(uncertainty) if isinstance(uncertainty, Mapping) else uncertainty
     common: dict[str, Any] = {"uncertainty": unsure, "samples": samples, "starts": starts,
                               "steps": steps, "seed": seed, "front": front,
                               "verify": verify}  # fmt: skip
@@ -200,18 +200,7 @@ def intervals(drive: IdentifiedDrive, loop: ControlLoop, ranges: str = "") -> st
             f"`uncertainty`: {drive.name} leaves {len(own)} numbers open, and their box has too"
             " many corners; give ranges of your own, or identify fewer groups of joints"
         )
-    return ",".join(part for part in (_ranges(own), ranges) if part)
-
-
-def _ranges(uncertainty: Mapping[str, Range]) -> str:
-    """Ranges as the command line writes them."""
-    parts = []
-    for name, span in uncertainty.items():
-        ends = [span] if isinstance(span, str) else [repr(float(end)) for end in np.ravel(span)]
-        if len(ends) != 2 and ".." not in ends[0]:
-            raise UserError(f"`uncertainty` {name} = {shown(span)}: give (low, high)")
-        parts.append(f"{canonical(name)}={'..'.join(ends)}")
-    return ",".join(parts)
+    return ",".join(part for part in (ranges(own), ranges) if part)
 
 
 def _of_joint(
