@@ -192,3 +192,66 @@ def test_inverse_dynamics_hold_a_keyframe_that_is_not_settled(pendulum):
     start = posture.given(robot)
     np.testing.assert_array_equal(start.qpos, [0.4, -0.7])
     assert start.residual < 1e-9
+
+
+TRIPOD = """<mujoco><option timestep="0.0002"/><worldbody>
+<geom type="plane" size="5 5 .1" solref="0.0004 1"/>
+<body name="trunk" pos="0 0 .0499994"><freejoint/>
+  <geom type="box" size=".2 .2 .02" mass="5" contype="0" conaffinity="0"/>
+  <geom type="sphere" size=".02" pos=".2 0 -.03" mass=".1" solref="0.0004 1"/>
+  <geom type="sphere" size=".02" pos="-.2 .2 -.03" mass=".1" solref="0.0004 1"/>
+  <geom type="sphere" size=".02" pos="-.2 -.2 -.03" mass=".1" solref="0.0004 1"/>
+  <body pos="0 0 .02"><joint name="arm" axis="0 1 0" damping=".1"/>
+    <geom type="capsule" size=".01" fromto="0 0 0 0 0 .2" mass=".5"/></body></body></worldbody>
+<actuator><motor joint="arm"/></actuator></mujoco>"""
+
+
+def _own_transition(robot, start, size):
+    """A by central differences of `mj_step` itself."""
+    c_model, columns = robot.model, []
+    ends = [mujoco.MjData(c_model), mujoco.MjData(c_model)]
+    for column in np.eye(2 * c_model.nv):
+        for end, sign in zip(ends, (size, -size), strict=True):
+            mujoco.mj_resetData(c_model, end)
+            end.qpos[:] = start.qpos
+            mujoco.mj_integratePos(c_model, end.qpos, sign * column[: c_model.nv], 1.0)
+            end.qvel[:] = sign * column[c_model.nv :]
+            end.ctrl[:] = start.force
+            mujoco.mj_step(c_model, end)
+        moved = np.zeros(c_model.nv)
+        mujoco.mj_differentiatePos(c_model, moved, 2.0 * size, ends[1].qpos, ends[0].qpos)
+        columns.append(np.append(moved, (ends[0].qvel - ends[1].qvel) / (2.0 * size)))
+    return np.transpose(columns)
+
+
+def test_feet_pressed_less_deep_than_a_difference_moves_them_stay_on_the_ground(tmp_path):
+    """Ground so stiff that a difference of 1e-6 rad lifts a foot off it."""
+    robot = _robot(tmp_path, TRIPOD)
+    robot.model.opt.tolerance, robot.model.opt.iterations = 0.0, 100
+    start = posture.settled(robot)
+    data = mujoco.MjData(robot.model)
+    data.qpos = start.qpos
+    mujoco.mj_forward(robot.model, data)
+    assert len(data.contact) == 3
+    assert -1e-6 < data.contact.dist.min() < 0.0
+    A, _, _ = linearize.linearise_c(robot, start, 2e-4)
+    size = 0.01 * np.abs(data.contact.dist).min()
+    scale = np.abs(A).max()
+    assert np.abs(A - _own_transition(robot, start, size)).max() < 1e-4 * scale
+    # lifted off, it would be another robot
+    assert np.abs(A - _own_transition(robot, start, 1e-6)).max() > scale
+
+
+SLIDER = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody>
+<body><joint name="x" type="slide" axis="1 0 0" range="0 1" limited="true"/>
+<geom type="sphere" size=".1" mass="2"/></body></worldbody>
+<actuator><motor joint="x"/></actuator>
+<keyframe><key name="near" qpos="{gap}"/></keyframe></mujoco>"""
+
+
+@pytest.mark.parametrize("gap", ["3e-7", "4e-9"])
+def test_a_joint_just_before_its_limit_is_free_of_it(gap, tmp_path):
+    robot = _robot(tmp_path, SLIDER.format(gap=gap), keyframe="near")
+    A, B, _ = linearize.linearise_c(robot, posture.given(robot), 1e-3)
+    np.testing.assert_allclose(A, [[1.0, 1e-3], [0.0, 1.0]], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(B, [[5e-7], [5e-4]], rtol=1e-5)

@@ -35,8 +35,13 @@ _NEUTRAL = 1e-7
 _NUDGE = 1e-2
 # [rad/s]
 _TURNING = 1e-7
-# Of the difference quotients in C [rad, m, and per second].
-_DIFFERENCE = 1e-6
+# Of the difference quotients in C [rad, m, and per second]; the smaller ones where a contact or a
+# limit is nearer to its beginning than this many of the first, times the model's size.
+_DIFFERENCE, _SMALLER = 1e-6, (1e-7, 1e-8, 1e-9, 1e-10)
+_NEAR = 10.0
+# Two differences agree where they differ by less than this share of the largest entry. Across the
+# beginning of a contact they differ by more than all of it.
+_AGREE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -200,10 +205,50 @@ def linearise_c(
 
 
 def _differenced(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """A and B by differences that no contact or limit begins or ends within, if there are such.
+
+    A foot that is pressed less deep into stiff ground than a difference moves it would be lifted
+    off by it. Such differences depend on their own size, those that touch nothing do not.
+    """
+    found = _quotients(model, data, _DIFFERENCE)
+    if not _near(model, data):
+        return found
+    larger = found
+    for size in _SMALLER:
+        smaller = _quotients(model, data, size)
+        scale = max(1.0, float(np.max(np.abs(smaller[0]))))
+        if float(np.max(np.abs(larger[0] - smaller[0]))) <= _AGREE * scale:
+            return larger
+        larger = smaller
+    return found  # at the beginning itself, or of a collision that is no better computed than so
+
+
+def _quotients(
+    model: mujoco.MjModel, data: mujoco.MjData, difference: float
+) -> tuple[np.ndarray, np.ndarray]:
     size = 2 * model.nv + model.na
     A, B = np.zeros((size, size)), np.zeros((size, model.nu))
-    mujoco.mjd_transitionFD(model, data, _DIFFERENCE, True, A, B, None, None)
+    mujoco.mjd_transitionFD(model, data, difference, True, A, B, None, None)
     return A, B
+
+
+def _near(model: mujoco.MjModel, data: mujoco.MjData) -> bool:
+    """Whether a contact, or the limit of a joint or a tendon, has only just begun, or is about to.
+
+    Args:
+        model, data: after `mj_forward`.
+    """
+    limits = (mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT, mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON)
+    active = np.isin(data.efc_type, [int(limit) for limit in limits])
+    gaps = [data.contact.dist - data.contact.includemargin]
+    gaps.append((data.efc_pos - data.efc_margin)[active])
+    hinged = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+    limited = np.flatnonzero(np.isin(model.jnt_type, hinged) & (model.jnt_limited != 0))
+    position, margin = data.qpos[model.jnt_qposadr[limited]], model.jnt_margin[limited]
+    low, high = model.jnt_range[limited].T
+    gaps += [position - low - margin, high - position - margin]
+    nearest = float(np.min(np.abs(np.concatenate(gaps)), initial=np.inf))
+    return nearest < _NEAR * _DIFFERENCE * max(1.0, float(model.stat.extent))
 
 
 def _runge_kutta(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
