@@ -35,6 +35,7 @@ from jaxact.simulation import verdicts as _verdicts
 from jaxact.simulation.envelope import Envelope
 from jaxact.simulation.falling import fall
 from jaxact.simulation.metrics import SEGMENTS, Metrics, Period, Reference, Running
+from jaxact.simulation.settling import staying
 from jaxact.simulation.verdicts import Judgement
 
 Pair = tuple[Any, Any]
@@ -299,6 +300,9 @@ def evaluate(
     counted = active_ticks if masked else jnp.full(period.shape, float(ticks), dtype)
     reference = _unpacked(fixed).reference
     running = _unpacked(held).running
+    if aims is None:
+        end = seen[:, 0], seen[:, 1]
+        running = _staying(np.int32(ticks), running, reference, period, end)
     loops = running, envelopes, reference, growth_rate, period, counted, rest_amplitude
     fell = fall(bases, begun, simulations.configuration(), told=setpoints is not None)
     return _finish(np.int32(ticks), *loops, coefficients.drive, others, fell)
@@ -336,6 +340,11 @@ def _before(drive: DriveState, setpoint: Setpoint, seen: np.ndarray) -> BatchSta
         peak_force=zero,
         square_force=zero,
     )
+
+
+@Program
+def _staying(ticks: jax.Array, running, reference, period, end) -> Running:
+    return jax.vmap(staying, (0, 0, 0, None, 0))(running, reference, period, ticks, end)
 
 
 @Program

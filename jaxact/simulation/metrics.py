@@ -6,7 +6,7 @@ With the response y = (q - q0) / (r - q0) to a setpoint that steps from q0 to r:
     integrals of |r - q| and (r - q)^2, of the squared command and the squared force
 
 Rise is interpolated between ticks, and so are the first two integrals (trapezoidal rule); settling
-counts whole ticks.
+counts whole ticks, and is known of what stays settled: `jaxact.simulation.settling`.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Metrics:
         verdict: code of `jaxact.status.Verdict`.
         overshoot: relative to the step [-].
         rise_time: from 10 % to 90 % of the step [s].
-        settling_time: until the response stays within 2 % of the step [s].
+        settling_time: until the response is, and will stay, within 2 % of the step [s].
         integrated_absolute_error: [m s or rad s].
         integrated_squared_error: [m^2 s or rad^2 s].
         control_effort: integral of the squared command [N^2 s or (N m)^2 s].

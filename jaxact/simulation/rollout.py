@@ -28,6 +28,7 @@ from jaxact.simulation.falling import fall
 from jaxact.simulation.growth import rate as _growth
 from jaxact.simulation.growth.rate import GrowthOptions
 from jaxact.simulation.metrics import SEGMENTS, Metrics, Period, Reference, Running
+from jaxact.simulation.settling import staying
 from jaxact.simulation.stopping import parted
 from jaxact.simulation.verdicts import Judgement, Scale
 
@@ -145,9 +146,12 @@ def run(
     firsts = length * jnp.arange(SEGMENTS, dtype=jnp.int32)
     inputs = firsts, parted(setpoints, SEGMENTS)
     (state, running, _), envelopes = jax.lax.scan(segment, carry, inputs)
+    position, velocity = prepared.plant.measure(state.plant)
     if steady:
-        ends = start, prepared.plant.measure(state.plant)[0]
-        running = _metrics.trapezoidal(running, reference, *ends)
+        running = _metrics.trapezoidal(running, reference, start, position)
+    if setpoints is None:
+        period = prepared.drive.drive.control_period
+        running = staying(running, reference, period, rollout.ticks, (position, velocity))
     return state, running, envelopes
 
 

@@ -24,6 +24,7 @@ from jaxact.simulation import metrics as _metrics
 from jaxact.simulation import rollout
 from jaxact.simulation.falling import Fall
 from jaxact.simulation.metrics import SEGMENTS, Metrics
+from jaxact.simulation.settling import staying
 from jaxact.simulation.stopping import parted
 from jaxact.simulation.verdicts import Judgement
 
@@ -171,12 +172,16 @@ def metrics_of(
     rows = outputs, jnp.arange(ticks, dtype=jnp.int32), setpoints
     carry = _metrics.init(start), _envelope.init(start)
     (running, _), envelopes = jax.lax.scan(segment, carry, parted(rows, SEGMENTS))
+    period = prepared.drive.drive.control_period
+    if setpoints is None:
+        end = outputs.position[-1], outputs.velocity[-1]
+        running = staying(running, reference, period, ticks, end)
     return _metrics.finish(
         running,
         envelopes,
         reference,
         growth_rate,
-        period=prepared.drive.drive.control_period,
+        period=period,
         ticks=ticks,
         counted=ticks if active_ticks is None else active_ticks,
         scale=rollout.scale_of(prepared, options, linear_plant, reference, rest_amplitude),

@@ -38,7 +38,11 @@ VARIABLES: dict[str, Variable] = {
         "1", "overshoot", "Largest excess over the setpoint, relative to the step's height."
     ),
     "rise_time": Variable("s", "rise time", "From 10 % to 90 % of the step."),
-    "settling_time": Variable("s", "settling time", "Last time outside 2 % of the step."),
+    "settling_time": Variable(
+        "s",
+        "settling time",
+        "Last time outside 2 % of the step; none if it swings through at the end.",
+    ),
     "integrated_absolute_error": Variable(
         "m s", "integrated absolute error", "Integral of |setpoint - position|."
     ),

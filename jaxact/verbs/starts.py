@@ -34,6 +34,8 @@ _NAMES = {
 
 # By how much small motions should have decayed before what grows is said to be lost.
 _MOSTLY = 0.5
+# Farther from the posture [rad or m] its growth rate says little.
+_ELSEWHERE = 0.05
 _ON_ITS_WAY = (
     "The motion had neither turned nor ended when the duration was over: a longer one tells."
 )
@@ -105,6 +107,11 @@ def advice(run: Single) -> str:
             "Perturbations of joints that move grow; from every start that was tried dry friction "
             "ended the motion, which it may not after a harder push, or where there is less of it."
         )
+    if verdict == Verdict.UNSTABLE and (away := _resting_away(run)):
+        return (
+            f"The growth rate is that of the posture. The robot came to rest {away} from it, "
+            "whatever grows there: whether it does where it rests, a keyframe there tells."
+        )
     if verdict == Verdict.UNSTABLE and run.trajectory.configuration is None:  # of a joint
         return _of_unstable_joint(run.values) or verdict.advice
     return verdict.advice
@@ -147,6 +154,22 @@ def _on_its_way(run: Single) -> bool:
     own = run.starts[0]
     ended = own.moving or own.resting or np.isfinite(own.frequency)
     return len(run.joints) == 1 and own.verdict == 0 and not ended
+
+
+def _resting_away(run: Single) -> str:
+    """How far from the posture a robot's joints came to rest, the farthest; "" where they did not.
+
+    What its small motions do is known at the posture.
+    """
+    from jaxact.plotting.wording import quantity
+
+    if run.trajectory.configuration is None or any(start.moving for start in run.starts):
+        return ""
+    moved = np.abs(run.trajectory.position[-1] - run.trajectory.position[0])
+    farthest = int(np.argmax(moved))
+    if not moved[farthest] > _ELSEWHERE:
+        return ""
+    return quantity(float(f"{moved[farthest]:.2g}"), "rad" if run.rotary[farthest] else "m")
 
 
 def _rubs(run: Single) -> bool:

@@ -10,10 +10,14 @@ from jaxact.status import Verdict
 from jaxact.verbs import starts
 
 
-def _run(verdict, growth_rate, *starts, duration=2.0):
+def _run(verdict, growth_rate, *starts, duration=2.0, moved=0.0):
     made = tuple(Start(name, end, moving, not moving, 0.0, 0.0) for name, end, moving in starts)
     results = {"verdict": float(verdict), "growth_rate": growth_rate}
-    of_robot = SimpleNamespace(configuration=np.zeros((1, 1)), time=np.array([0.0, duration]))
+    of_robot = SimpleNamespace(
+        configuration=np.zeros((1, 1)),
+        time=np.array([0.0, duration]),
+        position=np.array([[0.0], [moved]]),
+    )
     return Single(of_robot, results, {}, (Joint("hip", True),), made)
 
 
@@ -30,6 +34,15 @@ def test_advice_is_that_of_what_happened(verdict, growth_rate, slide, moving, sa
     own = Verdict.STABLE if growth_rate < 0.0 else Verdict.UNSTABLE
     run = _run(verdict, growth_rate, ("", own, False), ("slide", slide, moving))
     assert said in starts.advice(run)
+
+
+def test_a_growth_rate_of_the_posture_is_not_said_to_be_that_of_the_setpoint():
+    own = ("", Verdict.UNSTABLE, False)
+    said = starts.advice(_run(Verdict.UNSTABLE, 1.0, own, moved=0.287))
+    assert "the posture. The robot came to rest 0.29 rad from it" in said
+    assert "came to rest" not in starts.advice(_run(Verdict.UNSTABLE, 1.0, own, moved=1e-3))
+    going_on = ("", Verdict.UNSTABLE, True)
+    assert "came to rest" not in starts.advice(_run(Verdict.UNSTABLE, 1.0, going_on, moved=0.3))
 
 
 def test_a_run_that_was_too_short_to_tell_is_said_to_be():
