@@ -140,7 +140,7 @@ _TABLE = (
     ),
     _at_least_zero(
         OUTPUT_DELAY, "output delay", "s", 0.0, 10.0,
-        "Delay of the force after the actuator's dynamics.",
+        "Delay of the force after the actuator's dynamics, before its force-speed line.",
     ),
     Parameter(
         CONTROL_RATE, "control rate", "Hz", 1000.0, 0.1, 1e6, False,

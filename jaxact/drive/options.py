@@ -26,7 +26,7 @@ class Drive:
         controller: gains, feedforward, D/A resolution, setpoint delay.
         actuator: force loop, command delay, limits.
         sensor: measurement delay, bias, noise, resolution, velocity filter.
-        output_delay: delay of the force after the actuator [s].
+        output_delay: delay of the force after the actuator, before its force-speed line [s].
         control_period: T [s], one number for all joints.
         policy_period: time between new setpoints [s], a multiple of T; 0 for one at every tick.
     """
