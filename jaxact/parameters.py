@@ -212,7 +212,7 @@ _TABLE = (
         INITIAL_POSITION, "initial position", "m", 0.0, 1e6,
         "Position at time 0; of a robot, from its posture.",
     ),
-    _any(INITIAL_VELOCITY, "initial velocity", "m/s", 0.0, 1e6, "Velocity at time 0."),
+    _any(INITIAL_VELOCITY, "initial velocity", "m/s", 0.0, 1e6, "Velocity at and before time 0."),
     _at_least_zero(
         REST_AMPLITUDE, "amplitude at rest", "m", 0.0, 1e6,
         "Motion at the end that counts as at rest, where noise never lets it end; of a robot:"

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from quickly import compiled_fully as compiled_fully
 from quickly import compiled_quickly as compiled_quickly
+from scipy.linalg import expm
 
 from jaxact.drive import step as drives
 from jaxact.drive.actuator import Actuator
@@ -250,11 +251,68 @@ def test_differenced_velocity_is_the_filtered_difference(cutoff):
         path = _trajectory(Loop(Mass(0.7), drive), options, 50, Setpoint(0.0), velocity=0.3)
         position, command = np.asarray(path.position), np.asarray(path.command)
         estimate, gain = 0.3, 1.0 if np.isinf(cutoff) else 1.0 - np.exp(-cutoff * 1e-3)
-        before = position[0]
+        before = position[0] - 0.3 * 1e-3
         for q, u in zip(position, command, strict=True):
             estimate += gain * ((q - before) / 1e-3 - estimate)
             before = q
             assert u == pytest.approx(-estimate, abs=1e-13)
+
+
+def _plain(drive, ticks, *, differenced, position, velocity, mass=0.7, setpoint=0.1):
+    """The loop again, written out: commands of a plant that has come at a constant velocity."""
+    (wn, zeta), sensor, period = (300.0, 0.6), drive.sensor, 1e-3
+    matrix = np.zeros((5, 5))  # of position, velocity, force, its rate, and the command that acts
+    matrix[0, 1], matrix[1, 2], matrix[2, 3] = 1.0, 1.0 / mass, 1.0
+    matrix[3, 2:] = -wn * wn, -2.0 * zeta * wn, wn * wn
+    advance, states = expm(matrix * period), [np.array([position, velocity, 0.0, 0.0, 0.0])]
+    commands = []
+
+    def seen(tick):
+        """Position and velocity as they are measured at a tick, which may lie before time 0."""
+        time = tick * period - sensor.delay
+        if time <= 0.0:
+            there, rate = position + velocity * time, velocity
+        else:
+            whole = min(int(time / period + 1e-9), len(commands) - 1)
+            there, rate = (expm(matrix * (time - whole * period)) @ states[whole])[:2]
+        there, count = there + sensor.position_bias, sensor.position_resolution
+        return (np.round(there / count) * count if count else there), rate
+
+    share = 1.0 - np.exp(-sensor.velocity_filter * period)
+    estimate = velocity
+    for tick in range(ticks):
+        there, rate = seen(tick)
+        if differenced:
+            estimate += share * ((there - seen(tick - 1)[0]) / period - estimate)
+            rate = estimate
+        commands.append(400.0 * (setpoint - there) - 20.0 * rate)
+        states[-1][4] = commands[-1]
+        states.append(advance @ states[-1])
+    return np.array(commands)
+
+
+@pytest.mark.parametrize(
+    "differenced, sensor",
+    [
+        (True, {}),
+        (True, {"velocity_filter": 120.0}),
+        (True, {"position_resolution": 1e-3, "position_bias": 3e-4}),
+        (False, {"delay": 3e-3}),
+        (False, {"delay": 2.3e-3}),
+        (False, {"delay": 21.6e-3}),
+        (True, {"delay": 2.6e-3, "velocity_filter": 120.0, "position_resolution": 1e-3}),
+    ],
+)
+def test_a_loop_has_come_to_its_start_at_the_velocity_that_it_starts_with(differenced, sensor):
+    drive = replace(BASE, actuator=replace(BASE.actuator, delay=0.0), sensor=Sensor(**sensor))
+    start = {"position": 0.0324, "velocity": -0.83}
+    with jax.enable_x64(True):
+        options = drives.options(drive, substeps=2, differenced=differenced)
+        path = _trajectory(Loop(Mass(0.7), drive), options, 40, Setpoint(0.1), **start)
+        found = np.asarray(path.command)[::2]
+    np.testing.assert_allclose(
+        found, _plain(drive, 40, differenced=differenced, **start), rtol=1e-9
+    )
 
 
 def test_options_refuse_nonsense():

@@ -46,7 +46,8 @@ def _final(options, delays, direction):
             Sensor(delay=delays[1]),
             output_delay=delays[2],
         )
-        path = trajectory.of_loop(Loop(Mass(0.7), drive), options, 150, Setpoint(0.1))
+        built, target = Loop(Mass(0.7), drive), Setpoint(0.1)
+        path = trajectory.of_loop(built, options, 150, target, velocity=0.2)
         return path.position[-1]
 
     return jax.jvp(final, (delays,), (direction,))

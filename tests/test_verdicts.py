@@ -56,7 +56,7 @@ def _plain(setpoint, duration, *, kp=80.0, kd=1.5, position=0.0, velocity=0.0):
     matrix[3, 2:] = -WN * WN, -2.0 * ZETA * WN, WN * WN
     advance = expm(matrix * PERIOD)
     state, waiting = np.array([position, velocity, 0.0, 0.0, 0.0]), 0.0
-    seen, speed = np.round(position / COUNT) * COUNT, velocity
+    seen, speed = np.round((position - velocity * PERIOD) / COUNT) * COUNT, velocity
     share = 1.0 - np.exp(-CUTOFF * PERIOD)
     positions = [position]
     for _ in range(round(duration / PERIOD)):

@@ -99,6 +99,13 @@ def init(value: jax.Array, length: int) -> Line:
     return (value,) * length
 
 
+def begun(values: jax.Array) -> Line:
+    """A line whose slots hold these values, the newest first; shape (length, ...)."""
+    if len(values) > _LONGEST_TUPLE:
+        return Ring(values=values, newest=jnp.zeros((), jnp.int32))
+    return tuple(values)
+
+
 def push(line: Line, value: jax.Array) -> Line:
     """The line after one more tick: `value` is the newest, the oldest is dropped."""
     if isinstance(line, Ring):

@@ -1,4 +1,7 @@
-"""Where between two physics steps a delayed measurement is taken, and the force until then."""
+"""Where between two physics steps a delayed measurement is taken, and the force until then.
+
+Before time 0 a plant has come to its position x0 at its velocity v0, measured at x0 + v0 t, t < 0.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxact.drive import actuator as _actuator
+from jaxact.drive import delay as _delay
 from jaxact.drive import limiting as _limiting
 from jaxact.drive.actuator import Response
 from jaxact.drive.joint_motion import Joint
@@ -28,6 +32,27 @@ class Capture:
     here: jax.Array
     offset: jax.Array
     response: Response
+
+
+def measured_before(
+    drive: Drive, slots: int, position: jax.Array, velocity: jax.Array
+) -> tuple[_delay.Line, _delay.Line]:
+    """The lines of measurements at time 0: slot k was captured k T + r before it.
+
+    Args:
+        drive: every leaf but the control period T in the shape of its joints; r is what its
+            measurement delay has beyond whole periods.
+        slots: static; length of the lines.
+        position: x0 [m or rad], shape (joints,).
+        velocity: v0 [m/s or rad/s], shape (joints,).
+    """
+    delay, period = jnp.asarray(drive.sensor.delay), jnp.asarray(drive.control_period)
+    whole, _ = _delay.split(delay, period)
+    number = jnp.arange(slots, dtype=delay.dtype).reshape((-1,) + (1,) * delay.ndim)
+    # So that the slot that is read, k = whole, is exactly the delay old.
+    age = delay[None] + (number - whole[None]) * period
+    before = (position[None] - velocity[None] * age).astype(position.dtype)
+    return _delay.begun(before), _delay.init(velocity, slots)
 
 
 def older_for(step: jax.Array, switched: tuple[jax.Array, jax.Array], index) -> jax.Array:

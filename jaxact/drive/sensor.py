@@ -129,11 +129,27 @@ def prepare(sensor: Sensor, period: jax.Array) -> SensorCoefficients:
 
 
 def init(
-    sensor: Sensor, options: SensorOptions, position: jax.Array, velocity: jax.Array
+    sensor: Sensor,
+    options: SensorOptions,
+    position: jax.Array,
+    velocity: jax.Array,
+    period: jax.Array,
 ) -> SensorState:
-    """State of a sensor that has watched a plant pass `position` at the constant `velocity`."""
+    """State of a sensor that has watched a plant come to x0 at the constant v0, up to time 0.
+
+    The sample before the first is x0 - v0 (T + delay), biased and in counts. The estimate of the
+    velocity is v0, what a filter makes of counts too on average; neither has noise.
+
+    Args:
+        sensor: the parameters.
+        options: static.
+        position: x0 [m or rad], shape (joints,).
+        velocity: v0 [m/s or rad/s], shape (joints,).
+        period: T [s].
+    """
     zero = jnp.zeros_like(position)
-    measured = position + sensor.position_bias
+    before = position - velocity * (period + sensor.delay)
+    measured = before + sensor.position_bias
     if options.quantise:
         measured = quantise(measured, jnp.asarray(sensor.position_resolution))
     return SensorState(

@@ -28,7 +28,7 @@ from jaxact.drive import sensor as _sensor
 from jaxact.drive import setpoint_path as _setpoint
 from jaxact.drive.actuator import Response
 from jaxact.drive.controller import Setpoint
-from jaxact.drive.measuring_instant import Capture, capture_at, older_for
+from jaxact.drive.measuring_instant import Capture, capture_at, measured_before, older_for
 from jaxact.drive.options import Drive, DriveOptions, options
 from jaxact.drive.sensor import Draws, SensorCoefficients, SensorState
 
@@ -221,7 +221,9 @@ def init(
     *,
     command: jax.Array | float = 0.0,
 ) -> DriveState:
-    """State of a drive that has held `command` for ever in front of a plant at rest.
+    """State of a drive that has held `command` for ever in front of a plant at constant velocity.
+
+    It has measured that plant at x0 + v0 t, t < 0, x0 and v0 its position and velocity now.
 
     Args:
         coefficients: from `prepare`.
@@ -235,11 +237,9 @@ def init(
     """
     zero = jnp.zeros_like(position)
     command = zero + command
-    measurements = setpoints = None
+    drive, measurements, setpoints = coefficients.drive, None, None
     if options.measurement_slots:
-        measurements = tuple(
-            _delay.init(value, options.measurement_slots) for value in (position, velocity)
-        )
+        measurements = measured_before(drive, options.measurement_slots, position, velocity)
     if options.setpoint_slots:
         setpoints = tuple(
             _delay.init(value, options.setpoint_slots) for value in (position, zero, zero)
@@ -251,7 +251,7 @@ def init(
         force=command,
         rate=zero,
         applied=command if options.rate_limited else None,
-        sensor=_sensor.init(coefficients.drive.sensor, options.sensor, position, velocity),
+        sensor=_sensor.init(drive.sensor, options.sensor, position, velocity, drive.control_period),
         measurements=measurements,
         setpoints=setpoints,
         held=None

@@ -67,6 +67,8 @@ class Driven:
     def init(self, state: Any, *, command: jax.Array | float = 0.0) -> DrivenState:
         """Drives that have held a command for ever, around a simulator in this state.
 
+        Their sensors have seen its joints come to where they are at the velocities that they have.
+
         Args:
             state: the simulator's own.
             command: past command, and the force it gives [N or N m], shape (joints,) or a number;

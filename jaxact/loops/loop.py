@@ -118,13 +118,13 @@ def init(
     *,
     command: jax.Array | float = 0.0,
 ) -> LoopState:
-    """State of a loop that has been at rest at `position` under `command`.
+    """State of a loop that has come to `position` at a constant velocity, `command` held for ever.
 
     Args:
         prepared: from `prepare`.
         options: static.
         position: [m or rad], shape (joints,).
-        velocity: [m/s or rad/s], shape (joints,); given to the plant at the first tick.
+        velocity: [m/s or rad/s], shape (joints,); the sensors have seen it before time 0, too.
         command: past command [N or N m], shape (joints,) or a number.
     """
     dtype = prepared.drive.step.dtype

@@ -7,6 +7,7 @@ from robots import PENDULUM
 
 import jaxact as jx
 from jaxact.errors import UserError
+from jaxact.plants.mjx.plant import SLIDE
 
 
 def _by_scipy(kp, kd, mass, wn, zeta, setpoint, ticks, period):
@@ -69,6 +70,28 @@ def test_a_robot_has_joints_and_their_units(tmp_path):
     assert list(run.joint.values) == ["shoulder", "elbow"]
     assert (run.position.attrs["units"], run.force.attrs["units"]) == ("rad", "N m")
     assert run.position.values[0] == pytest.approx([0.4, -0.7], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "engine",
+    [
+        "mujoco",
+        pytest.param("mjx", marks=pytest.mark.exhaustive),
+        pytest.param(None, marks=pytest.mark.exhaustive),
+    ],
+)
+def test_a_loop_with_a_velocity_has_been_seen_to_come_whatever_simulates_it(engine):
+    """As long as measurements are from before time 0, commands follow from x0 + v0 t alone."""
+    late, start, period = 2.3e-3, {"initial_position": 0.02, "initial_velocity": -0.4}, 1e-3
+    drive = {"kp": 400.0, "kd": 20.0, "measurement_delay": late, "velocity": "differenced"}
+    if engine is None:
+        loop = jx.joint(mass=0.7, **drive, **start)
+    else:
+        loop = jx.robot(SLIDE, physics_step=period, **drive, **start)
+    run = jx.simulate(loop, setpoint=0.0, duration=0.01, engine=engine, precision="float64")
+    seen = 0.02 - 0.4 * (period * np.arange(3) - late)
+    expected = 400.0 * (0.0 - seen) + 20.0 * 0.4
+    assert run.command.values.ravel()[:3] == pytest.approx(expected, rel=1e-9)
 
 
 def test_an_engine_that_cannot_is_refused():

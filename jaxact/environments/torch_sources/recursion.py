@@ -235,22 +235,29 @@ class Drive:
         self, kp: torch.Tensor, kd: torch.Tensor, target: torch.Tensor, position: torch.Tensor,
         velocity: torch.Tensor,
     ) -> None:  # fmt: skip
-        """Drives that have held their first command for ever, where they have not begun."""
-        fresh, state = self._fresh.unsqueeze(-1), self._state
+        """Drives that have held their first command for ever, where they have not begun.
+
+        Until then they have seen the joints come at the constant velocity that these have now.
+        """
+        fresh, state, known = self._fresh.unsqueeze(-1), self._state, self._tables
         command = self._controlled(kp, kd, target, position, velocity)
         zero = torch.zeros_like(position)
-        first = _counts(
-            position + self._tables["position_bias"], self._tables["position_resolution"]
-        )
+        delay = known["measurement_delay"]
+        before = position - velocity * (self.period + delay)
+        before = _counts(before + known["position_bias"], known["position_resolution"])
         begun = dict.fromkeys(("older", "newer", "force", "applied"), command)
-        begun |= dict.fromkeys(("position", "late_position"), position)
+        # Its first tick pushes the latest measurement: what is in the line is one period older.
+        line = torch.arange(self._measured.shape[1] + 1, device=position.device).view(-1, 1, 1)
+        age = delay + (line - known["measured_at"]).to(delay) * self.period
+        late = position - velocity * age
+        begun |= {"position": position, "late_position": late[0]}
         begun |= dict.fromkeys(("velocity", "late_velocity", "estimated_velocity"), velocity)
-        begun |= {"estimated_position": first}
+        begun |= {"estimated_position": before}
         for name, value in state.items():
             state[name] = torch.where(fresh, begun.get(name, zero), value)
         self._commands = torch.where(fresh, command, self._commands)
-        now = torch.stack([position, velocity]).unsqueeze(1)
-        self._measured = torch.where(fresh, now, self._measured)
+        late = torch.stack([late[1:], velocity.expand_as(late[1:])])
+        self._measured = torch.where(fresh, late, self._measured)
         now = torch.stack([position, zero, zero]).unsqueeze(1)
         self._setpoints = torch.where(fresh, now, self._setpoints)
         self._place = torch.where(self._fresh, 0, self._place)
