@@ -76,6 +76,7 @@ def test_random_sample(tmp_path, capsys):
         (["--x", "mass"], "unknown axis 'mass'"),
         (["--select", "delay"], "NAME=VALUE"),
         (["--select", "delay=0", "--x", "delay"], "single value 0 ms"),
+        (["--select", "delay=7"], "7 s is outside its axis, which goes from 0 to 0.005 s"),
         (["--out", "map.jpg"], "'.jpg' is not a picture format"),
         (["--out", "map"], "no ending"),
         (["--out", "nowhere/map.png"], "the folder nowhere does not exist"),

@@ -40,8 +40,8 @@ class Layout:
         UseAppendAction[tuple[str, ...]],
         option(
             "NAME=VALUE",
-            "Keep only the nearest value of a parameter, in its SI unit (delay in s). Can be"
-            " repeated.",
+            "Keep only the nearest value of a parameter, in its SI unit (delay in s); one outside"
+            " its axis is refused. Can be repeated.",
         ),
     ] = ()
     variable: Annotated[

@@ -12,7 +12,7 @@ import xarray as xr
 
 from jaxact.errors import UserError, nearest
 from jaxact.parameters import KD, KP, WN, ZETA
-from jaxact.plotting import wording
+from jaxact.plotting import picking, wording
 
 Kind = Literal["map", "scatter", "lines"]
 KINDS: tuple[Kind, ...] = ("map", "scatter", "lines")
@@ -106,11 +106,12 @@ def arrange(
             axes, lines for one.
         x, y: parameters across a panel; None: kp and kd where they are swept, else the first two.
         facet: at most two gridded parameters, rows then columns; further gridded ones are added.
-        select: parameter -> value; keeps the nearest value of that gridded parameter only.
+        select: parameter -> value within its axis; keeps the nearest value of that gridded
+            parameter only.
 
     Raises:
-        UserError: a name that was not swept, an axis with a single value, more parameters than can
-            be shown, and a kind that does not fit the store.
+        UserError: a name that was not swept, a value outside its axis, an axis with a single value,
+            more parameters than can be shown, and a kind that does not fit the store.
     """
     dataset = part_of(dataset, select or {})
     gridded, drawn = _gridded(dataset), _drawn(dataset)
@@ -240,14 +241,7 @@ def _select(dataset: xr.Dataset, select: Mapping[str, str]) -> xr.Dataset:
                 raise UserError(f"`select` {name}: no '{given}' here; {nearest(given, names)}")
             index = names.index(given)
         else:
-            try:
-                number = float(given)
-            except ValueError:
-                raise UserError(f"`select` {name}: '{given}' is not a number") from None
-            if math.isnan(number):
-                raise UserError(f"`select` {name}: '{given}' is not a number")
-            hit = np.flatnonzero(values == number)
-            index = int(hit[0]) if hit.size else int(np.nanargmin(np.abs(values - number)))
+            index = picking.nearest(swept[name], given)
         dataset = dataset.isel({name: [index]})
     return dataset
 

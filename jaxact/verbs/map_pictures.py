@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _SMALL = "small"
 Select = Mapping[str, float | str]
-"""Parameter -> value, of which the nearest is kept."""
+"""Parameter -> value within its axis, of which the nearest is kept."""
 
 
 @on_axes
@@ -55,7 +55,7 @@ def stability_map(
         maps: from `jaxact.sweep` or `jaxact.load_result`.
         variable: coloured; None for the growth rate.
         x, y: parameters across the map; None for kp and kd where they were swept.
-        select: parameter -> value, of which the nearest is kept.
+        select: parameter -> value within its axis, of which the nearest is kept.
         ax: for a single map.
         axes: for as many maps as what is left over has values.
         exact: draw the exact boundary; of robots, where the linearised rate is zero.
@@ -66,7 +66,8 @@ def stability_map(
         The axes, as they were given; an array of them where there are several maps.
 
     Raises:
-        UserError: parameters that were not swept, or another number of axes than of maps.
+        UserError: parameters that were not swept, a value outside its axis, or another number of
+            axes than of maps.
     """
     arrangement, maps = _arranged(maps, "map", x, y, select)
     variable = _field.usual(maps) if variable is None else variable
@@ -244,7 +245,8 @@ def _arranged(
     maps = even_grid.resampled(maps) if even_grid.refined(maps) else maps
     picked = _picked(select)
     part = thinning.thinned(_panels.part_of(maps, picked))
-    shown = _panels.arrange(part, kind=kind, x=x, y=y, facet=tuple(facet), select=picked)
+    there = {name: str(part[name].item()) for name in picked}
+    shown = _panels.arrange(part, kind=kind, x=x, y=y, facet=tuple(facet), select=there)
     return shown, thinning.thinned(maps)
 
 

@@ -45,6 +45,18 @@ def test_select_keeps_the_nearest_value_and_says_so(grid):
     assert found.data["verdict"].size == 120
 
 
+def test_select_reaches_half_a_spacing_beyond_the_ends(grid):
+    assert arrange(grid, select={"delay": "0.0074"}).selected == ("delay 5 ms",)
+    assert arrange(grid, select={"delay": "-0.0024"}).selected == ("delay 0 ms",)
+
+
+def test_of_a_single_value_select_takes_that_value_only():
+    single = dataset(GRID.replace("[0.005, 0.0]", "[0.001534]"))
+    assert arrange(single, select={"delay": "0.0015341"}).selected == ("delay 1.534 ms",)
+    with pytest.raises(UserError, match=r"0.002 s is outside .* only value is 0.001534 s"):
+        arrange(single, select={"delay": "0.002"})
+
+
 def test_few_uneven_values_become_equal_cells(grid):
     found = arrange(grid, x="delay", y="kd", select={"kp": "400"})
     assert found.x.scale == "linear"  # two values have no unevenness
@@ -80,6 +92,10 @@ def test_a_random_sample_is_a_scatter_with_its_gridded_axes_as_panels(drawn):
         ({"select": {"delay": "0.0"}, "x": "delay"}, "single value 0 ms"),
         ({"select": {"delay": "soon"}}, "'soon' is not a number"),
         ({"select": {"delay": "nan"}}, "not a number"),
+        ({"select": {"delay": "7"}}, "delay: 7 s is outside its axis, .* from 0 to 0.005 s"),
+        ({"select": {"delay": "-0.003"}}, "-0.003 s is outside"),
+        ({"select": {"delay": "inf"}}, "inf s is outside"),
+        ({"select": {"kp": "2e5"}}, "200000 N/m is outside .* from 10 to 100000 N/m"),
         ({"select": {"actuator": "hyk"}}, "did you mean 'hyq'"),
         ({"select": {"mass": "1"}}, "unknown axis to select 'mass'"),
         ({"kind": "scatter"}, "does not fit"),

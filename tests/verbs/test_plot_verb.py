@@ -66,6 +66,15 @@ def test_a_map_on_given_axes(maps):
     assert len(figure.axes) == 2  # with its colour bar
 
 
+def test_a_map_of_the_nearest_value_within_the_axis(maps):
+    drawn = jx.plot.stability_map(maps, select={"delay": 0.004}, exact=False)
+    nearest = jx.plot.stability_map(maps, select={"delay": 0.005}, exact=False)
+    shown = [np.asarray(ax.collections[0].get_array()) for ax in (drawn, nearest)]
+    np.testing.assert_array_equal(*shown)
+    with pytest.raises(UserError, match="delay: 7 s is outside its axis"):
+        jx.plot.stability_map(maps, select={"delay": 7})
+
+
 def test_several_maps_need_as_many_axes(maps):
     assert len(jx.plot.stability_map(maps)) == 2
     with pytest.raises(UserError, match="there are 2 maps, and 1 axes"):
