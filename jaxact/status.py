@@ -20,6 +20,11 @@ class Verdict(IntEnum):
         return self.name.lower().replace("_", " ")
 
     @property
+    def bounded(self) -> bool:
+        """Whether the motion stays about its setpoint: only then a step's metrics describe it."""
+        return self in (Verdict.STABLE, Verdict.LIMIT_CYCLE)
+
+    @property
     def advice(self) -> str:
         """One sentence: what the verdict means and what to do about it."""
         return _ADVICE[self]

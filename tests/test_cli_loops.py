@@ -211,6 +211,17 @@ def test_step_responses(capsys):
     assert Path("step.pdf").read_bytes().startswith(b"%PDF")
 
 
+def test_a_step_that_diverges_has_a_verdict_and_no_times(capsys):
+    said = _said(capsys, "step", "--kp", "400", "1e5", "--kd", "20", "--actuator", "starleth",
+                 "--delay", "0.005", "--duration", "0.2", "--out", "step.png")  # fmt: skip
+    lines = said.splitlines()
+    assert lines[0].startswith("kp 400 N/m: overshoot") and "rise time" in lines[0]
+    assert lines[1] == "kp 1e+05 N/m: unstable"
+    lost = _said(capsys, "simulate", "--kp", "1e5", "--kd", "20", "--actuator", "starleth",
+                 "--delay", "0.005", "--duration", "0.2")  # fmt: skip
+    assert "unstable" in lost and "rise time" not in lost
+
+
 @pytest.mark.exhaustive
 def test_simulate_writes_picture_and_numbers(capsys):
     arguments = ["simulate", "--actuator", "starleth", "--delay", "0.005", "--csv", "run.csv",

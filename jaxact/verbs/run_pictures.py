@@ -24,17 +24,18 @@ def signals(run: Single, joint: int = 0) -> _trajectory.Joint:
 def step_response(run: Single, label: str) -> _step.StepResponse:
     """A simulated loop as a step response, its legend with overshoot, rise and settling time.
 
+    Of a loop that diverges the legend has the verdict only.
+
     Args:
         run: of one loop.
         label: what it is called.
     """
     verdict, results = Verdict(int(run.results["verdict"])), run.results
     words = [] if verdict is Verdict.STABLE else [verdict.label]
-    if verdict is not Verdict.UNSTABLE and math.isfinite(results["overshoot"]):
+    if verdict.bounded and math.isfinite(results["overshoot"]):
         words.append(f"overshoot {100.0 * results['overshoot']:.3g} %")
     for name in ("rise_time", "settling_time"):
-        if math.isfinite(results[name]):
+        if verdict.bounded and math.isfinite(results[name]):
             words.append(f"{name.replace('_', ' ')} {quantity(results[name], 's')}")
     label = f"{label}: {', '.join(words)}" if words else label
-    stable = verdict in (Verdict.STABLE, Verdict.LIMIT_CYCLE)
-    return _step.StepResponse(label, signals(run), stable)
+    return _step.StepResponse(label, signals(run), verdict.bounded)

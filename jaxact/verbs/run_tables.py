@@ -30,7 +30,7 @@ SIGNALS = {
 }
 """Signals of a trajectory: the units of a slide and of a hinge, and their names in words."""
 
-# What only a step that comes to rest has.
+# What only a step that does not diverge has: else it is of the explosion, or of the fall.
 _OF_A_STEP = ("overshoot", "rise_time", "settling_time")
 
 
@@ -45,7 +45,7 @@ def text(run: Single) -> str:
         value = run.results.get(name, np.nan)
         if name == "verdict" or np.isnan(value):
             continue
-        if name in _OF_A_STEP and verdict is Verdict.UNSTABLE:
+        if name in _OF_A_STEP and not verdict.bounded:
             continue
         units = joint_units(about.units, run.rotary)
         shown = f"{100 * value:.3g} %" if name == "overshoot" else quantity(value, units)
