@@ -4,7 +4,8 @@
 
 wn, zeta, inertia_scale and contact_friction are factors on what is given (the scales are 1 where
 nothing is), every other parameter is in its unit; an `x` behind both ends makes them factors, too.
-The order in which they are written does not matter. Of a robot, `wn@.*_knee=0.9..1.1` is of the
+The order in which they are written does not matter; a range of no width, mass=0.7..0.7, gives a
+value and leaves nothing uncertain. Of a robot, `wn@.*_knee=0.9..1.1` is of the
 joints that match the pattern in full, by their names or their actuators'; the others stay as they
 are.
 """
@@ -59,6 +60,11 @@ class Range:
     low: float
     high: float
     factor: bool
+
+    @property
+    def known(self) -> bool:
+        """Whether it has no width: what it is of has this one value, and is not uncertain."""
+        return self.low == self.high
 
     def ends(self, given: Mapping[str, float]) -> dict[str, tuple[float, float]]:
         """The ends of every key of the parameter, in its unit.
@@ -115,6 +121,16 @@ class Box:
     def __len__(self) -> int:
         """Number of ranges."""
         return len(self.ranges)
+
+    @property
+    def known(self) -> Box:
+        """The ranges of no width: they give values, and are no dimensions of what is uncertain."""
+        return Box(tuple(one for one in self.ranges if one.known))
+
+    @property
+    def uncertain(self) -> Box:
+        """The ranges that have a width."""
+        return Box(tuple(one for one in self.ranges if not one.known))
 
     def corners(self) -> Points:
         """All corners."""

@@ -147,6 +147,8 @@ def _postures(tuned: Tuned) -> list[tuple[str, np.ndarray]]:
 def box(situations: Sequence[Situation]) -> dict[str, Any]:
     """What was uncertain: the ends of every parameter by key, over all situations.
 
+    Of a range without a width it is the one value, where situations do not differ in it.
+
     And, where the body of the robot was, whose setpoint and feedforward are meant.
     """
     from jaxact.tuning.robot.loops import OF_BODY
@@ -156,6 +158,10 @@ def box(situations: Sequence[Situation]) -> dict[str, Any]:
         for key, low, high in zip(one.keys, one.low, one.high, strict=True):
             known = found.get(key, [low, high])
             found[key] = [float(min(low, known[0])), float(max(high, known[1]))]
+    for key in situations[0].known:
+        values = [one.known[key] for one in situations]
+        low, high = min(values), max(values)
+        found[key] = low if low == high else [low, high]
     if PAYLOAD in found:
         found["payload_body"] = situations[0].payload_body
     if any(base(key) in OF_BODY for key in found):

@@ -146,7 +146,7 @@ def tune(
     for name, value in (("groups", groups), ("tracking_weight", tracking_weight)):
         if value and not whole:
             raise UserError(f"`{name}`: is for a robot; make one with jaxact.robot(model, ...)")
-    boxed = isinstance(unsure, str) and bool(unsure)
+    boxed = not whole and isinstance(unsure, str) and bool(read_box(unsure, FIELDS).uncertain)
     with showing.steps(progress) as shown_to:
         told = ahead(shown_to, _phases(whole, boxed, verify, bool(tracking_weight), bool(front)))
         if not whole:
@@ -164,7 +164,7 @@ def _phases(whole: bool, boxed: bool, verify: bool, weighed: bool, front: bool) 
         (whole, "screening"),
         (True, "descending"),
         (True, "polishing"),
-        (boxed and not whole, "looking for the worst point of the box"),
+        (boxed, "looking for the worst point of the box"),
         (True, "certifying"),
         (weighed, "weighing simulated tracking"),
         (whole and verify, "comparing with brute force"),
@@ -218,7 +218,8 @@ def _of_joint(
     told: Told,
 ) -> Tuned:
     conversion.linear_specification(loop)  # what does not fit is said here
-    nominal = _nominal(loop, CONTROL_RATE in loop.values if sampled is None else sampled)
+    sampled = CONTROL_RATE in loop.values if sampled is None else sampled
+    nominal = _nominal(loop, sampled)
     start = _start_of_joint(loop)
     how = None if steps is None else Descent(steps=steps)
     box, middle = KNOWN, {}
@@ -228,6 +229,9 @@ def _of_joint(
         box = read_box(uncertainty, FIELDS)
         late = {DELAY: float(nominal.delay[0])} if set(LOOP_DELAYS) & set(loop.values) else {}
         middle = inside(box, loop.values | late, loop.parameters, loop.kind.unit)
+        nominal = _nominal(loop.replace(**middle), sampled)
+        if not box.uncertain:
+            check_uncertain("", loop, samples, goal.risk)
     tuned = _joint_search.tune(
         nominal, goal, box, number=samples or _joint_search.SAMPLES,
         seed=seed, start=start, starts=starts, how=how, verify=verify, told=told,

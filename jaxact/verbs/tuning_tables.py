@@ -184,18 +184,19 @@ def _columns(document: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def _box_lines(box: Mapping[str, Any]) -> list[str]:
-    """What was assumed not to be known."""
+    """What was assumed not to be known, and what ranges without a width gave."""
     ends = [
-        f"{key} {value[0]:.4g} to {value[1]:.4g}"
+        f"{key} {' to '.join(f'{end:.4g}' for end in np.ravel(value))}"
         + (f" (on '{box['payload_body']}')" if key == PAYLOAD else "")
         for key, value in box.items()
-        if isinstance(value, list)
+        if isinstance(value, list | float)
     ]
     if not ends:
         return []
     told = "setpoint_and_feedforward"
     told = f"; setpoint and feedforward {box[told]}" if told in box else ""
-    return [f"for all of: {', '.join(ends)}{told}"]
+    all_of = " all of:" if any(isinstance(value, list) for value in box.values()) else ""
+    return [f"for{all_of} {', '.join(ends)}{told}"]
 
 
 def _tracking_lines(document: Mapping[str, Any]) -> list[str]:

@@ -13,6 +13,7 @@ from jaxact.loops import robots as sweep_robots
 from jaxact.loops.samples import explicit
 from jaxact.plants import linearize
 from jaxact.simulation import changed_models, plans, spectra
+from jaxact.tuning import report
 from jaxact.tuning.box import Points, read_box
 from jaxact.tuning.document import document
 from jaxact.tuning.goal import Goal
@@ -22,6 +23,7 @@ from jaxact.tuning.robot.loops import VARIED, situation
 from jaxact.tuning.robot.open_loops import open_loops
 from jaxact.tuning.robot.peaks import growth_rates
 from jaxact.tuning.rollouts.validation import rollouts
+from jaxact.verbs import tuning_tables
 
 TEXT = """
 engine = "mujoco"
@@ -105,6 +107,29 @@ def test_a_payload_that_is_known_is_no_box(folder):
     # What is given may vary by a factor.
     scaled = situation(known, "home", read_box("payload=0.5x..1.2x", VARIED))
     np.testing.assert_allclose([scaled.low, scaled.high], [[0.25], [0.6]])
+
+
+def test_a_range_without_a_width_is_no_box(folder):
+    """As the robot that was given its values."""
+    asked = _specification(folder / "arm.xml")
+    text = "payload=0.5..0.5,wn=0.9..0.9,wn@elbow=1.1..1.1,delay=2e-3..2e-3"
+    one = situation(asked, "home", read_box(text, VARIED, patterns=True))
+    assert not one.box and one.keys == () and one.gives_way
+    assert one.known == pytest.approx(
+        {"wn": 720.0, "wn@elbow": 880.0, "delay": 2e-3, "payload": 0.5}
+    )
+    given = {"payload": 0.5, "wn": 720.0, "zeta": 0.45, "wn@elbow": 880.0, "delay": 2e-3}
+    known = situation(replace(asked, parameters=given), "home")
+    for mine, other in zip(one.opened(np.empty(0)), known.opened(np.empty(0)), strict=True):
+        np.testing.assert_allclose(mine, other, rtol=1e-9, atol=1e-12)
+    wide = situation(asked, "home", read_box("payload=0.5..0.5,wn=0.9..1.1", VARIED))
+    assert wide.keys == ("wn",) and len(wide.box.members(2, 0)) == 4
+    found = report.box([wide])
+    assert found.pop("wn") == pytest.approx([720.0, 880.0])
+    told = "of the nominal robot"
+    assert found == {"payload": 0.5, "payload_body": "lower", "setpoint_and_feedforward": told}
+    (said,) = tuning_tables._box_lines(report.box([wide]))
+    assert said.startswith("for all of: wn 720 to 880, payload 0.5 (on 'lower'); setpoint")
 
 
 def test_some_joints_may_vary_apart_from_the_others(folder):

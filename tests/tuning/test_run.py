@@ -266,6 +266,24 @@ def test_factors_and_values_of_a_box():
     assert corners.delay.max() == pytest.approx(3e-3) and len(corners) == 8
 
 
+def test_ranges_without_a_width_are_no_dimensions():
+    plants = uncertain(STARLETH, read_box("mass=0.5..0.5,wn=1..1,delay=1e-3..2e-3", FIELDS))
+    assert len(plants.box) == 1 and plants.nominal.mass == [0.5]
+    points = plants.box.members(4, 0)
+    assert points.names[4:] == ("corner delay-", "corner delay+")
+    members = plants.at(points)
+    assert set(members.mass) == {0.5} and set(members.natural_frequency) == {110.0}
+
+
+def test_a_box_without_any_width_is_the_loop_alone():
+    known = read_box("mass=0.5..0.5,delay=5e-3..5e-3", FIELDS)
+    alone = tune(ensemble(0.5, 110.0, 0.9, 5e-3), Goal(max_peak=1.6))
+    tuned = tune(STARLETH, Goal(max_peak=1.6), known)
+    assert (tuned.kp, tuned.kd) == (alone.kp, alone.kd) and tuned.verdict == alone.verdict
+    assert len(tuned.members) == 1 and tuned.certificate.corners == 0
+    assert tuned.certificate.interior is None
+
+
 def test_the_order_of_ranges_does_not_matter():
     texts = ("wn=0.8..1.2,delay=0..5e-3", "delay=0..5e-3,wn=0.8..1.2")
     assert read_box(texts[0], FIELDS) == read_box(texts[1], FIELDS)

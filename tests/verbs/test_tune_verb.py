@@ -120,6 +120,19 @@ def test_a_tuned_joint_is_among_those_certified():
     assert jx.margins(corners).sensitivity_peak.max() <= 1.6 * (1.0 + 1e-6)
 
 
+def test_ranges_without_a_width_leave_the_loop_alone(tuned):
+    """What they give applies to a joint that was given none of it."""
+    known = {"mass": (0.7, 0.7), "delay": (1e-3, 1e-3)}
+    bare = jx.joint(kp=400, kd=20, actuator="starleth")
+    best = jx.tune(bare, max_peak=1.6, uncertainty=known)
+    assert (best.loop.mass, best.loop.delay) == (0.7, 1e-3)
+    assert best.verdict == tuned.verdict and best.certificate == tuned.certificate
+    assert (best.kp, best.kd) == (tuned.kp, tuned.kd)
+    assert best.members.names == tuned.members.names
+    with pytest.raises(UserError, match="`risk` mean: is over loops, and this is one"):
+        jx.tune(bare, max_peak=1.6, uncertainty=known, risk="mean")
+
+
 def test_tuning_cannot_be_traced(loop):
     with pytest.raises(TypeError, match="cannot be traced"):
         jax.grad(lambda mass: jx.tune(loop.replace(mass=mass)).kp)(0.7)

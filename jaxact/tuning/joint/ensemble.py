@@ -7,13 +7,13 @@ sampled one, margins and all.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.parameters import DELAY, MASS, OF_JOINT, canonical
-from jaxact.tuning.box import Box, Points
+from jaxact.tuning.box import Box, Points, Range
 
 PARAMETERS = (MASS, "natural_frequency", "damping_ratio", DELAY)
 PLANT = (*PARAMETERS, *OF_JOINT)
@@ -137,7 +137,7 @@ class Uncertain:
 
     Attributes:
         nominal: an ensemble of one.
-        box: what is uncertain.
+        box: what is uncertain; every range has a width.
         low, high: values at its ends, shape (ranges,).
     """
 
@@ -164,15 +164,16 @@ def uncertain(nominal: Ensemble, box: Box) -> Uncertain:
     """A plant of which not everything is known.
 
     Args:
-        nominal: an ensemble of one.
+        nominal: an ensemble of one; it takes the values of ranges that have no width.
         box: of names of FIELDS.
 
     Raises:
         UserError: ranges that do not fit the plant.
     """
-    ends = [
-        one.ends({one.name: float(getattr(nominal, FIELDS[one.name])[0])})[one.name]
-        for one in box.ranges
-    ]
-    low, high = np.array(ends).reshape(-1, 2).T
-    return Uncertain(nominal, box, low, high)
+
+    def ends(one: Range) -> tuple[float, float]:
+        return one.ends({one.name: float(getattr(nominal, FIELDS[one.name])[0])})[one.name]
+
+    values = {FIELDS[one.name]: np.array([ends(one)[0]]) for one in box.known.ranges}
+    low, high = np.array([ends(one) for one in box.uncertain.ranges]).reshape(-1, 2).T
+    return Uncertain(replace(nominal, **values), box.uncertain, low, high)

@@ -74,8 +74,10 @@ def tune(
     """
     begun = time.perf_counter()
     given = None if start is None else [start]
-    plants, case = None, Case(members, goal)
-    if box.ranges:
+    if box.known:
+        members = uncertain(members, box).nominal
+    plants, case, box = None, Case(members, goal), box.uncertain
+    if box:
         plants = uncertain(members, box)
         points = box.sample(number, seed) if goal.tail else box.members(number, seed)
         case = Case(plants.at(points), goal)

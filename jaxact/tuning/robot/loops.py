@@ -72,7 +72,8 @@ class Situation:
             corrected for.
         specification: that it was made of.
         payload_body: name of the body that carries a payload.
-        box: what is uncertain.
+        box: what is uncertain; every range has a width.
+        known: values by key that ranges of no width gave, of which the specification was made.
         opener: from the stiffness that members rest with [N/m or N m/rad], shape (joints,), to
             `opened`; infinite for joints that hold their positions.
         leaves: from values of `keys` and such a stiffness to why the member does not rest with it,
@@ -97,6 +98,7 @@ class Situation:
     specification: Specification
     payload_body: str
     box: Box
+    known: Mapping[str, float]
     opener: Callable[[np.ndarray], Callable[[np.ndarray], Opened]]
     leaves: Callable[[np.ndarray, np.ndarray], str]
     opened: Callable[[np.ndarray], Opened]
@@ -138,11 +140,14 @@ def situation(specification: Specification, name: str, box: Box = KNOWN) -> Situ
         UserError: a robot that cannot be used, and for a range that does not fit.
     """
     specification, owned = _with_gains(specification)
+    given, _, single, _ = _ends(specification, box.known)
+    known, box = dict(zip(given, single.tolist(), strict=True)), box.uncertain
     keys, places, low, high = _ends(specification, box)
     columns = dict(zip(keys, np.stack([low, high], axis=1), strict=True))
     # What differs between models or joints must be part of what is compiled.
     own = {k: float(rows[0]) for k, rows in columns.items() if base(k) in OF_BODY or "@" in k}
-    specification = replace(specification, parameters={**specification.parameters, **own})
+    every = {**specification.parameters, **known, **own}
+    specification = replace(specification, parameters=every)
     samples = explicit(specification, columns or {parameters.FEEDFORWARD: np.zeros(2)})
     (plan,) = plans.groups(specification, samples)
     values = samples.take(np.arange(2))
@@ -181,6 +186,7 @@ def situation(specification: Specification, name: str, box: Box = KNOWN) -> Situ
         specification=specification,
         payload_body=scene.carrier,
         box=box,
+        known=known,
         opener=opener,
         leaves=leaves,
         opened=opened,
