@@ -298,12 +298,9 @@ def evaluate(
                 held = _packed(replace(whole, envelope=fresh))
     period = jnp.asarray(coefficients.drive.control_period)
     counted = active_ticks if masked else jnp.full(period.shape, float(ticks), dtype)
-    reference = _unpacked(fixed).reference
-    running = _unpacked(held).running
-    if aims is None:
-        end = seen[:, 0], seen[:, 1]
-        running = _staying(np.int32(ticks), running, reference, period, end)
-    loops = running, envelopes, reference, growth_rate, period, counted, rest_amplitude
+    reference, running = _unpacked(fixed).reference, _unpacked(held).running
+    end = (seen[:, 0], seen[:, 1]) if aims is None else None
+    loops = running, end, envelopes, reference, growth_rate, period, counted, rest_amplitude
     fell = fall(bases, begun, simulations.configuration(), told=setpoints is not None)
     return _finish(np.int32(ticks), *loops, coefficients.drive, others, fell)
 
@@ -343,19 +340,17 @@ def _before(drive: DriveState, setpoint: Setpoint, seen: np.ndarray) -> BatchSta
 
 
 @Program
-def _staying(ticks: jax.Array, running, reference, period, end) -> Running:
-    return jax.vmap(staying, (0, 0, 0, None, 0))(running, reference, period, ticks, end)
-
-
-@Program
 def _finish(ticks: jax.Array, *loops: Any) -> tuple[Metrics, Judgement]:
-    return jax.vmap(_finished, (None, *(0,) * 10))(ticks, *loops)
+    return jax.vmap(_finished, (None, *(0,) * 11))(ticks, *loops)
 
 
 def _finished(
-    ticks, running, envelopes, reference, growth_rate, period, counted, rest, drive, others, fell
-) -> tuple[Metrics, Judgement]:
+    ticks, running, end, envelopes, reference, growth_rate, period, counted, rest, drive, others,
+    fell,
+) -> tuple[Metrics, Judgement]:  # fmt: skip
     """The end of a rollout of so many control periods."""
+    if end is not None:
+        running = staying(running, reference, period, ticks, end)
     size = jnp.maximum(jnp.abs(reference.start), jnp.abs(reference.target))
     return _metrics.finish(
         running,

@@ -146,12 +146,9 @@ def run(
     firsts = length * jnp.arange(SEGMENTS, dtype=jnp.int32)
     inputs = firsts, parted(setpoints, SEGMENTS)
     (state, running, _), envelopes = jax.lax.scan(segment, carry, inputs)
-    position, velocity = prepared.plant.measure(state.plant)
     if steady:
-        running = _metrics.trapezoidal(running, reference, start, position)
-    if setpoints is None:
-        period = prepared.drive.drive.control_period
-        running = staying(running, reference, period, rollout.ticks, (position, velocity))
+        ends = start, prepared.plant.measure(state.plant)[0]
+        running = _metrics.trapezoidal(running, reference, *ends)
     return state, running, envelopes
 
 
@@ -192,12 +189,16 @@ def evaluate(
         active_ticks=active_ticks, setpoints=setpoints,
     )  # fmt: skip
     reference = _metrics.reference(start, setpoint.position)
+    period = prepared.drive.drive.control_period
+    if setpoints is None:
+        last = prepared.plant.measure(end.plant)
+        running = staying(running, reference, period, rollout.ticks, last)
     found, _ = _metrics.finish(
         running,
         envelopes,
         reference,
         growth_rate,
-        period=prepared.drive.drive.control_period,
+        period=period,
         ticks=rollout.ticks,
         counted=rollout.ticks if active_ticks is None else active_ticks,
         scale=scale_of(prepared, options, rollout.linear_plant, reference, rest_amplitude),
