@@ -33,8 +33,8 @@ class Verdict(IntEnum):
 _ADVICE = {
     Verdict.STABLE: "Perturbations decay; see the margins for how much room is left.",
     Verdict.LIMIT_CYCLE: (
-        "The motion stays bounded but goes on: a saturated or quantised loop, or one with dry "
-        "friction, that keeps shaking; lower the gains, or raise the resolution or the force limit."
+        "The motion stays bounded but goes on, in a loop with counts, limits or dry friction, or "
+        "of a robot far from its posture; lower the gains or shorten the delay."
     ),
     Verdict.UNSTABLE: "Perturbations grow; lower the gains or shorten the delay.",
     Verdict.TOPPLES: (

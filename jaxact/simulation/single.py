@@ -76,6 +76,7 @@ class Single:
         values: every parameter of the loop by its short name.
         joints: the driven ones.
         starts: from which it was judged, its own first.
+        limited: some loop simulated beside it, or itself, has a limit of its force or its rate.
     """
 
     trajectory: Trajectory
@@ -83,6 +84,7 @@ class Single:
     values: dict[str, float]
     joints: tuple[Joint, ...]
     starts: tuple[Start, ...]
+    limited: bool = False
 
     @property
     def rotary(self) -> tuple[bool, ...]:
@@ -166,6 +168,7 @@ def each(
                         values={name: float(array[place]) for name, array in values.items()},
                         joints=joints,
                         starts=_started(case, judged, place),
+                        limited=not case.drive.unlimited,
                     ),
                 )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,8 +15,11 @@ from jaxact.parameters import (
     JOINT_STIFFNESS,
     KD,
     KP,
+    LIMITS,
+    RESOLUTIONS,
     WN,
     ZETA,
+    base,
 )
 
 if TYPE_CHECKING:
@@ -84,7 +87,8 @@ def document(run: Single) -> list[dict[str, Any]]:
 def advice(run: Single) -> str:
     """What the verdict means; of an unstable loop that friction held, that it did.
 
-    And of one whose small perturbations decay, after which starts it was lost all the same.
+    Of one whose small perturbations decay, after which starts it was lost all the same; and of a
+    limit cycle, what of the loop can keep it up.
     """
     from jaxact.status import Verdict
 
@@ -101,6 +105,8 @@ def advice(run: Single) -> str:
             "shakes: it was pushed or moved too far for gains alone to keep it up, or its joints "
             "are too weak to."
         )
+    if verdict == Verdict.LIMIT_CYCLE:
+        return _of_limit_cycle(run)
     held = _rubs(run) and not any(start.moving for start in run.starts)
     if verdict == Verdict.UNSTABLE and held:
         return (
@@ -115,6 +121,36 @@ def advice(run: Single) -> str:
     if verdict == Verdict.UNSTABLE and run.trajectory.configuration is None:  # of a joint
         return _of_unstable_joint(run.values) or verdict.advice
     return verdict.advice
+
+
+def _of_limit_cycle(run: Single) -> str:
+    """What keeps a motion up, of what the loop has, and what helps against it."""
+    causes, more = [], []
+    if any(value > 0.0 for value in _values(run, RESOLUTIONS)):
+        causes.append("the counts of its sensors or commands")
+        more.append("make the counts finer")
+    # What is not a number is as the model has it.
+    limits = _values(run, LIMITS)
+    if np.isfinite(limits).any() or (run.limited and np.isnan(limits).any()):
+        causes.append("the limits of its force")
+        more.append("raise the limits")
+    if _rubs(run):
+        causes.append("dry friction")
+    if causes:
+        helps = ["lower the gains", "shorten the delay", *more]
+        return (
+            f"The motion stays bounded but goes on, as {_listed(causes)} can make it; "
+            f"{', '.join(helps[:-1])} or {helps[-1]}."
+        )
+    size = "The motion keeps going at this amplitude"
+    if run.trajectory.configuration is not None:  # of a robot
+        size += ", of a robot far from its posture"
+    return f"{size}; lower gains or a shorter delay help."
+
+
+def _values(run: Single, names: Collection[str]) -> np.ndarray:
+    """Those of some parameters, of all joints."""
+    return np.array([value for key, value in run.values.items() if base(key) in names], float)
 
 
 def _short(run: Single) -> str:

@@ -1,16 +1,33 @@
 """What `simulate` says of a loop's starts."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import robots
+from quickly import compiled_quickly as compiled_quickly
 
+from jaxact.loops import reading
+from jaxact.simulation import single
 from jaxact.simulation.single import Joint, Single, Start
 from jaxact.status import Verdict
 from jaxact.verbs import starts
 
+ARM = """
+engine = "mujoco"
+duration = 0.2
+[plant]
+model = '{path}'
+keyframe = "home"
+[parameters]
+delay = 0.03
+[axes]
+feedforward = [0.0]
+"""
 
-def _run(verdict, growth_rate, *starts, duration=2.0, moved=0.0):
+
+def _run(verdict, growth_rate, *starts, duration=2.0, moved=0.0, limited=False, **values):
     made = tuple(Start(name, end, moving, not moving, 0.0, 0.0) for name, end, moving in starts)
     results = {"verdict": float(verdict), "growth_rate": growth_rate}
     of_robot = SimpleNamespace(
@@ -18,7 +35,7 @@ def _run(verdict, growth_rate, *starts, duration=2.0, moved=0.0):
         time=np.array([0.0, duration]),
         position=np.array([[0.0], [moved]]),
     )
-    return Single(of_robot, results, {}, (Joint("hip", True),), made)
+    return Single(of_robot, results, values, (Joint("hip", True),), made, limited)
 
 
 @pytest.mark.parametrize(
@@ -43,6 +60,43 @@ def test_a_growth_rate_of_the_posture_is_not_said_to_be_that_of_the_setpoint():
     assert "came to rest" not in starts.advice(_run(Verdict.UNSTABLE, 1.0, own, moved=1e-3))
     going_on = ("", Verdict.UNSTABLE, True)
     assert "came to rest" not in starts.advice(_run(Verdict.UNSTABLE, 1.0, going_on, moved=0.3))
+
+
+@pytest.mark.parametrize(
+    ("values", "slides", "said"),
+    [
+        ({}, False, "keeps going at this amplitude, of a robot far from its posture; lower gains"),
+        ({"force_limit": np.inf, "position_resolution": 0.0}, False, "far from its posture"),
+        ({"force_limit": np.nan}, False, "far from its posture"),
+        (
+            {"force_limit": np.nan, "limited": True},
+            False,
+            "goes on, as the limits of its force can",
+        ),
+        ({"force_limit@hip": 9.0}, True, "as the limits of its force and dry friction can make it"),
+        ({"command_resolution": 0.1}, False, "shorten the delay or make the counts finer."),
+        ({}, True, "as dry friction can make it; lower the gains or shorten the delay."),
+    ],
+)
+def test_of_a_limit_cycle_only_causes_that_the_loop_has_are_said(values, slides, said):
+    own = [("", Verdict.LIMIT_CYCLE, True)]
+    own += [("slide", Verdict.LIMIT_CYCLE, True)] * slides
+    found = starts.advice(_run(Verdict.LIMIT_CYCLE, 1.0, *own, **values))
+    assert said in found
+    assert ("friction" in found) == slides
+    assert ("counts" in found) == ("command_resolution" in values)
+
+
+@pytest.mark.parametrize("limits", ["", ' forcerange="-9 9"'])
+def test_of_a_robot_limits_are_a_cause_where_its_model_has_some(tmp_path, limits):
+    """Its verdict is set: which limits there are is what the simulation tells."""
+    text = robots.PENDULUM.replace(' kp="80"', f' kp="80"{limits}')
+    (tmp_path / "arm.xml").write_text(text)
+    run = single.simulate(reading.parse(ARM.format(path=tmp_path / "arm.xml")))
+    assert run.limited == bool(limits) and not np.isposinf(run.values["force_limit"])
+    run = replace(run, results=run.results | {"verdict": float(Verdict.LIMIT_CYCLE)})
+    said = "as the limits of its force can make it" if limits else "far from its posture"
+    assert said in starts.advice(run) and "friction" not in starts.advice(run)
 
 
 def test_a_run_that_was_too_short_to_tell_is_said_to_be():
