@@ -200,7 +200,7 @@ def intervals(drive: IdentifiedDrive, loop: ControlLoop, ranges: str = "") -> st
             f"`uncertainty`: {drive.name} leaves {len(own)} numbers open, and their box has too"
             " many corners; give ranges of your own, or identify fewer groups of joints"
         )
-    return ",".join(part for part in (ranges(own), ranges) if part)
+    return ",".join(part for part in (ranges_of(own), ranges) if part)
 
 
 def _of_joint(
