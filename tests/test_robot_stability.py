@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+import jaxact as jx
 from jaxact.analysis.robot import stability
-from jaxact.analysis.robot.modes import shaking, toppling
+from jaxact.analysis.robot.modes import shaking, swinging, toppling
 
 
 def _of_radius(rng, size, radius):
@@ -119,3 +120,32 @@ def test_where_a_root_begins_to_grow_is_found_to_rounding(at):
     assert stability.switch(growth, 0.1 * at, 3.0 * at) == pytest.approx(at, rel=1e-12)
     assert stability.switch(lambda value: -growth(value), 0.1 * at, 3.0 * at) == pytest.approx(at)
     assert stability.switch(growth, 0.1 * at, 0.2 * at) == 0.2 * at  # it does not change
+
+
+def test_what_grows_there_and_back_from_tick_to_tick_shakes_however_fast():
+    """|Im s| of a sampled motion ends at pi / T, its growth does not."""
+    there_and_back = np.array([-1.1, -22.0, -40.0, -1e5, -30.0 + 1.0j])
+    assert swinging(there_and_back).all()
+    assert not swinging(np.array([1.1, 40.0, 1e5, 30.0 + 1.0j])).any()
+
+
+def test_a_light_joint_with_too_much_damping_shakes_and_does_not_topple(tmp_path):
+    """A hinge of 1e-3 kg m^2 in the void: nothing there could topple."""
+    step, inertia, kp, kd = 1e-3, 1e-3, 500.0, 40.0
+    (tmp_path / "hinge.xml").write_text(
+        f"""<mujoco><option timestep="{step}" gravity="0 0 0"/><worldbody><body>
+        <joint name="j" axis="0 1 0"/><inertial pos="0 0 0" mass="1"
+        diaginertia="{inertia} {inertia} {inertia}"/></body></worldbody>
+        <actuator><position joint="j" kp="{kp}" kv="{kd}"/></actuator></mujoco>"""
+    )
+
+    def largest(scale):
+        """Root of one semi-implicit Euler step with the force held, the largest."""
+        gain, damping = scale * step * kp / inertia, scale * step * kd / inertia
+        roots = np.linalg.eigvals([[1 - step * gain, step * (1 - damping)], [-gain, 1 - damping]])
+        return roots[np.argmax(np.abs(roots))]
+
+    found = jx.margins(jx.robot(tmp_path / "hinge.xml", control_rate=1 / step))
+    assert largest(1.0) < -np.exp(np.pi)
+    assert found.verdict == "shakes" and found.toppling_rate < 0.0
+    assert found.growth_rate == pytest.approx(np.log(abs(largest(1.0))) / step, rel=1e-6)

@@ -16,6 +16,7 @@ from jaxact.parameters import (
     PARAMETERS,
     PRESETS,
     ROBOT_ONLY,
+    SHARED,
     WN,
     ZETA,
     as_number,
@@ -108,6 +109,8 @@ def _checked(name: str, value: Any, said: str, *, robot: bool, unit: str | None)
         robot, unit: as for `read`.
     """
     if not known(name):
+        if base(name) in SHARED:
+            raise UserError(f"`{name}`: {base(name)} is one number for all joints; give it alone")
         if "@" in name and base(name) in PARAMETERS:
             raise UserError(
                 f"`{name}`: what follows the @ is not a pattern of joints, e.g. kp@.*_knee"

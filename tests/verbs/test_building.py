@@ -107,6 +107,11 @@ def test_patterns_of_joints_are_parameters_of_some():
     assert loop.values == {"kp@.*_HAA": 500.0, "kp@.*_HFE": 600.0}
 
 
+def test_what_all_joints_share_is_not_given_to_some():
+    with pytest.raises(UserError, match="gain_scale is one number for all joints; give it alone"):
+        jx.robot(QUADRUPED / "quadruped.xml", kp=500, kd=20, gain_scale={".*_HAA": 1.0})
+
+
 def test_dimensions_are_named_by_what_varies_along_them():
     loop = jx.joint(actuator=["hyq", "starleth"], delay=np.array([[0.0], [1e-3], [5e-3]]))
     samples = conversion.samples(loop)

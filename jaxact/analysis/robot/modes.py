@@ -2,7 +2,9 @@
 
 A root z of the loop is the motion e^(s t) with s = ln(z)/T. A growing one topples the robot if it
 grows faster than it turns, Re s >= |Im s|: the robot has fallen before it has swung once, as an
-upright one does whose joints are stiff but that nobody balances. Else it shakes it.
+upright one does whose joints are stiff but that nobody balances. Else it shakes it, and so does a
+growing one that turns by more than a quarter in one period, however fast it grows: |Im s| ends at
+pi/T, and a motion that goes there and back from tick to tick is no fall.
 """
 
 from __future__ import annotations
@@ -73,10 +75,12 @@ def growing(roots: np.ndarray) -> np.ndarray:
 
 
 def swinging(roots: np.ndarray) -> np.ndarray:
-    """Which roots turn faster than they grow or decay."""
+    """Which roots turn faster than they grow or decay, or grow there and back."""
+    roots = np.asarray(roots, complex)
     with np.errstate(divide="ignore", invalid="ignore"):
-        rates = np.log(np.asarray(roots, complex))
-    return np.abs(rates.imag) > np.abs(rates.real)
+        rates = np.log(roots)
+        back = (roots.real < 0.0) & (rates.real > 0.0)
+    return back | (np.abs(rates.imag) > np.abs(rates.real))
 
 
 def shaking(roots: np.ndarray) -> np.ndarray:
