@@ -11,6 +11,7 @@ from jaxact.loops import conversion
 from jaxact.parameters import (
     CONTROL_RATE,
     GAIN_SCALE,
+    INITIAL_POSITION,
     JOINT_DAMPING,
     JOINT_STIFFNESS,
     KD,
@@ -201,6 +202,8 @@ def _resting_away(run: Single) -> str:
 
     if run.trajectory.configuration is None or any(start.moving for start in run.starts):
         return ""
+    if _values(run, (INITIAL_POSITION,)).any():
+        return ""  # it did not start from the posture
     moved = np.abs(run.trajectory.position[-1] - run.trajectory.position[0])
     farthest = int(np.argmax(moved))
     if not moved[farthest] > _ELSEWHERE:

@@ -58,6 +58,8 @@ def test_a_growth_rate_of_the_posture_is_not_said_to_be_that_of_the_setpoint():
     said = starts.advice(_run(Verdict.UNSTABLE, 1.0, own, moved=0.287))
     assert "the posture. The robot came to rest 0.29 rad from it" in said
     assert "came to rest" not in starts.advice(_run(Verdict.UNSTABLE, 1.0, own, moved=1e-3))
+    came_back = _run(Verdict.UNSTABLE, 1.0, own, moved=-0.3, initial_position=0.3)
+    assert "came to rest" not in starts.advice(came_back)
     going_on = ("", Verdict.UNSTABLE, True)
     assert "came to rest" not in starts.advice(_run(Verdict.UNSTABLE, 1.0, going_on, moved=0.3))
 
