@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import os
-import secrets
 import shutil
 import stat
 from collections.abc import Callable, Hashable, Iterator, Mapping
@@ -54,7 +53,7 @@ def temporary(parent: Path) -> Iterator[Path]:
     Raises:
         OSError: it cannot be made.
     """
-    folder = parent / f".jaxact-{secrets.token_hex(6)}"
+    folder = parent / f".jaxact-{os.urandom(6).hex()}"
     _UNFINISHED.append(folder)
     try:
         folder.mkdir(mode=0o700)

@@ -26,10 +26,10 @@ MODEL = "experiments/quadruped/quadruped.xml"
 ALGEBRA = {"scipy", "scipy.optimize"}
 
 
-def imported(*command):
-    """The slow packages that a command has imported when it is done."""
+def imported(*command, asked=SLOW):
+    """Which of these packages a command has imported when it is done."""
     done = subprocess.run(
-        [sys.executable, "-c", SHOW, " ".join(SLOW), *command],
+        [sys.executable, "-c", SHOW, " ".join(asked), *command],
         env=os.environ | ENVIRONMENT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -48,6 +48,11 @@ def imported(*command):
 )  # fmt: skip
 def test_a_command_imports_no_slow_package_but_what_it_uses(command, used):
     assert imported(*command) == used
+
+
+@pytest.mark.parametrize("verb", ["margins", "sweep", "tune"])
+def test_help_does_without_what_computes(verb):
+    assert imported(verb, "--help", asked={"numpy", "pydantic"}) == set()
 
 
 @pytest.mark.exhaustive

@@ -2,6 +2,7 @@
 
 import contextlib
 import copy
+import functools
 import io
 import math
 from pathlib import Path
@@ -77,13 +78,13 @@ def _specifications(draw):
 def folder(tmp_path_factory):
     """Where the same options are given a thousand times, and are not read anew each time."""
 
-    def call(verb, _, arguments):
+    def read(verb, _, arguments):
         specification, out, folder = arguments
         assert out == "--out"
-        verb(Path(specification), Run(), out=folder)
+        return functools.partial(verb, Path(specification), Run(), out=folder)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(_options, "call", call)
+        patched.setattr(_options, "read", read)
         yield tmp_path_factory.mktemp("malformed")
 
 

@@ -72,8 +72,10 @@ def _names(verb: str) -> set[str]:
     return names
 
 
-def call(function: Callable[..., None], program: str, arguments: Sequence[str]) -> None:
-    """Call a verb's function with the options given on the command line.
+def read(
+    function: Callable[..., None], program: str, arguments: Sequence[str]
+) -> Callable[[], None]:
+    """A verb's function with the options given on the command line, ready to be called.
 
     Args:
         function: typed arguments are the options, the docstring is the help.
@@ -88,7 +90,7 @@ def call(function: Callable[..., None], program: str, arguments: Sequence[str]) 
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            ready = tyro.cli(
+            ready: Callable[[], None] = tyro.cli(
                 _deferred(function),
                 prog=program,
                 description=inspect.getdoc(function),
@@ -99,7 +101,7 @@ def call(function: Callable[..., None], program: str, arguments: Sequence[str]) 
         if leaving.code in (None, 0):
             raise
         raise UserError(f"{_condensed(complaint.getvalue())}; see `{program} --help`") from None
-    ready()
+    return ready
 
 
 def _deferred(function: Callable[..., None]) -> Callable[..., Callable[[], None]]:

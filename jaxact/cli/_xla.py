@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,7 +40,6 @@ def prepare(*, all_cores: bool = False) -> None:
         flags = f"{flags} {VECTOR_WIDTH}=512"
     if flags != given:
         os.environ["XLA_FLAGS"] = flags.strip()
-    enlarge_pool()
     if not any(name in os.environ for name in CHOSEN):
         os.environ[THREADS] = "1"
     if all_cores and DEVICE_COUNT not in os.environ and _OLD_DEVICE_COUNT not in flags:
@@ -86,6 +84,8 @@ def call_at_once(specification: Specification) -> None:
 
 def _may_run_dry() -> bool:
     """By the version of JAX, which is not imported."""
+    from importlib import metadata  # takes longer than to read the options
+
     return metadata.version("jax").startswith("0.10.") and cores() < 8
 
 

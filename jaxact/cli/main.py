@@ -114,7 +114,9 @@ def _run(given: list[str]) -> int:
     _gl.prepare()
     _xla.prepare(all_cores=verb in ("sweep", "validate"))
     with files.read_once(), _warnings.as_lines():
-        _options.call(_options.main_of(verb), f"jaxact {verb}", given[1:])
+        ready = _options.read(_options.main_of(verb), f"jaxact {verb}", given[1:])
+        _xla.enlarge_pool()
+        ready()
     if sys.stdout is not None:
         sys.stdout.flush()
     return 0

@@ -14,7 +14,6 @@ import hashlib
 import os
 import pickle
 import re
-import secrets
 import stat
 import warnings
 import zlib
@@ -232,7 +231,7 @@ def _keep(name: str, compiled: Any) -> None:
 
 def _write(folder: int, name: str, content: bytes) -> None:
     """A file that is there as a whole, or not at all."""
-    partial = f".{secrets.token_hex(8)}{_ENDING}"
+    partial = f".{os.urandom(8).hex()}{_ENDING}"
     try:
         with open(partial, "xb", opener=_opener(folder, os.O_NOFOLLOW)) as file:
             file.write(content)

@@ -3,7 +3,8 @@ the parameters of a loop.
 
     drive = "drive.toml"     # of a specification or a [[loop]], relative to the folder of the file
 
-What the loop says itself wins. Nothing here needs JAX.
+What the loop says itself wins. Nothing here needs JAX, and few functions need NumPy: the command
+line declares its options with this module.
 """
 
 from __future__ import annotations
@@ -15,8 +16,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from jaxact.errors import UserError
 from jaxact.loops.spread import Spread
@@ -175,6 +174,8 @@ class IdentifiedDrive:
         Raises:
             UserError: the file has no covariance.
         """
+        import numpy as np
+
         if self.spread is None:
             raise UserError(f"{self.name}: has no covariance to draw from; identify the drive anew")
         # All that is not drawn is what it was; a gain of the drive scales the controller's.
@@ -193,6 +194,8 @@ def parameters_of(numbers: Mapping[str, Any], plant: str) -> dict[str, Any]:
         numbers: of the model by name, numbers or arrays.
         plant: "none" where a force was measured and no joint moved.
     """
+    import numpy as np
+
     limit = numbers.get(FORCE_LIMIT, math.inf)
     found = {WN: numbers.get(WN, math.inf), ZETA: numbers.get(ZETA, 1.0),
              DELAY: numbers.get(DELAY, 0.0), FORCE_LIMIT: limit}  # fmt: skip

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
+if TYPE_CHECKING:
+    import numpy as np
 
 _MOST_TRIES = 50
 
@@ -30,6 +31,7 @@ class Spread:
 
     def draw(self, centre: Mapping[str, float], number: int, seed: int) -> dict[str, np.ndarray]:
         """Draws around a centre, those out of bounds drawn anew, shape (number,) each."""
+        import numpy as np  # which options of the command line do without
 
         def inner(values: Any) -> np.ndarray:
             values = np.asarray(values, float)
