@@ -100,7 +100,8 @@ def test_it_is_said_in_sentences(capsys):
         "On a stand, at 1000 Hz, with the joints' damping in the drives, the gains bear ",
         "1 of 1 driven joints have kp, no kd, and", "; then swing shakes at",
         "As the model has it, in the joint and at once, the gains would bear ",
-        "Dry friction of up to 0.3 N m is left out", "With its base free, standing, the gains",
+        "Dry friction of up to 0.3 N m is left out",
+        "With its base free, at this posture, the gains",
     ):  # fmt: skip
         assert words in said, words
     both = ("--base", "fixed", "--damping", "drive")
@@ -123,6 +124,9 @@ def test_a_free_base_that_topples_or_falls_is_proposed_a_stand(capsys):
     text = STOOL.format(floor="", damping=2.0, loss=0)
     said = " ".join(_check(capsys, text).split())
     assert "falls from its keyframe" in said and "or --base fixed to put it on a stand" in said
+    assert "--posture keyframe to start from it as it is" in said
+    said = " ".join(_check(capsys, text, "--posture", "keyframe").split())
+    assert "falls" not in said and "With its base free" in said
     # One foot under the middle: upright, and held up by nothing.
     text = STOOL.format(floor=FLOOR, damping=2.0, loss=0)
     feet = text[text.index('<geom size=".03"') : text.index("<body><joint")]

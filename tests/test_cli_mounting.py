@@ -136,6 +136,20 @@ def test_a_mistake_is_one_line(capsys, verb, options, message):
     assert said.startswith(f"jaxact: {message}") and said.count("\n") == 1
 
 
+def test_a_sweep_is_told_what_its_option_for_changes_takes(capsys):
+    floor = '<geom type="plane" size="1 1 1"/>'
+    Path("stool.xml").write_text(STOOL.format(damping=4.0).replace(floor, ""))
+    Path("s.toml").write_text(
+        'engine = "mujoco"\nduration = 0.02\n[plant]\nmodel = "stool.xml"\nkeyframe = "stands"\n'
+        "[axes]\nkp = [50, 60]\n"
+    )
+    assert main(["sweep", "s.toml", "--out", "out"]) == 2
+    said = capsys.readouterr().err
+    change = "--set plant.posture=keyframe"
+    assert f"{change} to start from it as it is, or --set plant.base=fixed to put it" in said
+    assert main(["sweep", "s.toml", "--out", "out", *change.split()]) == 0
+
+
 def test_margins_of_a_robot_that_topples_propose_the_stand(capsys):
     text = STOOL.format(damping=0.8)
     feet = text[text.index('<geom size=".03"') : text.index("<body><joint")]

@@ -81,6 +81,10 @@ Joints = Annotated[
         "all",
     ),
 ]
+Posture = Annotated[
+    str | None,
+    option("settled|keyframe", "Bring the posture to rest first, or take it as it is.", "settled"),
+]
 Base = Annotated[
     str | None,
     option(
@@ -117,12 +121,7 @@ class Mounting:
     """How a robot is mounted, how it is damped and how it rubs, and what is changed of it."""
 
     joints: Joints = ()
-    posture: Annotated[
-        str | None,
-        option(
-            "settled|keyframe", "Bring the posture to rest first, or take it as it is.", "settled"
-        ),
-    ] = None
+    posture: Posture = None
     base: Base = None
     damping: Damping = None
     gains: Gains = None
@@ -147,7 +146,7 @@ class Mounting:
         Raises:
             UserError: a value that is not known.
         """
-        chosen = {name: getattr(self, name) for name in ("posture", *_CHOICES)}
+        chosen = {name: getattr(self, name) for name in ("posture", *CHOICES)}
         more = {"joints": list(self.joints)} if self.joints else {}
         return mounted(**chosen) | more | ({} if self.gains is None else {"gains": self.gains})
 
@@ -172,7 +171,8 @@ class Robot(Mounting):
         return super().plant | {name: str(one) for name, one in which.items() if one is not None}
 
 
-_CHOICES = {
+# Keys of a [plant] that take one of a few words.
+CHOICES = {
     "base": ("free", "fixed", "held"),
     "damping": ("joint", "drive"),
     "friction": ("moving", "stuck"),
@@ -188,7 +188,7 @@ def mounted(**chosen: str | None) -> dict[str, str]:
     """
     given = {name: value for name, value in chosen.items() if value is not None}
     for name, value in given.items():
-        one_of(name, value, _CHOICES[name])
+        one_of(name, value, CHOICES[name])
     return given
 
 

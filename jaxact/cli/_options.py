@@ -43,8 +43,10 @@ def typed(text: str, verb: str) -> str:
     """Parameters in backquotes, as the library names them, as options of a verb.
 
     A `name` becomes --name, a `name="value"` --name value; of what is not an option, the second
-    becomes --set name=value, as TOML writes it.
+    becomes --set name=value, or --set plant.name=value, as TOML writes it.
     """
+    from jaxact.cli._arguments import CHOICES
+
     names = _names(verb)
 
     def replaced(found: re.Match[str]) -> str:
@@ -53,7 +55,8 @@ def typed(text: str, verb: str) -> str:
         value = value.lower() if value in ("True", "False") else value
         if option in names:
             return "--" + option.replace("_", "-") + (f" {value}" if value else "")
-        return f"--set {name}={value}" if value else found[0]
+        table = "plant." if name in CHOICES else ""
+        return f"--set {table}{name}={value}" if value else found[0]
 
     return re.sub(r"`([a-z_]+)(?:=\"?([\w.-]+)\"?)?`", replaced, text)
 

@@ -18,6 +18,7 @@ def main(
     *,
     keyframe: _arguments.Keyframe = None,
     joints: _arguments.Joints = (".*",),
+    posture: _arguments.Posture = None,
     base: _arguments.Base = None,
     damping: _arguments.Damping = None,
     gains: _arguments.Gains = None,
@@ -66,7 +67,7 @@ def main(
       jaxact check robot.xml --keyframe home --drive drive.toml
       jaxact check robot.urdf --json
     """
-    mounted: dict[str, Any] = _arguments.mounted(base=base, damping=damping)
+    mounted: dict[str, Any] = _arguments.mounted(posture=posture, base=base, damping=damping)
 
     from jaxact.loops.building import robot
     from jaxact.verbs.check import check

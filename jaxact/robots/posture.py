@@ -145,12 +145,12 @@ def settled(robot: Robot) -> Posture:
             return found
     if there.residual <= NEARLY * gravity:  # an equilibrium that it leaves, upright for example
         return replace(there, settled=True)
-    advice = 'give a keyframe at rest, or posture = "keyframe" to start from it as it is'
+    advice = 'give a keyframe at rest, or `posture="keyframe"` to start from it as it is'
     free = robot.model.jnt_bodyid[robot.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
     if _own(robot).intersection(free.tolist()):
         advice = (
-            'give a keyframe that stands by itself, posture = "keyframe" to start from it as it '
-            'is, or base = "fixed" to put it on a stand'
+            'give a keyframe that stands by itself, `posture="keyframe"` to start from it as it '
+            'is, or `base="fixed"` to put it on a stand'
         )
     raise UserError(f"{robot.path.name}: {complaints[0]}; {advice}")
 

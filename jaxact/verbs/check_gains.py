@@ -167,13 +167,12 @@ def _left_out(most: float, unit: str) -> str:
 
 def _of_base(known: OnStand) -> list[str]:
     if known.falls:
-        why = known.falls.replace('base = "fixed"', '`base="fixed"`')
-        return [f"With its base free there is no posture to look at: {why}"]
+        return [f"With its base free there is no posture to look at: {known.falls}"]
     if known.free is None:
         return []
     borne = known.free.borne
     if borne.stable:
-        return [f"With its base free, standing, the gains {_bears(known.free)}."]
+        return [f"With its base free, at this posture, the gains {_bears(known.free)}."]
     if not borne.topples:
         return [f"With its base free the gains {_bears(known.free)}."]
     return [
