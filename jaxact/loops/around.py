@@ -90,7 +90,8 @@ class Driven:
 
         Args:
             state: from `init` or the step before.
-            setpoint: joint positions [m or rad], shape (joints,), or with velocities and forces.
+            setpoint: joint positions [m or rad], a number or of shape (joints,), or a
+                `jaxact.Setpoint` with velocities and forces.
             key: random key of this simulator, the same at every step; needed only with noise.
 
         Returns:
@@ -160,9 +161,11 @@ def drive_around(
             or not divided by the policy's, the forces are not a number.
 
     Returns:
-        `init(data, command=0.0)` begins, the drives having held that command for ever, and
-        `step(state, setpoint, key)` takes a control period; it returns the state, in which
-        `simulator` is yours, and a `jaxact.loops.loop.Output`: `command`, `peak_force`, the
+        `init(data, command=0.0)` begins, the drives having held that command [N or N m] for ever: 0
+        is limp, and a robot that stands has its holding forces. `step(state, setpoint, key)` takes
+        a control period towards joint positions [m or rad], a number or of shape (joints,), or a
+        `jaxact.Setpoint` with velocities and forces; it returns the state, in which `simulator` is
+        yours, and a `jaxact.loops.loop.Output`: `command`, `peak_force`, the
         `position` and `velocity` at the end of the period, ... With noise, `key` is the
         simulator's: the same one at every step.
 

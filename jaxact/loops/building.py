@@ -117,7 +117,8 @@ def robot(
             configuration of legged_gym, Isaac Lab or mjlab, see docs/gains.md. Joints are matched
             by name; names that match none are a `GainsWarning`, and `jaxact.check` says all.
         payload_body: that carries the payload, None for the heaviest.
-        actuator: preset of all joints that sets wn and zeta.
+        actuator: preset of all joints that sets wn and zeta; None for what those say or the model
+            has, ideal where neither does.
         velocity: that the controllers see; None for that of the drive, as for `jaxact.joint`.
         physics_step: [s], None for the longest that divides the control period and is no longer
             than the model's own.

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 Gains = tuple[Any, Any]
 """kp and kd: numbers of a joint, arrays of shape (joints,) of a robot."""
 
+UNSAMPLED = (
+    "sampled controllers have other margins, mostly smaller: give a control rate to tune for them"
+)
 # A smooth violation up to this is the smoothing's own.
 _SMOOTH = 0.01
 
@@ -138,6 +141,11 @@ class Tuned(Reportable):
         of_goal = turned(of_goal) if rotary == {True} else of_goal
         return kp, kd, kp if self.goal.metric == KP else of_goal
 
+    @property
+    def continuous(self) -> bool:
+        """Whether the loops are in continuous time, which no controller is."""
+        return _continuous(self.members)
+
     def __repr__(self) -> str:
         """The loop with its gains, the verdict, and every constraint."""
         head = f"kp {self.kp}, kd {self.kd}" if self.loop is None else repr(self.loop)
@@ -146,6 +154,7 @@ class Tuned(Reportable):
             f"  {one.metric} {one.value:.6g} (asked: {one.bound:g}), {one.member}"
             for one in self.certificate.checks
         ]
+        lines += [UNSAMPLED] if self.continuous else []
         lines += [f"  front of {len(self.front)} points"] if self.front else []
         lines += [self.interrupted] if self.interrupted else []
         return "\n".join(lines)
@@ -225,9 +234,7 @@ def judged(
     certificate = replace(
         certificate, agreeing=_agreeing(outcome.paths), gap=outcome.gap, notes=outcome.notes
     )
-    sampling = getattr(members, "sampling", None)  # robots are always sampled
-    continuous = sampling is not None and sampling.control_period is None
-    words = sentence(certificate, goal, closest, outcome.effort, continuous=continuous)
+    words = sentence(certificate, goal, closest, outcome.effort, continuous=_continuous(members))
     if not improved and certificate.stable:
         why = "nothing better than the start was found until then"
         words = f"{why if outcome.interrupted else 'the start cannot be improved upon'}; {words}"
@@ -237,6 +244,12 @@ def judged(
         outcome.iterations, time.perf_counter() - outcome.begun, robot,
     )  # fmt: skip
     return tuned.stopped(outcome.interrupted) if outcome.interrupted else tuned
+
+
+def _continuous(members: Ensemble | OpenLoops) -> bool:
+    """Whether the loops are in continuous time; a robot's never are."""
+    sampling = getattr(members, "sampling", None)
+    return sampling is not None and sampling.control_period is None
 
 
 def _inside(gains: Gains, goal: Goal) -> Gains:

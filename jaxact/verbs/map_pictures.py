@@ -58,8 +58,9 @@ def stability_map(
         select: parameter -> value within its axis, of which the nearest is kept.
         ax: for a single map.
         axes: for as many maps as what is left over has values.
-        exact: draw the exact boundary; of robots, where the linearised rate is zero.
-        nominal: mark the specification's own parameters.
+        exact: draw the exact boundary, solid of the sampled loop and dashed in continuous time; of
+            robots, where the linearised rate is zero.
+        nominal: mark the specification's own parameters, or the defaults.
         colorbar, legend: add them.
 
     Returns:

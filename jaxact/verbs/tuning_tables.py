@@ -12,6 +12,7 @@ import numpy as np
 from jaxact.parameters import CONTROL_RATE, KD, KP, PAYLOAD
 from jaxact.plotting.wording import quantity
 from jaxact.tuning.report import report
+from jaxact.tuning.result import UNSAMPLED
 from jaxact.verbs import naming, rendering, tuning_front
 from jaxact.verbs.margin_tables import ALWAYS, MARGINS, UNITS, plain
 from jaxact.verbs.margins import margins
@@ -74,7 +75,8 @@ class Joint:
             rows.append([name.replace("_", " "), *cells])
         gains = f"kp {document[KP]:.6g} {kp}, kd {document[KD]:.6g} {kd}"
         table = _table(["", *columns], rows)
-        said = "\n".join([gains, table, "", *_words(document, document["members"])])
+        assumed = [UNSAMPLED] if self.tuned.continuous else []
+        said = "\n".join([gains, table, "", *_words(document, document["members"], assumed)])
         return said + _front_table(self.tuned)
 
 

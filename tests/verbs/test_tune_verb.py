@@ -31,6 +31,7 @@ def test_the_tuned_loop_meets_its_bound_and_no_more(tuned):
     assert found.complementary_peak <= 1.6 * (1.0 + 1e-9)
     assert tuned.loop.kp == tuned.kp and tuned.loop.wn == 110.0
     assert tuned.verdict.endswith("computed exactly in continuous time")
+    assert "sampled controllers have other margins" in repr(tuned)
     # No neighbour is stiffer: along the bound kp is at its largest.
     for factor in np.geomspace(0.9, 1.1, 7):
         near = jx.margins(tuned.loop.replace(kp=1.002 * tuned.kp, kd=factor * tuned.kd))
