@@ -163,6 +163,36 @@ def test_limits_are_those_of_an_integration_in_small_steps(plant, actuator, case
     assert (wrong(found, reference(drive, plant, 200)) < 5e-3).all()
 
 
+def test_what_was_held_for_ever_was_held_within_the_limits():
+    """A joint that does not move: the force falls from its limit, and not from the command."""
+    loop = jx.joint(mass=1e9, kp=0.0, kd=0.0, force_limit=2.5, force_rate_limit=50.0)
+    drive = jx.drive_around(
+        lambda state, force: (*state[:2], force), loop, measure=lambda state: state[:2],
+        physics_step=1e-3,
+    )  # fmt: skip
+    zero, forces = jnp.zeros(()), []
+    state = drive.init((zero, zero, zero), command=10.0)
+    for _ in range(3):
+        state, _ = drive.step(state, 0.0)
+        forces.append(float(state.simulator[2]))
+    np.testing.assert_allclose(forces, 2.5 - 0.05 * (np.arange(3) + 0.5), rtol=1e-5)
+
+
+def test_a_past_setpoint_is_what_reaches_a_drive_with_a_setpoint_delay():
+    loop = jx.joint(mass=1e9, kp=20.0, kd=0.0, setpoint_delay=2.5e-3)
+    drive = jx.drive_around(
+        lambda state, force: (*state[:2], force), loop, measure=lambda state: state[:2],
+        physics_step=1e-3,
+    )  # fmt: skip
+    zero = jnp.zeros(())
+    for past, expected in ((None, [0, 0, 5, 10]), (0.5, [10] * 4), (0.3, [6, 6, 8, 10])):
+        state, forces = drive.init((zero, zero, zero), command=1.0, setpoint=past), []
+        for _ in range(4):
+            state, _ = drive.step(state, 0.5)
+            forces.append(float(state.simulator[2]))
+        np.testing.assert_allclose(forces, expected, rtol=1e-5, atol=1e-6)
+
+
 def test_a_rate_limit_that_is_never_reached_changes_nothing():
     for own in ({}, HYQ, STARLETH):
         free = Drive(Controller(400.0, 20.0), Actuator(**own, delay=1.3e-3))

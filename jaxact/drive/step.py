@@ -220,6 +220,7 @@ def init(
     velocity: jax.Array,
     *,
     command: jax.Array | float = 0.0,
+    setpoint: Setpoint | None = None,
 ) -> DriveState:
     """State of a drive that has held `command` for ever in front of a plant at constant velocity.
 
@@ -228,29 +229,32 @@ def init(
     Args:
         coefficients: from `prepare`.
         options: static.
-        position: of the plant [m or rad], shape (joints,); also the setpoint so far.
+        position: of the plant [m or rad], shape (joints,).
         velocity: of the plant [m/s or rad/s], shape (joints,).
-        command: past command, and the force it gives [N or N m].
+        command: past command [N or N m]; the force is what limits leave of it.
+        setpoint: so far; None for the position, at rest.
 
     Returns:
         The state before the first tick.
     """
     zero = jnp.zeros_like(position)
     command = zero + command
-    drive, measurements, setpoints = coefficients.drive, None, None
+    drive, applied, measurements, setpoints = coefficients.drive, None, None, None
+    if options.rate_limited:
+        applied = jnp.clip(command, *_actuator.limits(drive.actuator, zero + velocity))
     if options.measurement_slots:
         measurements = measured_before(drive, options.measurement_slots, position, velocity)
     if options.setpoint_slots:
-        setpoints = tuple(
-            _delay.init(value, options.setpoint_slots) for value in (position, zero, zero)
-        )
+        asked = setpoint or Setpoint(position, zero, zero)
+        values = (asked.position, asked.velocity, asked.force)
+        setpoints = tuple(_delay.init(zero + one, options.setpoint_slots) for one in values)
     return DriveState(
         commands=_delay.init(command, options.command_slots),
         older=command,
         newer=command,
         force=command,
         rate=zero,
-        applied=command if options.rate_limited else None,
+        applied=applied,
         sensor=_sensor.init(drive.sensor, options.sensor, position, velocity, drive.control_period),
         measurements=measurements,
         setpoints=setpoints,

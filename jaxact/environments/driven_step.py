@@ -21,7 +21,9 @@ from jax.flatten_util import ravel_pytree
 from jaxact.drive import history, threefry
 from jaxact.drive import sensor as _sensor
 from jaxact.drive import step as _drive
-from jaxact.drive.controller import Controller, Setpoint
+from jaxact.drive.controller import Setpoint, accepted
+from jaxact.drive.options import DriveOptions
+from jaxact.drive.step import Coefficients, DriveState
 from jaxact.environments.environment_drive import EnvironmentDrive
 from jaxact.loops import loop as _loop
 from jaxact.loops.conversion import drive_of
@@ -88,8 +90,7 @@ class DrivenStep:
         setpoint = own.setpoint(model, control, jnp)
         prepared = self._prepared(model, control, draws)
         position, velocity = prepared.plant.measure(data)
-        first = held(prepared.drive.drive.controller, setpoint, position, velocity)
-        rest = _drive.init(prepared.drive, parts.options, position, velocity, command=first)
+        rest = begun_with(prepared.drive, parts.options, setpoint, position, velocity)
         rest, whole = history.essential(rest)
         flat, unravel = ravel_pytree(rest)
         at_timing = ravel_pytree(_timing(prepared.drive))[1]
@@ -182,12 +183,18 @@ def _coefficients(drive: EnvironmentDrive, zero: jax.Array) -> _drive.Coefficien
     return _drive.prepare(drive_of(values), drive.options, zero.shape)
 
 
-def held(
-    controller: Controller, setpoint: Setpoint, position: jax.Array, velocity: jax.Array
-) -> jax.Array:
-    """The command that a controller without delay would give: as if it had been held before."""
-    return (
+def begun_with(
+    coefficients: Coefficients, options: DriveOptions, setpoint: Setpoint, position: jax.Array,
+    velocity: jax.Array,
+) -> DriveState:  # fmt: skip
+    """A drive that has held for ever what the setpoint asks for at once, without delay."""
+    controller = coefficients.drive.controller
+    setpoint = accepted(controller, setpoint)
+    command = (
         controller.kp * (setpoint.position - position)
         + controller.kd * (setpoint.velocity - velocity)
         + (controller.feedforward + setpoint.force)
+    )
+    return _drive.init(
+        coefficients, options, position, velocity, command=command, setpoint=setpoint
     )

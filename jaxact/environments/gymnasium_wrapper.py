@@ -21,7 +21,7 @@ from jaxact.drive.options import DriveOptions
 from jaxact.drive.step import Coefficients, DriveState
 from jaxact.environments import environment_drive
 from jaxact.environments.actuators import Actuators
-from jaxact.environments.driven_step import held
+from jaxact.environments.driven_step import begun_with
 from jaxact.environments.environment_drive import EnvironmentDrive
 from jaxact.errors import UserError, shown
 from jaxact.loops.conversion import drive_of
@@ -147,9 +147,8 @@ def _begun(
     velocity: jax.Array,
 ) -> Carry:  # fmt: skip
     """A drive that has held for ever what the setpoint asks for at once."""
-    command = held(coefficients.drive.controller, setpoint, position, velocity)
-    state = _drive.init(coefficients, options, position, velocity, command=command)
-    now = position + jnp.zeros_like(command), velocity + jnp.zeros_like(command)
+    state = begun_with(coefficients, options, setpoint, position, velocity)
+    now = position + jnp.zeros_like(state.force), velocity + jnp.zeros_like(state.force)
     return Carry(state, jnp.zeros((), jnp.int32), now, now)
 
 

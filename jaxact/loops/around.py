@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jaxact.drive import options as _options
 from jaxact.drive import sensor as _sensor
 from jaxact.drive import step as _drive
-from jaxact.drive.controller import Setpoint
+from jaxact.drive.controller import Setpoint, accepted
 from jaxact.drive.options import Drive, DriveOptions
 from jaxact.errors import UserError
 from jaxact.loops import around_checks as _checks
@@ -64,23 +64,36 @@ class Driven:
     prepared: Prepared
     options: DriveOptions
 
-    def init(self, state: Any, *, command: jax.Array | float = 0.0) -> DrivenState:
+    def init(
+        self, state: Any, *, command: jax.Array | float = 0.0,
+        setpoint: Setpoint | jax.Array | None = None,
+    ) -> DrivenState:  # fmt: skip
         """Drives that have held a command for ever, around a simulator in this state.
 
         Their sensors have seen its joints come to where they are at the velocities that they have.
 
         Args:
             state: the simulator's own.
-            command: past command, and the force it gives [N or N m], shape (joints,) or a number;
-                0 unless it is given.
+            command: past command [N or N m], shape (joints,) or a number; the force is what limits
+                leave of it. 0 unless it is given.
+            setpoint: past setpoint, as for `step`; it matters where there is a setpoint delay. The
+                positions that the joints have unless it is given.
 
         Raises:
-            UserError: the command is not of finite numbers, or of another number of joints.
+            UserError: the command is not of finite numbers, or one of both of another number of
+                joints.
         """
         command = _checks.command_of(command, self.prepared.plant.shape)
+        if setpoint is not None:
+            setpoint = _checks.setpoint_of(setpoint, self.prepared.plant.shape)
+            if self.options.clamped_setpoint:
+                setpoint = accepted(self.prepared.drive.drive.controller, setpoint)
         state = with_arrays(state)
         position, velocity = self.prepared.plant.measure(state)
-        drive = _drive.init(self.prepared.drive, self.options, position, velocity, command=command)
+        drive = _drive.init(
+            self.prepared.drive, self.options, position, velocity, command=command,
+            setpoint=setpoint,
+        )  # fmt: skip
         return DrivenState(LoopState(state, drive), jnp.zeros((), jnp.int32))
 
     def step(

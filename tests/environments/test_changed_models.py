@@ -192,6 +192,23 @@ def test_a_force_waits_at_the_limit_of_its_direction(path):
     assert max(reached) == high and min(reached) == low
 
 
+@pytest.mark.parametrize(
+    ("drive", "most"),
+    [({"setpoint_delay": 7e-3, "wn": 300.0, "zeta": 0.7}, np.inf),
+     ({"force_limit": 5.0, "force_rate_limit": 50.0}, 5.0)],
+)  # fmt: skip
+def test_a_reset_drive_gives_the_force_of_its_first_command(drive, most, tmp_path):
+    """Of a joint that does not move: held for ever, and within the limits of the force."""
+    heavy = tmp_path / "heavy.xml"
+    heavy.write_text(ARM.replace('armature="0.01"', 'armature="1e9"').replace("forcerange", "user"))
+    env = environments.gymnasium(Arm(heavy), **drive)
+    start, _ = env.reset(seed=0)
+    for asked in (0.1, 0.1, 0.1):
+        env.step(np.array([asked, 0.0]))
+        force = np.clip(30 * 2 * (asked - 2 * start[0]), -most, most)
+        assert env.unwrapped.data.qfrc_actuator[0] == pytest.approx(force, rel=1e-5)
+
+
 @pytest.mark.exhaustive
 def test_randomised_models_bring_their_own_limits():
     """As of plain MuJoCo, for each of the models, in either direction."""

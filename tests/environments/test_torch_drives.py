@@ -121,7 +121,7 @@ def in_jax(case, drawn):
         def period(state, _):
             return drive.step(state, target(state.simulator[0]))[0], None
 
-        begun = drive.init(state, command=command)
+        begun = drive.init(state, command=command, setpoint=first)
         return jax.lax.scan(period, begun, None, length=STEPS // substeps)[0].simulator[1]
 
     run = jax.jit(run)

@@ -182,8 +182,9 @@ class Drive:
         kp, kd = known["gain_scale"] * kp, known["gain_scale"] * kd
         accepted = _within(setpoint, known["lowest_setpoint"], known["highest_setpoint"])
         target = torch.stack([accepted, setpoint_velocity, effort])
+        low, high = self._bounds(limit, velocity)
         if self._any_fresh:
-            self._begin(kp, kd, target, position, velocity)
+            self._begin(kp, kd, target, position, velocity, (low, high))
         new = (self._place == 0).unsqueeze(-1)
         self._tick(new, kp, kd, target, position, velocity)
         e, d = state["force"] - state["newer"], state["older"] - state["newer"]
@@ -191,24 +192,27 @@ class Drive:
         force_e, force_g, rate_e, rate_g, mean_e, mean_g = known["response"]
         force_d, rate_d, mean_d = known["switching"][:, self._place, self._environments]
         free = state["newer"] + mean_e * e + mean_g * g + mean_d * d
-        mean = self._limited(free, limit, velocity)
+        mean = self._limited(free, low, high)
         state["force"] = state["newer"] + force_e * e + force_g * g + force_d * d
         state["rate"] = rate_e * e + rate_g * g + rate_d * d
         self._place = torch.remainder(self._place + 1, self.substeps)
         state["position"], state["velocity"] = position.clone(), velocity.clone()
         return mean, free
 
-    def _limited(
-        self, force: torch.Tensor, limit: torch.Tensor, velocity: torch.Tensor
-    ) -> torch.Tensor:
-        """The mean force within its limit, the force-speed line and the rate limit."""
+    def _bounds(
+        self, limit: torch.Tensor, velocity: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Smallest and largest force: its limit, its range and the force-speed line."""
         known = self._tables
         limit, stall = torch.minimum(limit, known["force_limit"]), known["stall_force"]
         low = torch.maximum(-stall - known["slope"] * velocity, -limit).clamp(max=0.0)
         high = torch.minimum(stall - known["slope"] * velocity, limit).clamp(min=0.0)
-        low, high = (
-            _within(one, known["lowest_force"], known["highest_force"]) for one in (low, high)
-        )
+        lowest, highest = known["lowest_force"], known["highest_force"]
+        return _within(low, lowest, highest), _within(high, lowest, highest)
+
+    def _limited(self, force: torch.Tensor, low: torch.Tensor, high: torch.Tensor) -> torch.Tensor:
+        """The mean force within its bounds and the rate limit."""
+        known = self._tables
         mean = torch.minimum(torch.maximum(force, low), high)
         if "parts" in known:
             parts = known["parts"][:, self._place, self._environments]
@@ -233,7 +237,7 @@ class Drive:
 
     def _begin(
         self, kp: torch.Tensor, kd: torch.Tensor, target: torch.Tensor, position: torch.Tensor,
-        velocity: torch.Tensor,
+        velocity: torch.Tensor, bounds: tuple[torch.Tensor, torch.Tensor],
     ) -> None:  # fmt: skip
         """Drives that have held their first command for ever, where they have not begun.
 
@@ -245,7 +249,8 @@ class Drive:
         delay = known["measurement_delay"]
         before = position - velocity * (self.period + delay)
         before = _counts(before + known["position_bias"], known["position_resolution"])
-        begun = dict.fromkeys(("older", "newer", "force", "applied"), command)
+        begun = dict.fromkeys(("older", "newer", "force"), command)
+        begun |= {"applied": torch.minimum(torch.maximum(command, bounds[0]), bounds[1])}
         # Its first tick pushes the latest measurement: what is in the line is one period older.
         line = torch.arange(self._measured.shape[1] + 1, device=position.device).view(-1, 1, 1)
         age = delay + (line - known["measured_at"]).to(delay) * self.period
@@ -258,8 +263,7 @@ class Drive:
         self._commands = torch.where(fresh, command, self._commands)
         late = torch.stack([late[1:], velocity.expand_as(late[1:])])
         self._measured = torch.where(fresh, late, self._measured)
-        now = torch.stack([position, zero, zero]).unsqueeze(1)
-        self._setpoints = torch.where(fresh, now, self._setpoints)
+        self._setpoints = torch.where(fresh, target.unsqueeze(1), self._setpoints)
         self._place = torch.where(self._fresh, 0, self._place)
         self._fresh, self._any_fresh = torch.zeros_like(self._fresh), False
 
