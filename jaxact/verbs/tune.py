@@ -16,17 +16,11 @@ from jaxact.loops.control_loop import ControlLoop, demand
 from jaxact.loops.drives import IdentifiedDrive
 from jaxact.parameters import (
     CONTROL_RATE,
-    DELAY,
     GAIN_SCALE,
     JOINT_STIFFNESS,
     KD,
     KP,
-    LOOP_DELAYS,
     MASS,
-    OF_JOINT,
-    VELOCITY_FILTER,
-    WN,
-    ZETA,
     base,
     canonical,
 )
@@ -36,11 +30,13 @@ from jaxact.tuning.course import Told, ahead
 from jaxact.tuning.goal import MOST_PEAKS, Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.joint import search as _joint_search
-from jaxact.tuning.joint.ensemble import FIELDS, Ensemble, Sampling, ensemble, joined
+from jaxact.tuning.joint.ensemble import FIELDS, joined
+from jaxact.tuning.joint.response import TIMED
 from jaxact.tuning.optimise import Descent
 from jaxact.tuning.result import Tuned
-from jaxact.verbs import naming, notebook, showing
+from jaxact.verbs import notebook, showing
 from jaxact.verbs.goals import check_options, check_uncertain, goal_of, ranges_of
+from jaxact.verbs.plants import drawn_of, nominal_of
 
 if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
@@ -219,17 +215,17 @@ def _of_joint(
 ) -> Tuned:
     conversion.linear_specification(loop)  # what does not fit is said here
     sampled = CONTROL_RATE in loop.values if sampled is None else sampled
-    nominal = _nominal(loop, sampled)
+    nominal = nominal_of(loop, sampled)
     start = _start_of_joint(loop)
     how = None if steps is None else Descent(steps=steps)
     box, middle = KNOWN, {}
     if isinstance(uncertainty, ControlLoop):
-        nominal = joined(nominal, _drawn(uncertainty, loop, nominal.sampling))
+        drawn = drawn_of(uncertainty, loop, nominal.sampling, timed=goal.metric in TIMED)
+        nominal = joined(nominal, drawn)
     else:
         box = read_box(uncertainty, FIELDS)
-        late = {DELAY: float(nominal.delay[0])} if set(LOOP_DELAYS) & set(loop.values) else {}
-        middle = inside(box, loop.values | late, loop.parameters, loop.kind.unit)
-        nominal = _nominal(loop.replace(**middle), sampled)
+        middle = inside(box, loop.values, loop.parameters, loop.kind.unit)
+        nominal = nominal_of(loop.replace(**middle), sampled)
         if not box.uncertain:
             check_uncertain("", loop, samples, goal.risk)
     tuned = _joint_search.tune(
@@ -274,29 +270,6 @@ def _start_of_joint(loop: ControlLoop) -> tuple[float, float] | None:
         if not 0.0 < own[name] < math.inf:
             raise UserError(f"`{name}` {own[name]:g}: a start must be positive and finite")
     return own[GAIN_SCALE] * own[KP], own[GAIN_SCALE] * own[KD]
-
-
-def _nominal(loop: ControlLoop, sampled: bool) -> Ensemble:
-    """The plant of a joint, as an ensemble of one."""
-    own = conversion.one(loop)
-    period = 1.0 / own[CONTROL_RATE] if sampled else None
-    sampling = Sampling(period, loop.kind.velocity, own[VELOCITY_FILTER])
-    label = naming.loop_name(conversion.linear_specification(loop))
-    joint = (own[name] for name in OF_JOINT)
-    return ensemble(own[MASS], own[WN], own[ZETA], conversion.total_delay(own), *joint,
-                    sampling=sampling, names=(label,))  # fmt: skip
-
-
-def _drawn(loops: ControlLoop, loop: ControlLoop, sampling: Sampling) -> Ensemble:
-    """Other plants for the gains of a loop: one whose gains count more is a lighter one."""
-    if loops.kind.plant is not None:
-        raise UserError("`uncertainty`: loops of a robot; give ranges, or an identified drive")
-    own = {name: np.ravel(np.asarray(v, float)) for name, v in loops.parameters.items()}
-    share = own[GAIN_SCALE] / float(loop.parameters[GAIN_SCALE])
-    joint = (own[name] / share for name in OF_JOINT)
-    number = len(np.broadcast_arrays(*own.values())[0])
-    return ensemble(own[MASS] / share, own[WN], own[ZETA], conversion.total_delay(own), *joint,
-                    sampling=sampling, names=tuple(f"draw {i}" for i in range(number)))  # fmt: skip
 
 
 def _named(loops: Sequence[ControlLoop]) -> list[tuple[str, Specification]]:

@@ -54,6 +54,9 @@ class Ensemble:
         joint_stiffness: k of the joint itself [N/m].
         sampling: of the controller, or that there is none.
         names: what each is called in reports, numbered by default.
+        measurement_delay, output_delay: what of the delay is before the controller, and behind the
+            actuator [s], the same for all members. Margins do without; what a range of `delay`
+            holds, and when a setpoint is met, do not.
     """
 
     mass: np.ndarray
@@ -64,10 +67,16 @@ class Ensemble:
     joint_stiffness: np.ndarray
     sampling: Sampling = Sampling()
     names: tuple[str, ...] = field(default=())
+    measurement_delay: float = 0.0
+    output_delay: float = 0.0
 
     def __len__(self) -> int:
         """Number of members."""
         return len(self.mass)
+
+    def base(self, name: str) -> float:
+        """What a value of a field has beside the parameter of that short name."""
+        return self.measurement_delay + self.output_delay if name == DELAY else 0.0
 
     @property
     def lag(self) -> np.ndarray:
@@ -90,6 +99,8 @@ def ensemble(
     *,
     sampling: Sampling = Sampling(),
     names: tuple[str, ...] = (),
+    measurement_delay: float = 0.0,
+    output_delay: float = 0.0,
 ) -> Ensemble:
     """A checked ensemble from numbers or arrays that broadcast to one dimension.
 
@@ -114,21 +125,21 @@ def ensemble(
         )
     if names and len(names) != len(m):
         raise UserError(f"{len(names)} names for {len(m)} members; give one for each")
-    return Ensemble(m, wn, zeta, td, c, k, sampling, names)
+    return Ensemble(m, wn, zeta, td, c, k, sampling, names, measurement_delay, output_delay)
 
 
 def joined(first: Ensemble, second: Ensemble) -> Ensemble:
-    """The members of both, with the sampling of the first."""
+    """The members of both; all that is one for all is that of the first."""
     names = tuple(e.name(i) for e in (first, second) for i in range(len(e)))
-    rows = (np.concatenate([getattr(first, p), getattr(second, p)]) for p in PLANT)
-    return Ensemble(*rows, sampling=first.sampling, names=names)
+    rows = {p: np.concatenate([getattr(first, p), getattr(second, p)]) for p in PLANT}
+    return replace(first, **rows, names=names)
 
 
 def chosen(members: Ensemble, index: np.ndarray) -> Ensemble:
     """Some of the members, by their numbers."""
     names = tuple(members.name(int(i)) for i in index)
-    rows = (getattr(members, p)[index] for p in PLANT)
-    return Ensemble(*rows, sampling=members.sampling, names=names)
+    rows = {p: getattr(members, p)[index] for p in PLANT}
+    return replace(members, **rows, names=names)
 
 
 @dataclass(frozen=True)
@@ -138,7 +149,7 @@ class Uncertain:
     Attributes:
         nominal: an ensemble of one.
         box: what is uncertain; every range has a width.
-        low, high: values at its ends, shape (ranges,).
+        low, high: values of the parameters at its ends, shape (ranges,).
     """
 
     nominal: Ensemble
@@ -156,8 +167,8 @@ class Uncertain:
         values = {p: np.full(len(points), getattr(self.nominal, p)[0]) for p in PLANT}
         spans = self.low + (self.high - self.low) * points.fraction
         for one, column in zip(self.box.ranges, spans.T, strict=True):
-            values[FIELDS[one.name]] = column
-        return Ensemble(**values, sampling=self.nominal.sampling, names=points.names)
+            values[FIELDS[one.name]] = column + self.nominal.base(one.name)
+        return replace(self.nominal, **values, names=points.names)
 
 
 def uncertain(nominal: Ensemble, box: Box) -> Uncertain:
@@ -172,8 +183,12 @@ def uncertain(nominal: Ensemble, box: Box) -> Uncertain:
     """
 
     def ends(one: Range) -> tuple[float, float]:
-        return one.ends({one.name: float(getattr(nominal, FIELDS[one.name])[0])})[one.name]
+        own = float(getattr(nominal, FIELDS[one.name])[0]) - nominal.base(one.name)
+        return one.ends({one.name: own})[one.name]
 
-    values = {FIELDS[one.name]: np.array([ends(one)[0]]) for one in box.known.ranges}
+    values = {
+        FIELDS[one.name]: np.array([ends(one)[0] + nominal.base(one.name)])
+        for one in box.known.ranges
+    }
     low, high = np.array([ends(one) for one in box.uncertain.ranges]).reshape(-1, 2).T
     return Uncertain(replace(nominal, **values), box.uncertain, low, high)

@@ -178,7 +178,10 @@ def worst_inside(plants: Uncertain, case: Case, x: np.ndarray, seed: int) -> Wor
 
 def _fractions(plants: Uncertain, members: Ensemble) -> np.ndarray:
     """Where members are in the box, shape (n, ranges)."""
-    values = np.stack([getattr(members, FIELDS[one.name]) for one in plants.box.ranges], axis=1)
+    values = np.stack(
+        [getattr(members, FIELDS[one.name]) - members.base(one.name) for one in plants.box.ranges],
+        axis=1,
+    )
     span = plants.high - plants.low
     own = np.where(span > 0.0, values - plants.low, 0.0) / np.where(span > 0.0, span, 1.0)
     return np.clip(own, 0.0, 1.0)

@@ -34,6 +34,9 @@ from jaxact.tuning.joint import march
 from jaxact.tuning.joint.ensemble import PLANT, Ensemble, Sampling
 from jaxact.tuning.objective import softmax
 
+TIMED = ("settling_time", "tracking_error")
+"""Metrics that are simulated."""
+
 # Half-width of the band that counts as settled, relative to the step.
 BAND = 0.02
 # While gains are searched for it is narrower by this: an overshoot that just stays within it does
@@ -67,6 +70,7 @@ class Timed:
         options: of the drive; None in continuous time.
         sampling: of the controller, for the velocity it sees.
         longest: delay of all members [s].
+        measured_late: what of the delays is before the controller [s]: a setpoint does without it.
         sprung: whether joints have damping or stiffness of their own.
         band: half-width of the band that counts as settled, relative to the step.
     """
@@ -78,6 +82,7 @@ class Timed:
     options: DriveOptions | None
     sampling: Sampling
     longest: float
+    measured_late: float = 0.0
     sprung: bool = False
     band: float = BAND
 
@@ -107,7 +112,8 @@ class Timed:
 
     def times(self, delay: jax.Array) -> jax.Array:
         """When the errors of a loop are [s], shape (ticks,): a step is met after the delay."""
-        begun = delay if self.options is None and not self.reference else 0.0 * delay
+        met = delay - self.measured_late
+        begun = met if self.options is None and not self.reference else 0.0 * delay
         return begun + self.period * jnp.arange(self.ticks, dtype=delay.dtype)
 
     def errors(self, kp: jax.Array, kd: jax.Array, plant: jax.Array) -> jax.Array:
@@ -117,8 +123,9 @@ class Timed:
             return self._continuous(kp, kd, plant, given)
         mass, wn, zeta, delay, *joint = plant
         own = Mass(mass, *joint) if self.sprung else Mass(mass)
-        actuator = Actuator(natural_frequency=wn, damping_ratio=zeta, delay=delay)
-        sensor = Sensor(velocity_filter=self.sampling.velocity_filter)
+        late = jnp.maximum(delay - self.measured_late, 0.0)
+        actuator = Actuator(natural_frequency=wn, damping_ratio=zeta, delay=late)
+        sensor = Sensor(delay=self.measured_late, velocity_filter=self.sampling.velocity_filter)
         drive = Drive(Controller(kp=kp, kd=kd), actuator, sensor, control_period=self.period)
         still = jnp.zeros_like(given)
         path = trajectory.of_loop(
@@ -143,7 +150,8 @@ class Timed:
         if not self.reference:
             return march.step_positions(kp, kd, plant, self.ticks, plant[3] + hold, **common) - 1.0
         time = self.times(plant[3])
-        arriving = jnp.interp(time - plant[3] - hold, time, given)
+        late = plant[3] - self.measured_late + hold
+        arriving = jnp.interp(time - late, time, given)
         return march.positions(kp, kd, plant, arriving, plant[3] + hold, **common) - given
 
     def _metric(self, error: jax.Array, delay: jax.Array) -> jax.Array:
@@ -170,8 +178,10 @@ def timed(goal: Goal, ensembles: Sequence[Ensemble], *, use: str = "report") -> 
     Raises:
         UserError: more than can be simulated.
     """
-    if goal.metric not in ("settling_time", "tracking_error"):
+    if goal.metric not in TIMED:
         return None
+    if len({own.measurement_delay for own in ensembles}) > 1:
+        raise ValueError("cases that are simulated together have one measurement delay")
     sampling, settling = ensembles[0].sampling, goal.metric == "settling_time"
     lag = max(float(_lags(goal, members).max()) for members in ensembles)
     period = sampling.control_period
@@ -190,8 +200,7 @@ def timed(goal: Goal, ensembles: Sequence[Ensemble], *, use: str = "report") -> 
             f"periods, and {_MOST_PERIODS:,} can be; give a lower control rate, or none"
         )
     if period is not None and end / period <= most:
-        drive = Drive(Controller(1.0, 1.0), Actuator(delay=longest), control_period=period)
-        options = _drive.options(drive, differenced=sampling.velocity == "differenced")
+        options = _options(ensembles[0], longest)
     else:
         period = _step(goal, end, lag, *(_ROUGH if use == "descent" else _FINE))
     ticks = max(2, math.floor(end / period + 1e-9))
@@ -201,7 +210,18 @@ def timed(goal: Goal, ensembles: Sequence[Ensemble], *, use: str = "report") -> 
         setpoints = tuple(map(float, np.interp(np.arange(ticks) * period, given, goal.reference)))
     sprung = any(own.joint_damping.any() or own.joint_stiffness.any() for own in ensembles)
     band = BAND if use == "report" else _CAREFUL * BAND
-    return Timed(goal.metric, ticks, period, setpoints, options, sampling, longest, sprung, band)
+    late = ensembles[0].measurement_delay
+    return Timed(
+        goal.metric, ticks, period, setpoints, options, sampling, longest, late, sprung, band
+    )
+
+
+def _options(members: Ensemble, longest: float) -> DriveOptions:
+    """The static side of drives that are sampled like these, with delays of up to so much [s]."""
+    period, late = members.sampling.control_period, members.measurement_delay
+    actuator, sensor = Actuator(delay=max(longest - late, 0.0)), Sensor(delay=late)
+    drive = Drive(Controller(1.0, 1.0), actuator, sensor, control_period=period or 0.0)
+    return _drive.options(drive, differenced=members.sampling.velocity == "differenced")
 
 
 def _lags(goal: Goal, members: Ensemble) -> np.ndarray:
@@ -241,20 +261,22 @@ def step_responses(
     longest = float(members.delay.max())
     options = None
     if period is not None and duration / period <= _MOST_TICKS:
-        drive = Drive(Controller(1.0, 1.0), Actuator(delay=longest), control_period=period)
-        options = _drive.options(drive, differenced=members.sampling.velocity == "differenced")
+        options = _options(members, longest)
     else:
         period = duration / _MOST_TICKS
     ticks = max(math.ceil(duration / period), 50)
     sprung = bool(members.joint_damping.any() or members.joint_stiffness.any())
-    how = Timed("settling_time", ticks, period, (), options, members.sampling, longest, sprung)
+    how = Timed(
+        "settling_time", ticks, period, (), options, members.sampling, longest,
+        members.measurement_delay, sprung,
+    )  # fmt: skip
     plant = np.stack([getattr(members, name) for name in PLANT])
     with jax.enable_x64(True):
         gains = (jnp.full(len(members), gain) for gain in (kp, kd))
         errors = np.asarray(_errors(*gains, jnp.asarray(plant), how=how))
     time = period * np.arange(ticks)
     if options is None:
-        rows = zip(members.delay, errors, strict=True)
+        rows = zip(members.delay - members.measurement_delay, errors, strict=True)
         errors = np.stack([np.interp(time, late + time, row, left=-1.0) for late, row in rows])
     return time, 1.0 + errors
 
