@@ -40,7 +40,11 @@ def chosen(path: Path, model: mujoco.MjModel, patterns: Sequence[str]) -> list[i
             raise UserError(
                 f"joints: {shown(pattern)} is not a regular expression: {error}"
             ) from None
-        these = {i for i, pair in enumerate(names) if any(matches(name) for name in pair)}
+        these = {
+            i
+            for i, pair in enumerate(names)
+            if any(map(matches, _matched(model, i))) or pattern in (pair[0], re.escape(pair[0]))
+        }
         if not these:
             known = list(dict.fromkeys(pair[-1] for pair in names))
             raise UserError(f"{path}: no joint matches {shown(pattern)}; {nearest(pattern, known)}")
@@ -58,14 +62,24 @@ def names_of(model: mujoco.MjModel, index: int) -> tuple[str, ...]:
     return own, model.joint(joint).name or f"joint {joint}"
 
 
+def _matched(model: mujoco.MjModel, index: int) -> list[str]:
+    """The names among them that patterns are held against: those that the model gives, if any.
+
+    A name that is made for an actuator without one chooses it only as it is written.
+    """
+    own, *joint = names_of(model, index)
+    named = [own] if model.actuator(index).name else []
+    return [*named, *joint] or [own]
+
+
 def patterns_without(model: mujoco.MjModel, indices: Sequence[int]) -> list[str]:
     """Patterns that choose all actuators but these; [] if none is left."""
-    names = [names_of(model, index) for index in range(model.nactuator)]
+    names = [_matched(model, index) for index in range(model.nactuator)]
     dropped = list(dict.fromkeys(name for index in indices for name in names[index]))
     wanted = [index for index in range(model.nactuator) if index not in indices]
     if all(set(names[index]) - set(dropped) for index in wanted):
         return [f"(?!({'|'.join(map(re.escape, dropped))})$).*"] if wanted else []
-    return [re.escape(names[index][0]) for index in wanted]
+    return [re.escape(names_of(model, index)[0]) for index in wanted]
 
 
 def laws(

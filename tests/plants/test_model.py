@@ -6,6 +6,7 @@ under the law that was read, computed in NumPy at every physics step.
 
 import dataclasses
 import math
+import re
 from pathlib import Path
 
 import mujoco
@@ -514,6 +515,20 @@ def test_a_name_is_made_for_a_joint_without_one(read):
     )
     assert [joint.name for joint in robot.joints] == ["joint 0"]
     assert robot.joints[0].actuator == "actuator 0"
+
+
+def test_patterns_are_held_against_the_names_of_the_model(read):
+    text = """<mujoco><worldbody><body><joint name="arm"/><geom size="0.1"/>
+        <body><joint name="leg"/><geom size="0.1"/></body></body></worldbody>
+        <actuator><motor joint="leg"/><motor joint="arm"/></actuator></mujoco>"""
+    second = re.escape("actuator 1")
+    for pattern, chosen in (("a.*", ["arm"]), (".*t.*", []), (".*", ["leg", "arm"]),
+                            ("actuator 0", ["leg"]), (second, ["arm"])):  # fmt: skip
+        if chosen:
+            assert [one.name for one in read(text, joints=[pattern]).joints] == chosen
+        else:
+            with pytest.raises(UserError, match="no joint matches"):
+                read(text, joints=[pattern])
 
 
 def test_the_digest_follows_what_is_included(tmp_path):
