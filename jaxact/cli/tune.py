@@ -96,8 +96,9 @@ class Search:
         option(
             "RANGES",
             "What is not known, e.g. wn=0.8..1.2,zeta=0.7..1.1,delay=0..5e-3,mass=0.5..1.0: wn and "
-            "zeta as factors on the actuator's, mass [kg] and delay [s] as they are; an x makes "
-            "them factors too: mass=0.8x..1.2x. Of a robot, for mass: payload [kg], the factors "
+            "zeta as factors on the actuator's, mass [kg] and delay [s], the command's beside "
+            "--measurement-delay and --output-delay, as they are; an x makes them factors too: "
+            "mass=0.8x..1.2x. Of a robot, for mass: payload [kg], the factors "
             "inertia_scale and contact_friction, and joint_damping [N m s/rad] and joint_armature "
             "[kg m^2] added to the model's; of some joints: wn@.*_knee=0.8..1.2. With --drive "
             "also: intervals, the box of its 95 % intervals, which ranges behind it replace; "
