@@ -120,7 +120,7 @@ def held(
         None where nothing is to be said: no dry friction, or no growing oscillation.
     """
     plant, mode = specification.plant, margins.critical
-    if plant is None or "shakes" not in margins.verdict:
+    if plant is None or "shakes" not in margins.verdict or not mode.participation.any():
         return None
     scene = robots.scene(plant)
     if not _rubs(scene, values):

@@ -99,15 +99,15 @@ def _bears(loop: Loop, *, would: bool = False) -> str:
     if math.isinf(borne.delay):
         bears = "bear any delay"
     if borne.topples:
-        return (
-            f"do not hold the posture, which is left by {borne.growth_rate:.3g} 1/s; they {bears}"
-        )
+        return f"do not stop what leaves the posture, by {borne.growth_rate:.3g} 1/s; they {bears}"
     return bears
 
 
 def _who(loop: Loop) -> tuple[str, bool]:
     """The joints that move most, with their shares where no single one does it; and if several."""
     shares = list(loop.shares.items())
+    if not shares[0][1]:
+        return "no driven joint", False
     if len(shares) == 1 or shares[0][1] >= _ALONE:
         return shares[0][0], False
     named = [f"{name} ({100.0 * share:.0f} %)" for name, share in shares[:_MOST_NAMED]]

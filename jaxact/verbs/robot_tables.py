@@ -287,6 +287,8 @@ def _mode(mode: Mode, names: tuple[str, ...]) -> str:
 
 def _shares(participation: np.ndarray, names: tuple[str, ...]) -> str:
     """`LF_HAA 12 %, LF_KFE 9 %, ...`."""
+    if not participation.any():
+        return "no driven joint"
     order = modes.ranked(participation)[:_MOST_NAMED]
     shares = [
         f"{names[i]} {100.0 * participation[i]:.0f} %" for i in order if participation[i] >= 0.01
@@ -329,6 +331,11 @@ def _creeps(found: WholeRobot) -> bool:
     return held and margins.verdict == "topples" and margins.toppling_rate < _CREEP
 
 
+def _passive(found: WholeRobot) -> bool:
+    """Whether no driven joint has a part in what grows, as in a pendulum beside an arm."""
+    return not found.margins.critical.participation.any()
+
+
 def _advice(found: WholeRobot) -> str:
     if _creeps(found):
         return (
@@ -336,6 +343,11 @@ def _advice(found: WholeRobot) -> str:
             f"{1.0 / found.margins.toppling_rate:.3g} s. MuJoCo's contacts slide slowly under "
             "load, against which these gains do not hold the joints; feet that stick stay where "
             "they are. The margins above are to where it begins to shake."
+        )
+    if _passive(found) and not found.margins.verdict.startswith("shakes"):
+        return (
+            "What grows is a part of the model that no driven joint moves, whatever the gains. "
+            "Margins of an unstable loop mean nothing; those above are to where it begins to shake."
         )
     if found.margins.verdict == "topples" and not found.floating:
         return (
@@ -362,6 +374,8 @@ def _stand(found: WholeRobot) -> str:
     plant = found.specification.plant
     topples = "topples" in found.margins.verdict
     if plant is None or plant.base != "free" or not topples or not found.floating:
+        return ""
+    if _passive(found):
         return ""
     return ' The robot topples on its free base; `base="fixed"` is it on a stand.'
 

@@ -20,6 +20,8 @@ from jaxact.analysis.robot.stability import beyond, drifting, excess, neutral
 
 # A root that turns by less than this in a period does not turn [rad].
 _STILL = 1e-9
+# Joints whose velocities are less than this share of all states of a motion have no part in it.
+_UNMOVED = 1e-12
 ALIKE = 1e-9
 """Roots, or sizes beside the largest, that differ by less are equal but for rounding."""
 
@@ -57,7 +59,7 @@ class Mode:
         frequency: [rad/s].
         damping_ratio: [-], 1 where it does not oscillate; 0 of a response.
         participation: share of each joint in the kinetic energy of the joints, shape (m,); sums to
-            1.
+            1, or all 0 of a motion in which none of them moves.
     """
 
     growth_rate: float
@@ -183,7 +185,8 @@ def ranked(shares: np.ndarray) -> list[int]:
 def participation(
     robot: Robot, kept: np.ndarray, states: np.ndarray, *, still: bool = False
 ) -> np.ndarray:
-    """Share of each joint in I |v|^2; equal shares of a motion in which no joint moves.
+    """Share of each joint in I |v|^2; 0 of a motion in which no joint moves but for rounding, as
+    that of something beside a robot, and equal shares where that cannot be told.
 
     Of several motions it is the mean over those that are orthogonal in I v: of any mixture of
     theirs the same.
@@ -197,7 +200,10 @@ def participation(
     # A joint that no force moves feels an infinite inertia.
     inertias = np.where(np.isfinite(robot.inertias), robot.inertias, 0.0)
     rows = robot.positions if still else robot.velocities
-    moved = np.sqrt(inertias)[:, None] * (rows[:, kept] @ states).reshape(len(inertias), -1)
+    joints = (rows[:, kept] @ states).reshape(len(inertias), -1)
+    if np.linalg.norm(joints) <= _UNMOVED * np.linalg.norm(states):
+        return np.zeros(len(inertias))
+    moved = np.sqrt(inertias)[:, None] * joints
     if not moved.any() or not np.isfinite(moved).all():
         return np.full(len(inertias), 1.0 / len(inertias))
     motions, sizes, _ = np.linalg.svd(moved, full_matrices=False)
