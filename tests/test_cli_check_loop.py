@@ -120,6 +120,7 @@ def test_dry_friction_is_named_without_gains_too(capsys):
         assert ("Dry friction of up to 0.3 N m is left out, as it damps no" in words) == said
 
 
+@pytest.mark.exhaustive
 def test_a_free_base_that_topples_or_falls_is_proposed_a_stand(capsys):
     text = STOOL.format(floor="", damping=2.0, loss=0)
     said = " ".join(_check(capsys, text).split())

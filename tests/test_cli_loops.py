@@ -211,6 +211,7 @@ def test_step_responses(capsys):
     assert Path("step.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.exhaustive
 def test_a_step_that_diverges_has_a_verdict_and_no_times(capsys):
     said = _said(capsys, "step", "--kp", "400", "1e5", "--kd", "20", "--actuator", "starleth",
                  "--delay", "0.005", "--duration", "0.2", "--out", "step.png")  # fmt: skip
@@ -333,6 +334,7 @@ def test_what_the_velocity_does_not_have_is_refused_by_name(capsys, arguments, m
     assert message in _mistake(capsys, *arguments)
 
 
+@pytest.mark.exhaustive
 def test_margins_of_a_specification_are_a_map_to_plot(capsys):
     Path("s.toml").write_text(
         "[parameters]\nkp = 800\nkd = 40\nzeta = 0.9\ncontrol_rate = 500\n[axes]\n"

@@ -136,6 +136,7 @@ def test_a_mistake_is_one_line(capsys, verb, options, message):
     assert said.startswith(f"jaxact: {message}") and said.count("\n") == 1
 
 
+@pytest.mark.exhaustive
 def test_a_sweep_is_told_what_its_option_for_changes_takes(capsys):
     floor = '<geom type="plane" size="1 1 1"/>'
     Path("stool.xml").write_text(STOOL.format(damping=4.0).replace(floor, ""))

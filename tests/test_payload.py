@@ -102,6 +102,7 @@ def _growth(payload):
     return rest - home, np.polyfit(1e-3 * np.array(peaks), np.log(size[peaks]), 1)[0]
 
 
+@pytest.mark.exhaustive
 def test_growth_under_a_payload_is_that_of_a_plain_rollout(folder):
     """At its nominal posture the same loop would be stable: its inertia about the yaw is larger."""
     asked = _parsed(

@@ -35,6 +35,7 @@ def test_what_swings_through_the_band_at_the_end_has_not_settled():
     assert times[2] == pytest.approx(settled(10.0), rel=0.02)
 
 
+@pytest.mark.exhaustive
 def test_a_settling_time_does_not_change_where_the_rollout_is_longer():
     loop = jx.joint(mass=MASS, kp=100, kd=10, actuator="starleth", delay=1e-3)
     axes = {"kp": jx.log(10, 3000, 16), "kd": jx.log(0.3, 200, 16)}
@@ -48,7 +49,7 @@ def test_a_settling_time_does_not_change_where_the_rollout_is_longer():
     assert found[known < 0.8].mean() > 0.95
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "mjx"])
+@pytest.mark.parametrize("engine", [pytest.param("mujoco", marks=pytest.mark.exhaustive), "mjx"])
 def test_a_robot_that_swings_through_the_band_has_not_settled(engine, tmp_path):
     (tmp_path / "slider.xml").write_text(SLIDER)
     robot = jx.robot(tmp_path / "slider.xml")

@@ -92,6 +92,7 @@ def test_coloured_residuals_have_wider_intervals_than_independent_ones(starleth)
     assert max(estimate.wider for estimate in starleth.chosen.knowledge.estimates) > 1.2
 
 
+@pytest.mark.exhaustive
 def test_a_slow_chirp_identifies_only_the_sum():
     found = identify(_log(_chirp(10.0), HYQ, 5), validate=[_log(_chirp(10.0), HYQ, 6)])
     last = next(c for c in found.ladder.candidates if c.rung.name == "second order with delay")

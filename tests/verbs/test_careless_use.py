@@ -62,7 +62,10 @@ def test_a_list_of_loops_is_one_loop_with_several_values():
         (lambda: jx.tune(LOOP, front=2.5), "`front` 2.5: give between 2 and"),
         (lambda: jx.sweep(LOOP, delay=[[0, 1e-3], [0]]), "delay: an axis is a list of values"),
         (lambda: jx.sweep(LOOP, kp=np.ones((2, 2))), "kp: an axis is a list of values"),
-        (lambda: jx.plot.step(jx.simulate(LOOP, 0.1, 0.01), joint="knee"), "run is of a single"),
+        pytest.param(
+            lambda: jx.plot.step(jx.simulate(LOOP, 0.1, 0.01), joint="knee"),
+            "run is of a single", marks=pytest.mark.exhaustive,
+        ),
         (lambda: jx.tune(LOOP, steps=-1), "`steps` -1: give a whole number from 1"),
         (lambda: jx.tune(LOOP, uncertainty={"wn": (90, 130)}), "factors on the nominal wn"),
         (lambda: jx.robot(object()), "model: a value of type object is not the path of a file"),

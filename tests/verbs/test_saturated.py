@@ -36,6 +36,7 @@ def _hangs(path, duration):
     return abs(float(data.qpos[0]))
 
 
+@pytest.mark.exhaustive
 def test_a_run_says_which_joints_give_all_they_have(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, most in (("weak", 1), ("strong", 9)):

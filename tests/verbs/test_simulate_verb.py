@@ -72,14 +72,8 @@ def test_a_robot_has_joints_and_their_units(tmp_path):
     assert run.position.values[0] == pytest.approx([0.4, -0.7], abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    "engine",
-    [
-        "mujoco",
-        pytest.param("mjx", marks=pytest.mark.exhaustive),
-        pytest.param(None, marks=pytest.mark.exhaustive),
-    ],
-)
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("engine", ["mujoco", "mjx", None])
 def test_a_loop_with_a_velocity_has_been_seen_to_come_whatever_simulates_it(engine):
     """As long as measurements are from before time 0, commands follow from x0 + v0 t alone."""
     late, start, period = 2.3e-3, {"initial_position": 0.02, "initial_velocity": -0.4}, 1e-3
