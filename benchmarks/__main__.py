@@ -42,6 +42,7 @@ def main() -> int:
         found = row.failure or f"{row.ratio:.3g} times {row.rival}"
         print(f"{row.what}: {found} (target: {row.target})", flush=True)
     _xla.prepare(all_cores=True)  # before JAX starts, as for the lines
+    _xla.enlarge_pool()
     table = _table(rows, machine())
     print(table)
     if not asked.quick:
@@ -86,6 +87,7 @@ def _rows(group: str) -> Callable[[bool], Iterator[Row]]:
     """The lines of a group, each measured as it is asked for, in this process."""
     # Before JAX starts, as `jaxact` does: for sweeps all cores.
     _xla.prepare(all_cores=group != "commands")
+    _xla.enlarge_pool()
     from benchmarks import environments, joints, margins, robots, tuning
 
     return {

@@ -160,6 +160,7 @@ def _seconds(work: Callable[[], object], who: int = resource.RUSAGE_SELF) -> tup
 def _measured(name: str, engine: str, loops: int, duration: float) -> Row:
     """A sweep and the same sweep once more, and what share of its loops is stable."""
     _xla.prepare(all_cores=True)
+    _xla.enlarge_pool()
     from jaxact.loops import reading
     from jaxact.loops.samples import expand
     from jaxact.simulation import execute, plans
@@ -276,6 +277,7 @@ def main() -> None:
             return
     _measure_missing()
     _xla.prepare(all_cores=True)
+    _xla.enlarge_pool()
     lines = list(_lines(_known()))
     right = sum(right for _, right in lines)
     text = "\n".join(

@@ -35,6 +35,7 @@ def on_one_core(duration: float) -> float:
 
 def _main() -> None:
     _xla.prepare(all_cores=True)
+    _xla.enlarge_pool()
 
     from benchmarks import robots
     from jaxact.loops.samples import expand

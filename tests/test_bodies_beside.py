@@ -60,3 +60,21 @@ def test_a_pendulum_that_hangs_beside_an_arm_changes_none_of_its_margins(models,
     slowest = found["hanging"]["slowest_mode"]
     assert slowest["frequency"] == pytest.approx(RATE, rel=5e-3)
     assert set(slowest["participation"].values()) == {0.0}
+
+
+# Two feet in a line, one behind the other, and a leg that swings along that line.
+SIDEWAYS = """<mujoco><option timestep=".001"/><worldbody><geom type="plane" size="9 9 .1"/>
+  <body pos="0 0 .3"><freejoint/><geom type="box" size=".2 .05 .02" mass="4"/>
+  <geom size=".02" pos=".2 0 -.28"/><geom size=".02" pos="-.2 0 -.28"/>
+  <body><joint name="swing" axis="0 1 0" armature=".02"/>
+  <geom type="capsule" size=".02" fromto="0 0 0 0 0 -.15" mass=".5"/></body></body></worldbody>
+  <actuator><position joint="swing" kp="60" kv="4"/></actuator></mujoco>"""
+
+
+def test_a_robot_that_topples_over_joints_that_do_not_move_topples_itself(tmp_path, capsys):
+    path = tmp_path / "sideways.xml"
+    path.write_text(SIDEWAYS)
+    text = " ".join(said(capsys, "margins", "--model", str(path)).split())
+    assert "NO, it topples" in text and "no driven joint" in text
+    assert "a balance controller" in text and "--base fixed is it on a stand" in text
+    assert "whatever the gains" not in text

@@ -2,9 +2,10 @@
 
 import sys
 
+import numpy as np
 import pytest
 
-from jaxact.cli import _progress
+from jaxact.cli import _progress, status
 from jaxact.verbs import showing
 
 
@@ -32,3 +33,12 @@ def test_what_is_left_is_what_the_other_parts_take_if_each_takes_as_long(monkeyp
     now[0] += 600.0
     assert rate.left("simulating", 6, 10) == "6/10, about 11 min at most"
     assert rate.left("certifying", 1, 12) == "1/12"
+
+
+@pytest.mark.parametrize("pauses", [1, 2])
+def test_pauses_between_chunks_do_not_count_in_the_rate(capsys, pauses):
+    """Chunks of ten loops, a second each, and as many pauses as there are such gaps."""
+    written = np.cumsum([0.0] + [1.0] * pauses + [500.0] * pauses)
+    status._of_time(written, 10 * len(written), 30)
+    said = capsys.readouterr().out
+    assert "rate     10 loops/s" in said and "left     3 s" in said

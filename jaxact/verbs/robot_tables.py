@@ -331,9 +331,12 @@ def _creeps(found: WholeRobot) -> bool:
     return held and margins.verdict == "topples" and margins.toppling_rate < _CREEP
 
 
-def _passive(found: WholeRobot) -> bool:
-    """Whether no driven joint has a part in what grows, as in a pendulum beside an arm."""
-    return not found.margins.critical.participation.any()
+def _beside(found: WholeRobot) -> bool:
+    """Whether what grows fastest is beside the robot: no driven joint moves, and its base neither.
+
+    A robot that topples sideways over joints that swing forwards has no joint that moves, either.
+    """
+    return not (found.floating or found.margins.critical.participation.any())
 
 
 def _advice(found: WholeRobot) -> str:
@@ -344,10 +347,11 @@ def _advice(found: WholeRobot) -> str:
             "load, against which these gains do not hold the joints; feet that stick stay where "
             "they are. The margins above are to where it begins to shake."
         )
-    if _passive(found) and not found.margins.verdict.startswith("shakes"):
+    if found.margins.verdict == "topples" and _beside(found):
         return (
-            "What grows is a part of the model that no driven joint moves, whatever the gains. "
-            "Margins of an unstable loop mean nothing; those above are to where it begins to shake."
+            "What grows fastest is a part of the model that no driven joint moves, whatever the "
+            "gains. Margins of an unstable loop mean nothing; those above are to where it begins "
+            "to shake."
         )
     if found.margins.verdict == "topples" and not found.floating:
         return (
@@ -374,8 +378,6 @@ def _stand(found: WholeRobot) -> str:
     plant = found.specification.plant
     topples = "topples" in found.margins.verdict
     if plant is None or plant.base != "free" or not topples or not found.floating:
-        return ""
-    if _passive(found):
         return ""
     return ' The robot topples on its free base; `base="fixed"` is it on a stand.'
 
