@@ -12,11 +12,11 @@ import numpy as np
 
 from jaxact import engines
 from jaxact.analysis.robot.one_thread import one_thread
+from jaxact.analysis.robot.processes import Helpers, helping
 from jaxact.errors import UserError
 from jaxact.loops.samples import Samples
 from jaxact.parameters import CONTROL_RATE
 from jaxact.status import Verdict
-from jaxact.sweeping.processes import Helpers, helping
 from jaxact.sweeping.variables import variables
 
 if TYPE_CHECKING:

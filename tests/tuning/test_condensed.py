@@ -1,5 +1,9 @@
 """Responses without the states of delay lines, against solving with all of them."""
 
+import contextlib
+import os
+import time
+
 import numpy as np
 import pytest
 
@@ -113,3 +117,30 @@ def test_parts_of_a_stack_give_what_the_whole_gives(number, monkeypatch):
     assert cores.each(lambda item: item * item, range(9)) == [k * k for k in range(9)]
     with pytest.raises(ZeroDivisionError):
         cores.each(lambda item: 1 / (item - 4), range(9))
+
+
+def inverted(matrix):
+    time.sleep(0.02)
+    return os.getpid(), np.linalg.inv(matrix)
+
+
+def test_processes_that_help_give_what_this_one_gives(monkeypatch):
+    stack = np.random.default_rng(0).normal(size=(24, 12, 12))
+    monkeypatch.setattr(cores, "number", lambda: 2)
+    whole = [np.linalg.inv(matrix) for matrix in stack]
+    end, one = time.monotonic() + 120.0, [(matrix,) for matrix in stack]
+    with cores.helped(worthwhile=True), cores.helped(worthwhile=True):
+        others = set()
+        while not others and time.monotonic() < end:
+            for found in (cores.many(inverted, list(stack)), list(cores.spread(inverted, one))):
+                np.testing.assert_array_equal([inverse for _, inverse in found], whole)
+                others |= {pid for pid, _ in found} - {os.getpid()}
+        assert len(others) == 1
+        with contextlib.closing(cores.spread(inverted, one)) as results:
+            np.testing.assert_array_equal(next(results)[1], whole[0])
+    assert {pid for pid, _ in cores.many(inverted, list(stack))} == {os.getpid()}
+
+
+def test_what_is_too_short_starts_no_process():
+    with cores.helped(worthwhile=False):
+        assert next(cores.spread(inverted, [(np.eye(2),)]))[0] == os.getpid()

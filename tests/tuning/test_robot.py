@@ -19,7 +19,7 @@ from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.joint import spectrum
 from jaxact.tuning.joint.ensemble import Sampling, ensemble
-from jaxact.tuning.robot import peaks, rows
+from jaxact.tuning.robot import cores, peaks, rows
 from jaxact.tuning.robot import search as robot
 from jaxact.tuning.robot.loops import VARIED, situation
 from jaxact.tuning.robot.open_loops import open_loops
@@ -213,6 +213,19 @@ def test_what_cannot_be_met_is_said_with_the_closest_value(known):
 
 
 @pytest.mark.exhaustive
+@pytest.mark.exhaustive
+def test_other_processes_that_help_change_nothing(arm, tuned, monkeypatch):
+    situations, _ = arm
+    monkeypatch.setattr(rows, "_LONG", 0)
+    monkeypatch.setattr(cores, "number", lambda: 2)
+    again = robot.tune(
+        situations, Goal(max_peak=1.8), tuned.robot.case.groups, number=4, verify=True,
+        start=(situations[0].kp, situations[0].kd), **QUICK,
+    )  # fmt: skip
+    np.testing.assert_array_equal([again.kp, again.kd], [tuned.kp, tuned.kd])
+    assert again.certified and again.value == tuned.value
+
+
 def test_an_unstable_start_is_rescued(arm):
     situations, box = arm
     groups = group([], situations[0].names)

@@ -1,28 +1,40 @@
-"""Stacks of small matrices, shared between the cores of a processor.
+"""Work on small matrices, shared between the cores of a processor.
 
 NumPy lets go of the interpreter while it decomposes a stack, one matrix after the other: in parts,
-the results are the same to the last bit.
+the results are the same to the last bit. Of many small steps threads of one process do hardly any
+at once; where a search is long, other processes take some.
 """
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
+
+from jaxact.analysis.robot.processes import HELPER, Helpers, helping
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 # Multiplications of all matrices together below which threads are not worth it.
 _LEAST = 3e6
+# Parts that each core takes of many items.
+_PARTS = 3
+# What helps in this block.
+_helpers: ContextVar[Helpers | None] = ContextVar("helpers", default=None)
 
 
 def number() -> int:
-    """CPU cores that this process may use."""
+    """CPU cores that this process may use, of which a helper has one."""
+    if HELPER in os.environ:
+        return 1
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -75,3 +87,51 @@ def each(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
     for other in others:
         other.result()
     return found
+
+
+@contextmanager
+def helped(*, worthwhile: bool) -> Iterator[None]:
+    """Other processes take a part of what is `spread` in a block, where it is long enough."""
+    if not worthwhile or number() < 2 or _helpers.get() is not None:
+        yield
+        return
+    with helping(number() - 1, _computing, None) as helpers:
+        before = _helpers.set(helpers)
+        try:
+            yield
+        finally:
+            _helpers.reset(before)
+
+
+def spread(
+    work: Callable[..., Result], tasks: Sequence[tuple[Any, ...]]
+) -> Generator[Result, None, None]:
+    """What work gives for the arguments of each task, in their order, by whoever is free.
+
+    Args:
+        work: a function of a module.
+        tasks: the arguments of each call; what nobody asks for is not begun.
+    """
+    helpers = _helpers.get()
+    if helpers is None:
+        yield from (work(*task) for task in tasks)
+    else:
+        yield from helpers.each([(work, task) for task in tasks])
+
+
+def many(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """What work, which can be sent, gives for each of many small items, in their order."""
+    if _helpers.get() is None:
+        return each(work, items)
+    size = max(1, math.ceil(len(items) / (_PARTS * number())))
+    parts = [(work, items[first : first + size]) for first in range(0, len(items), size)]
+    return [one for found in spread(_of_all, parts) for one in found]
+
+
+def _of_all(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    return [work(item) for item in items]
+
+
+def _computing(_: None) -> Callable[[tuple[Callable[..., Any], tuple[Any, ...]]], Any]:
+    """What computes a task of `spread`."""
+    return lambda task: task[0](*task[1])

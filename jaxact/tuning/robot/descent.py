@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +18,7 @@ from jaxact.tuning.groups import Groups
 from jaxact.tuning.joint.problem import STARTS as TABLE
 from jaxact.tuning.optimise import Descended, Descent, descend
 from jaxact.tuning.polish import MET
-from jaxact.tuning.robot import smooth
+from jaxact.tuning.robot import cores, smooth
 from jaxact.tuning.robot.loops import Situation
 from jaxact.tuning.robot.rows import Found, RobotCase, excess, part, polished, rescued, seen
 from jaxact.tuning.robot.starts import closer
@@ -129,11 +131,11 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: Sequence[np.
         others: log-gains at which all loops are stable, shape (k, 2 g).
         course: of the search.
     """
-    ends = [_stable_end(case, paths, start) for start in range(len(paths.gains))]
+    ways = [_stable_end(case, paths, start) for start in range(len(paths.gains))]
     points = [
         near.x,
         *others,
-        *(np.clip(end, case.low, case.high) for end in ends if end is not None),
+        *(np.clip(end, case.low, case.high) for end in ways if end is not None),
     ]
     known = sorted((seen(case, x, stable=True) for x in points), key=_promise)
     course.points += known
@@ -143,9 +145,10 @@ def best_of(case: RobotCase, near: Found, paths: Descended, others: Sequence[np.
             kept.append(one)
     # Roughly first: the last digits of what loses take longest.
     rough = []
-    for number, one in enumerate(kept, 1):
+    ends = cores.spread(partial(polished, fine=False), [(case, one.x) for one in kept])
+    for number in range(1, len(kept) + 1):
         course.phase(f"polishing end {number} of {len(kept)}", number - 1, len(kept))
-        rough.append(polished(case, one.x, fine=False))
+        rough.append(next(ends))
         course.points.append(rough[-1])
     course.phase("polishing the best")
     last = _finely(case, rough)
@@ -179,10 +182,11 @@ def _finely(case: RobotCase, rough: list[Found]) -> list[Found]:
     if best.met and all(one is not best for one in few):
         few.append(best)
     found: list[Found] = []
-    for one in few:
-        found.append(polished(case, one.x))
-        if found[-1].met or found[-1].out_of_reach:
-            break
+    with contextlib.closing(cores.spread(polished, [(case, one.x) for one in few])) as ends:
+        for one in ends:
+            found.append(one)
+            if one.met or one.out_of_reach:
+                break
     return found
 
 

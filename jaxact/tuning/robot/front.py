@@ -19,6 +19,7 @@ from jaxact.tuning.course import Told, silent
 from jaxact.tuning.goal import HIGHEST, LOWEST, Goal, peaks
 from jaxact.tuning.polish import MET
 from jaxact.tuning.result import Tuned
+from jaxact.tuning.robot import cores
 from jaxact.tuning.robot.descent import approached, bounds
 from jaxact.tuning.robot.exchange import Candidate, exchanged
 from jaxact.tuning.robot.loops import Situation
@@ -58,8 +59,21 @@ def front(tuned: Tuned, number: int, *, seed: int = 0, told: Told = silent) -> l
     case = RobotCase(robot.case.table, groups, tuned.goal, low, high)
     if not case.stable(x):
         return []
+    with cores.helped(worthwhile=case.takes_long):
+        return _walked(situations, case, x, number, seed, told)
+
+
+def _walked(
+    situations: Sequence[Situation],
+    case: RobotCase,
+    x: np.ndarray,
+    number: int,
+    seed: int,
+    told: Told,
+) -> list[Tuned]:
+    """The front from stable log-gains x on, those of the case's own goal."""
     closest = polished(_at(case, LOWEST), x)
-    levels = _levels(tuned.goal, closest, number)
+    levels = _levels(case.goal, closest, number)
 
     points: dict[int, Candidate] = {}
 
@@ -74,7 +88,7 @@ def front(tuned: Tuned, number: int, *, seed: int = 0, told: Told = silent) -> l
             return replace(other, case=_at(other.case, peak))
         return of(other.case, other.found.x, peak)
 
-    first = int(np.argmin(np.abs(np.log(levels) - np.log(min(tuned.goal.max_peak, levels[-1])))))
+    first = int(np.argmin(np.abs(np.log(levels) - np.log(min(case.goal.max_peak, levels[-1])))))
     points[first] = of(case, x, levels[first])
     for place in range(first + 1, number):
         points[place] = beside(points[place - 1], levels[place])

@@ -74,7 +74,8 @@ class _Inside:
     def __call__(self, points: np.ndarray) -> tuple[np.ndarray, Slopes]:
         """Excess [ln] at points of the box (n, d): shape (n, r), inf where unstable; and slopes."""
         apart, place = np.unique(points, axis=0, return_inverse=True)  # steps often meet in corners
-        found = cores.each(self._looked, [self._opened(u) for u in apart])
+        seen = _Seen(self.goal, self.gains, self.situation.period)
+        found = cores.many(seen, [self._opened(u) for u in apart])
         height, angle = np.moveaxis(np.array(found)[place.ravel()], 1, 0)
 
         def slopes(index: np.ndarray, row: np.ndarray) -> np.ndarray:
@@ -90,27 +91,6 @@ class _Inside:
         """A, B and Y of the loop at a point (d,), opened at its controllers."""
         return self.situation.opened(self.situation.values(u[None])[0])[:3]
 
-    def _looked(self, matrices: tuple[np.ndarray, ...]) -> np.ndarray:
-        """Excess of every bound [ln] and w T of its peak [rad], shape (2, r)."""
-        A, B, seen = matrices
-        kp, kd = self.gains
-        C = -(kp[:, None] * seen[:, 0] + kd[:, None] * seen[:, 1])
-        loop = multiloop.decomposed(A + B @ C, B, C, self.situation.period)
-        rows = self.goal.rows
-        if not np.abs(loop.roots).max(initial=0.0) < 1.0 + MARGINAL:
-            return np.array([np.full(len(rows), np.inf), np.zeros(len(rows))])
-        grid = multiloop.grid_of(loop.roots, multiloop.lowest(loop.roots))
-        S = multiloop.sensitivity(loop, grid)
-        S[[0, -1]] = S[[0, -1]].real
-        found = [_highest(loop, grid, S, metric) for _, metric, _, _ in rows]
-        over = [self._excess(row, log) for row, (log, _) in enumerate(found)]
-        return np.array([over, [at for _, at in found]])
-
-    def _excess(self, row: int, log: float) -> float:
-        """Of a bound at a peak of its metric; of the disk margin, mu is one over it."""
-        _, _, sign, bound = self.goal.rows[row]
-        return log - sign * float(np.log(bound))
-
     def _slope(self, u: np.ndarray, row: int, height: float, angle: float) -> np.ndarray:
         """Of a bound at a point, one-sided, shape (d,); 0 where it is unstable."""
         if not np.isfinite(height):
@@ -119,7 +99,7 @@ class _Inside:
         for axis, fraction in enumerate(u):
             end = u.copy()
             end[axis] += _STEP if fraction < 0.5 else -_STEP
-            there = self._excess(row, self._at(self._opened(end), row, angle))
+            there = _excess(self.goal, row, self._at(self._opened(end), row, angle))
             slope.append((there - height) / (end[axis] - fraction))
         return np.array(slope)
 
@@ -129,6 +109,42 @@ class _Inside:
         states = np.linalg.solve(np.exp(1j * angle) * np.eye(len(A)) - A, B.astype(complex))
         response = (seen.reshape(-1, len(A)) @ states).reshape(1, *seen.shape[:2], -1)
         return float(_logs(sensitivity(response, *self.gains), self.goal.rows[row][1])[0])
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """By how much a loop that was opened exceeds each bound with gains.
+
+    Attributes:
+        goal, gains: as of `_Inside`.
+        period: T [s].
+    """
+
+    goal: Goal
+    gains: tuple[np.ndarray, np.ndarray]
+    period: float
+
+    def __call__(self, matrices: tuple[np.ndarray, ...]) -> np.ndarray:
+        """Excess of every bound [ln] and w T of its peak [rad], shape (2, r)."""
+        A, B, seen = matrices
+        kp, kd = self.gains
+        C = -(kp[:, None] * seen[:, 0] + kd[:, None] * seen[:, 1])
+        loop = multiloop.decomposed(A + B @ C, B, C, self.period)
+        rows = self.goal.rows
+        if not np.abs(loop.roots).max(initial=0.0) < 1.0 + MARGINAL:
+            return np.array([np.full(len(rows), np.inf), np.zeros(len(rows))])
+        grid = multiloop.grid_of(loop.roots, multiloop.lowest(loop.roots))
+        S = multiloop.sensitivity(loop, grid)
+        S[[0, -1]] = S[[0, -1]].real
+        found = [_highest(loop, grid, S, metric) for _, metric, _, _ in rows]
+        over = [_excess(self.goal, row, log) for row, (log, _) in enumerate(found)]
+        return np.array([over, [at for _, at in found]])
+
+
+def _excess(goal: Goal, row: int, log: float) -> float:
+    """Of a bound at a peak of its metric; of the disk margin, mu is one over it."""
+    _, _, sign, bound = goal.rows[row]
+    return log - sign * float(np.log(bound))
 
 
 def _logs(S: np.ndarray, metric: str) -> np.ndarray:

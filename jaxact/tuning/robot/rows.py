@@ -38,6 +38,8 @@ _SHY = 1e-9
 # Loops and roots that a rescue follows; what is stable enough, as a share of 1 / lag.
 _UNSTABLE, _ROOTS = 8, 3
 _INSIDE = 1e-5
+# Responses on the table, numbers in all, with which a search takes longer than a few seconds.
+_LONG = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,11 @@ class RobotCase:
     low: np.ndarray
     high: np.ndarray
     tracking: Tracking | None = None
+
+    @property
+    def takes_long(self) -> bool:
+        """Whether a search is worth starting other processes for."""
+        return self.table.response.size > _LONG
 
     def stable(self, x: np.ndarray) -> bool:
         """Whether every loop is stable at log-gains x."""

@@ -27,7 +27,7 @@ from jaxact.tuning.goal import WORST, Goal, check
 from jaxact.tuning.groups import Groups
 from jaxact.tuning.optimise import Descended, Descent, no_path
 from jaxact.tuning.result import Gains, OfRobot, Outcome, Tuned, judged
-from jaxact.tuning.robot import brute, resting
+from jaxact.tuning.robot import brute, cores, resting
 from jaxact.tuning.robot.descent import (  # fmt: skip
     approached,
     best_of,
@@ -103,22 +103,23 @@ def tune(
     try:
         course.phase("tabulating responses")
         case, x, known, tried = _begun(situations, goal, groups, start, number, seed, course)
-        if not case.stable(x):
-            nowhere = Candidate(case, Found(x, -np.inf, np.inf, tried, 0), None, None)
-            return judge(situations, nowhere, seed, effort=Effort(0, tried), **own)
-        own |= {"effort": Effort(starts, tried)}
-        own["paths"], found = _searched(case, x, known, starts, steps, course)
-        own |= {"effort": Effort(len(own["paths"].gains), tried)}
-        course.best = best = exchanged(case, situations, found, seed, course)
-        own |= {"aside": best.found.x}
-        if tracking_weight > 0.0 and best.found.met:
-            course.phase("weighing simulated tracking")
-            best = _traded(best, situations, tracking_weight, mode, seed)
-        if verify and best.found.met:
-            course.phase("comparing with brute force")
-            best, own["gap"] = _verified(best)
-        course.best = best = replace(best, found=more(best.found, tried, steps))
-        return _judged_at_rest(situations, best, seed, course, own)
+        with cores.helped(worthwhile=case.takes_long):
+            if not case.stable(x):
+                nowhere = Candidate(case, Found(x, -np.inf, np.inf, tried, 0), None, None)
+                return judge(situations, nowhere, seed, effort=Effort(0, tried), **own)
+            own |= {"effort": Effort(starts, tried)}
+            own["paths"], found = _searched(case, x, known, starts, steps, course)
+            own |= {"effort": Effort(len(own["paths"].gains), tried)}
+            course.best = best = exchanged(case, situations, found, seed, course)
+            own |= {"aside": best.found.x}
+            if tracking_weight > 0.0 and best.found.met:
+                course.phase("weighing simulated tracking")
+                best = _traded(best, situations, tracking_weight, mode, seed)
+            if verify and best.found.met:
+                course.phase("comparing with brute force")
+                best, own["gap"] = _verified(best)
+            course.best = best = replace(best, found=more(best.found, tried, steps))
+            return _judged_at_rest(situations, best, seed, course, own)
     except KeyboardInterrupt:
         return _until_then(situations, course, seed, own)
 

@@ -13,15 +13,22 @@ import pickle
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
 from typing import Any
 
 # What a helper runs: it reads tasks until there are none.
-_PROGRAM = "from jaxact.sweeping import processes; processes.serve()"
-# A helper computes beside others, on the processor.
-_ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "JAX_NUM_CPU_DEVICES": "1", "JAX_PLATFORMS": "cpu"}
+_PROGRAM = "from jaxact.analysis.robot import processes; processes.serve()"
+HELPER = "JAXACT_HELPER"
+"""The environment variable that is there in a helper."""
+# It computes beside others, on the processor.
+_ENVIRONMENT = {
+    "OPENBLAS_NUM_THREADS": "1", "JAX_NUM_CPU_DEVICES": "1", "JAX_PLATFORMS": "cpu", HELPER: "1",
+}  # fmt: skip
+
+# What is raised where something cannot be sent.
+_UNSENT = (pickle.PickleError, TypeError, AttributeError)
 
 # From what all tasks have in common to what computes one of them.
 Prepare = Callable[[Any], Callable[[Any], Any]]
@@ -52,7 +59,7 @@ class Helpers:
         self._running: list[subprocess.Popen[bytes]] = []
         try:
             first = pickle.dumps((prepare, shared))
-        except (pickle.PicklingError, TypeError, AttributeError):
+        except _UNSENT:
             return
         with contextlib.suppress(OSError):
             for _ in range(count):
@@ -62,20 +69,32 @@ class Helpers:
 
     def map(self, tasks: Sequence[Any]) -> list[Any]:
         """The results of tasks in order, of which this process computes as many as it can."""
+        return list(self.each(tasks))
+
+    def each(self, tasks: Sequence[Any]) -> Generator[Any, None, None]:
+        """As `map`, one result after the other; no more tasks are begun once nobody asks for it."""
         every = [_Task(task) for task in tasks]
         for one in every:
             self._tasks.put(one)
-        with contextlib.suppress(Empty):
-            while True:
-                here = self._tasks.get_nowait()
-                assert here is not None
-                here.result.append(self._compute(here.task))
-                here.done.set()
-        for one in every:
-            one.done.wait()
-            if not one.result:
-                one.result.append(self._compute(one.task))
-        return [one.result[0] for one in every]
+        try:
+            for one in every:
+                while not one.done.is_set() and (here := self._next()) is not None:
+                    here.result.append(self._compute(here.task))
+                    here.done.set()
+                one.done.wait()
+                if not one.result:
+                    one.result.append(self._compute(one.task))
+                yield one.result[0]
+        finally:
+            while self._next() is not None:
+                pass
+
+    def _next(self) -> _Task | None:
+        """A task that nobody has begun, None where there is none."""
+        try:
+            return self._tasks.get_nowait()
+        except Empty:
+            return None
 
     def close(self) -> None:
         """End them."""
@@ -91,7 +110,7 @@ class Helpers:
         assert helper.stdout is not None
         own: _Task | None = None
         try:
-            with contextlib.suppress(OSError, ValueError, EOFError, pickle.UnpicklingError):
+            with contextlib.suppress(OSError, ValueError, EOFError, *_UNSENT):
                 helper.stdin.write(first)
                 helper.stdin.flush()
                 pickle.load(helper.stdout)  # it is ready

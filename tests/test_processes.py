@@ -1,5 +1,6 @@
 """Processes that help: what they compute, and what becomes of the tasks of one that is lost."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -8,9 +9,9 @@ import time
 import numpy as np
 import pytest
 
+from jaxact.analysis.robot.processes import Helpers, helping
 from jaxact.loops.samples import Samples
 from jaxact.robot_margins import families
-from jaxact.sweeping.processes import Helpers, helping
 
 
 def tenfold(shared):
@@ -73,6 +74,15 @@ def test_what_cannot_be_sent_is_computed_here():
     assert pool.map([1, 2]) == [6, 7] and not pool._running
 
 
+def test_tasks_whose_results_nobody_asks_for_are_not_begun():
+    begun = []
+    with helping(0, lambda shared: begun.append, None) as pool:
+        with contextlib.closing(pool.each(range(5))) as results:
+            next(results), next(results)
+        assert pool.map([7]) == [None]
+    assert begun == [0, 1, 7]
+
+
 def test_what_is_raised_is_raised_here():
     with helping(0, lambda shared: lambda task: 1 // task, None) as pool:
         with pytest.raises(ZeroDivisionError):
@@ -84,7 +94,7 @@ def test_a_script_without_a_guard_is_not_run_again_by_its_helpers(tmp_path):
     script.write_text(
         "import functools, operator, time\n"
         "print('once')\n"
-        "from jaxact.sweeping.processes import helping\n"
+        "from jaxact.analysis.robot.processes import helping\n"
         "with helping(1, functools.partial(functools.partial, operator.mul), 3) as pool:\n"
         "    end = time.monotonic() + 3.0\n"
         "    while time.monotonic() < end:\n"
