@@ -126,8 +126,11 @@ def _checked(name: str, value: Any, said: str, *, robot: bool, unit: str | None)
         return value
     if value is None:
         raise UserError(f"`{said}` = None is not a number or array of numbers; leave it out")
+    if np.ma.is_masked(value):
+        raise UserError(f"`{said}`: some of its values are masked; fill them or leave them out")
     try:
-        if np.asarray(value).dtype.kind in "mM":  # numpy would take 1 ms for the number 1
+        # NumPy would take 1 ms for the number 1, and "400" for 400.
+        if np.asarray(value).dtype.kind in "mMSU":
             raise TypeError
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):

@@ -28,6 +28,7 @@ from jaxact.parameters import (
     WN,
     ZETA,
     base,
+    canonical,
     check,
     known,
     of,
@@ -173,15 +174,16 @@ def read_box(text: str, varied: Collection[str], *, patterns: bool = False) -> B
     """
     ranges: list[Range] = []
     for part in (part.strip() for part in text.split(",") if text):
-        name, equals, ends = part.partition("=")
+        said, equals, ends = part.partition("=")
+        name = canonical(said)
         first, dots, last = ends.partition("..")
         if not equals or not dots:
             raise UserError(f"`uncertainty` {shown(part)}: write it as NAME=LOW..HIGH")
         if base(name) not in varied or not (name in varied or (patterns and known(name))):
             why = _REFUSED.get(name)
             raise UserError(
-                f"`uncertainty` {name}: {why}" if why
-                else f"`uncertainty` {shown(name)}; {nearest(name, varied)}"
+                f"`uncertainty` {said}: {why}" if why
+                else f"`uncertainty` {shown(said)}; {nearest(said, varied)}"
             )  # fmt: skip
         if name in (other.name for other in ranges):
             raise UserError(f"`uncertainty` {name} is given twice")

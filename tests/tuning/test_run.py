@@ -287,3 +287,10 @@ def test_a_box_without_any_width_is_the_loop_alone():
 def test_the_order_of_ranges_does_not_matter():
     texts = ("wn=0.8..1.2,delay=0..5e-3", "delay=0..5e-3,wn=0.8..1.2")
     assert read_box(texts[0], FIELDS) == read_box(texts[1], FIELDS)
+
+
+def test_a_range_may_have_the_other_name_of_its_parameter():
+    box = read_box("inertia=0.04..0.06", FIELDS)
+    assert box == read_box("mass=0.04..0.06", FIELDS)
+    with pytest.raises(UserError, match="mass is given twice"):
+        read_box("inertia=1..2,mass=1..2", FIELDS)

@@ -51,6 +51,12 @@ def test_a_list_of_loops_is_one_loop_with_several_values():
     ("call", "said"),
     [
         (lambda: LOOP.replace(kp=None), "`kp` = None is not a number"),
+        (lambda: LOOP.replace(kp="400"), "`kp` = '400' is not a number"),
+        (lambda: LOOP.replace(kp=["400", "500"]), "is not a number or array of numbers"),
+        (
+            lambda: LOOP.replace(kp=np.ma.masked_array([400.0, 500.0], [False, True])),
+            "`kp`: some of its values are masked",
+        ),
         (lambda: jx.boundary(LOOP, kp=100), "kp = 100: a window is"),
         (lambda: jx.boundary(LOOP, kp=(1, 10, 100)), r"kp = \(1, 10, 100\): a window is"),
         (lambda: jx.boundary(LOOP, kd=jx.log(1, 10)), "kd = .*: a window is"),
