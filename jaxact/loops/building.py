@@ -148,6 +148,8 @@ def robot(
         raise UserError(f"{path}: no such model file; give an MJCF or URDF file")
     if not isinstance(joints, str | Sequence):
         raise UserError(f"joints = {shown(joints)}; allowed: a pattern, or several in a list")
+    if not joints:
+        raise UserError(f"joints = {shown(joints)} drives none; leave it out to drive all of them")
     patterns = (joints,) if isinstance(joints, str) else tuple(joints)
     try:
         plant = Plant(

@@ -104,6 +104,7 @@ def test_a_list_of_loops_is_one_loop_with_several_values():
         (lambda: jx.sweep(LOOP, kp=[100], out=""), "`out` is empty"),
         (lambda: jx.sweep(LOOP, kp=[100], memory="much"), "'much' is not a size"),
         (lambda: jx.robot(__file__, joints=3), "joints = 3; allowed: a pattern, or several"),
+        (lambda: jx.robot(__file__, joints=[]), r"joints = \[\] drives none; leave it out"),
         (lambda: jx.joint(physics_step=-1), "`physics_step` = -1; allowed: 1e-07 to 1"),
         (lambda: jx.joint(physics_step=0), "`physics_step` = 0; allowed: 1e-07 to 1"),
         (lambda: LOOP.replace(physics_step="a"), "`physics_step` = 'a'; allowed: 1e-07 to 1"),
