@@ -185,6 +185,7 @@ def test_a_mistake_is_one_line_and_writes_nothing(capsys, arguments, message):
     assert message in _mistake(capsys, *arguments)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("verb", ["bode", "nyquist", "sensitivity"])
 def test_pictures_of_several_loops(capsys, verb):
     said = _said(capsys, verb, "--actuator", "hyq", "starleth", "--delay", "0.005", "--kp", "400",

@@ -56,6 +56,7 @@ def test_a_folder_of_gains_and_pictures(capsys):
     assert main([*STARLETH, "--delay", "1e-3", "--out", "tuned"]) == 2
 
 
+@pytest.mark.exhaustive
 def test_an_uncertain_actuator_names_what_binds(capsys):
     row = json.loads(_said(capsys, *STARLETH, "--delay", "1e-3", "--uncertainty",
                            "wn=0.8..1.2,delay=0..5e-3", "--ensemble", "8", "--json"))  # fmt: skip

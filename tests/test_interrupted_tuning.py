@@ -248,6 +248,7 @@ for apart in (1, 2, 5, 13, 34):
 """
 
 
+@pytest.mark.exhaustive
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 def test_two_signals_at_any_line_leave_the_old_folder_or_the_new_one(tmp_path):
     ran = subprocess.run(

@@ -163,6 +163,7 @@ def test_limits_are_those_of_an_integration_in_small_steps(plant, actuator, case
     assert (wrong(found, reference(drive, plant, 200)) < 5e-3).all()
 
 
+@pytest.mark.exhaustive
 def test_what_was_held_for_ever_was_held_within_the_limits():
     """A joint that does not move: the force falls from its limit, and not from the command."""
     loop = jx.joint(mass=1e9, kp=0.0, kd=0.0, force_limit=2.5, force_rate_limit=50.0)

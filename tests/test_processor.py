@@ -62,6 +62,7 @@ def test_margins_of_joints(elsewhere):
     same(lambda: jx.margins(loop).found, elsewhere)
 
 
+@pytest.mark.exhaustive
 def test_margins_of_arrays_that_are_on_the_gpu(elsewhere):
     there = jax.device_put(np.array([200.0, 400.0], np.float32), jax.devices()[0])
     found = jx.margins(jx.joint(kp=there, kd=20, actuator="hyq", delay=1e-3)).delay_margin

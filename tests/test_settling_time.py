@@ -49,7 +49,8 @@ def test_a_settling_time_does_not_change_where_the_rollout_is_longer():
     assert found[known < 0.8].mean() > 0.95
 
 
-@pytest.mark.parametrize("engine", [pytest.param("mujoco", marks=pytest.mark.exhaustive), "mjx"])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("engine", ["mujoco", "mjx"])
 def test_a_robot_that_swings_through_the_band_has_not_settled(engine, tmp_path):
     (tmp_path / "slider.xml").write_text(SLIDER)
     robot = jx.robot(tmp_path / "slider.xml")

@@ -247,6 +247,7 @@ def test_randomised_models_bring_their_own_limits():
     assert min(np.abs(expected[i] - expected[1]).max() for i in (0, 2)) > 0.05
 
 
+@pytest.mark.exhaustive
 def test_an_environment_begins_as_it_does_without_a_drive():
     """And what the drive draws has nothing to do with it."""
     with jax.numpy_rank_promotion("allow"):

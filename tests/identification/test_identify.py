@@ -113,6 +113,7 @@ def test_what_was_found_is_a_loop_and_an_ensemble(starleth):
     assert spread == pytest.approx(expected, rel=0.5)
 
 
+@pytest.mark.exhaustive
 def test_rows_that_are_missing_often_make_a_verdict_no_better_than_usable():
     log = _log(_prbs(1), STARLETH, 1)
     kept = np.random.default_rng(3).random(ROWS) > 0.02
@@ -122,6 +123,7 @@ def test_rows_that_are_missing_often_make_a_verdict_no_better_than_usable():
     assert "places, where what was commanded is not known" in found.verdict.sentence
 
 
+@pytest.mark.exhaustive
 def test_a_log_that_does_not_carry_over_is_not_good():
     other = _log(_prbs(8), (60.0, 0.3, 6e-3), 8)
     found = identify(_log(_prbs(7), STARLETH, 7), validate=[other])

@@ -143,6 +143,7 @@ LEFT = """[...document.querySelectorAll(
 )].map((one) => one.textContent)"""
 
 
+@pytest.mark.exhaustive
 @in_browser
 def test_nothing_of_before_a_move_is_left_as_if_it_were_of_now(page, report):
     page.open(report)
@@ -217,6 +218,7 @@ def test_what_is_copied_computes_the_same(page, report, tmp_path):
     )
 
 
+@pytest.mark.exhaustive
 @in_browser
 def test_a_robot_without_gains_moves_as_it_would_alone(page, tmp_path):
     loop = jx.robot(QUADRUPED, kp=0, kd=0, control_rate=500)

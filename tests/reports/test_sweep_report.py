@@ -51,6 +51,7 @@ def test_cells_are_the_sweeps_in_the_order_of_the_loops(maps, report):
     assert {code for row in cells["verdicts"] for code in row} >= {"0", "1"}
 
 
+@pytest.mark.exhaustive
 def test_a_large_sweep_is_thinned_out_to_the_budget(maps, tmp_path):
     generator = np.random.default_rng(0)
     shape = (500, 400, 2)

@@ -31,6 +31,7 @@ def margins(folder):
     return process.stdout.splitlines()
 
 
+@pytest.mark.exhaustive
 def test_the_next_process_finds_what_was_compiled(tmp_path):
     folder = tmp_path / "mine" / "programs"
     said, first = margins(folder)
