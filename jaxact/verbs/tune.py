@@ -80,12 +80,13 @@ def tune(
         goal: "stiffness" (largest kp), "bandwidth", "disk-margin", "settling", "tracking:FILE" (a
             CSV file of time [s], setpoint [m]), or a `jaxact.tuning.goal.Goal`.
         uncertainty: parameter -> (low, high), the ends of the range in which it lies (where
-            `jaxact.sweep` takes a list of values): wn and zeta as factors, mass [kg] and delay [s],
-            the command's beside the loop's others, as they are, what the loop was given among them
-            (a joint that was given nothing gets the middle); of a robot also other delays, payload
-            [kg], inertia_scale, ...; or as the command line writes it; or an identified drive, for
-            the 95 % intervals of all that the loop has from it. Of a joint also a batch of loops,
-            such as the `samples` of what was identified; their gains do not count.
+            `jaxact.sweep` takes a list of values): wn and zeta as factors, others as they are:
+            mass [kg], delay [s] (the command's, beside the loop's other delays). What the loop was
+            given must be within; a default that is not gives way to the middle. Of a robot also
+            other delays, payload [kg], inertia_scale, ...; or as the command line writes it; or an
+            identified drive, for the 95 % intervals of all that the loop has from it. Of a joint
+            also a batch of loops, such as the `samples` of what was identified; their gains do not
+            count.
         samples: of the uncertainty, beside its corners and its worst interior point (where the
             worst member counts; a mean is over the samples alone); None: 32, of a robot 8.
         sampled: of a joint, whether the margins are those of the sampled loop; None: where the loop

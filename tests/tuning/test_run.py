@@ -35,6 +35,20 @@ def test_what_cannot_be_met_is_said_with_the_closest_value():
     assert tuned.kd == pytest.approx(24.49, rel=2e-3)
 
 
+def test_a_member_without_any_lag_is_limited_by_the_others():
+    """An ideal drive whose delay may be nothing: the delay that it may have limits the gains."""
+    members = uncertain(ensemble(0.7, math.inf, 1.0, 0.0), read_box("delay=0..5e-3", FIELDS))
+    late = members.at(Points(np.array([[0.0], [1.0]]), ("none", "late")))
+    tuned = tune(late, Goal(max_peak=1.6))
+    s = 1j * np.geomspace(0.1, 1e4, 100_000)
+    loop = (tuned.kp + tuned.kd * s) / (0.7 * s * s) * np.exp(-5e-3 * s)
+    assert tuned.certified and np.abs(1.0 / (1.0 + loop)).max() == pytest.approx(1.6, rel=1e-6)
+    alone = tune(ensemble(0.7, math.inf, 1.0, 5e-3), Goal(max_peak=1.6))
+    assert tuned.kp == pytest.approx(alone.kp, rel=1e-6)
+    with pytest.raises(UserError, match="nothing limits"):
+        tune(ensemble(0.7, math.inf, 1.0, 0.0), Goal(max_peak=1.6))
+
+
 def test_no_stable_gains_at_all_is_said_too():
     tuned = tune(LATE, Goal(max_peak=1.6, min_kp=5000.0))
     assert not tuned.feasible and "stable" in tuned.verdict

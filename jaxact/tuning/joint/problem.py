@@ -51,11 +51,12 @@ class Case:
 def time_scale(case: Case) -> np.ndarray:
     """Time that normalises gains and frequencies of each member [s], shape (n,).
 
-    The lag; for a loop without any it is what the stiffest gains allowed make it.
+    The lag; for a loop without any it is what the stiffest gains allowed make it, or the longest
+    lag of the others, which limits the gains of all.
     """
-    stiffest = case.goal.max_kp
-    fastest = 0.3 * np.sqrt(case.members.mass / stiffest) if np.isfinite(stiffest) else 0.0
-    return np.where(case.members.lag > 0.0, case.members.lag, fastest)
+    lag, stiffest = case.members.lag, case.goal.max_kp
+    fastest = 0.3 * np.sqrt(case.members.mass / stiffest) if np.isfinite(stiffest) else lag.max()
+    return np.where(lag > 0.0, lag, fastest)
 
 
 def starts(case: Case, number: int) -> np.ndarray:
