@@ -179,6 +179,40 @@ def test_what_was_held_for_ever_was_held_within_the_limits():
     np.testing.assert_allclose(forces, 2.5 - 0.05 * (np.arange(3) + 0.5), rtol=1e-5)
 
 
+def _forces(drive, substeps, commands):
+    """The mean force of every physics step under a command [N] for each control period."""
+
+    def step(seen, force):
+        number, forces = seen
+        return number + 1, forces.at[number].set(force)
+
+    around = jx.drive_around(
+        step, drive, measure=lambda seen: (jnp.zeros(()), jnp.zeros(())),
+        physics_step=0.01 / substeps,
+    )  # fmt: skip
+    state = around.init((0, jnp.zeros(substeps * len(commands))))
+    state, _ = jax.lax.scan(around.step, state, commands)
+    return state.simulator[1]
+
+
+@pytest.mark.parametrize("substeps", [1, pytest.param(4, marks=pytest.mark.exhaustive)])
+def test_no_mean_is_beyond_the_limit_or_changes_faster_than_the_rate_limit(substeps):
+    """Which those of a bounded force that changes no faster cannot be, however long the step."""
+    random = np.random.default_rng(0)
+    for limit, rate, wn in ((15.0, 400.0, 800.0), (15.0, 3000.0, 200.0), (6.0, 900.0, 300.0)):
+        loop = jx.joint(
+            kp=1.0, kd=0.0, control_rate=100.0, wn=wn, zeta=0.3, delay=3.7e-3,
+            force_limit=limit, force_rate_limit=rate,
+        )  # fmt: skip
+        with jax.enable_x64(True):
+            commands = jnp.asarray(random.uniform(-3.0 * limit, 3.0 * limit, 200))
+            forces = np.asarray(_forces(loop, substeps, commands))
+        assert np.abs(forces).max() <= limit * (1.0 + 1e-12)
+        steps = np.abs(np.diff(forces))
+        assert steps.max() <= rate * 0.01 / substeps * (1.0 + 1e-12)
+        assert steps.max() > 0.5 * min(rate * 0.01 / substeps, limit)
+
+
 def test_a_past_setpoint_is_what_reaches_a_drive_with_a_setpoint_delay():
     loop = jx.joint(mass=1e9, kp=20.0, kd=0.0, setpoint_delay=2.5e-3)
     drive = jx.drive_around(

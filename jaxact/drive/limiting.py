@@ -158,14 +158,46 @@ def _followed(actuator, response, inputs, applied, bounds, target: Pair):
         mean, moment = mean + own[0], moment + own[1] + own[0] * left
         line_mean, line_moment = line_mean + line[0], line_moment + line[1] + line[0] * left
         share, begun = share + follows / step, begun + time
-    # Where the force follows, it has the target's own curve and not the straight line's.
     half = 0.5 * step * step
-    mean = mean / step + share * (target[0] - line_mean / step)
-    moment = moment / half + share * (target[1] - line_moment / half)
+    found = [
+        # Where the force follows, it has the target's own curve and not the straight line's, as far
+        # as the limits let it.
+        _possible(own + share * (free - line), own, reach, bounds(None if sag is None else sag[i]))
+        for i, (own, line, free, reach) in enumerate(
+            zip(
+                (mean / step, moment / half), (line_mean / step, line_moment / half), target,
+                _reach(applied, force, fastest, step), strict=True,
+            ), 1,
+        )
+    ]  # fmt: skip
     return tuple(
         jnp.where(unlimited, free, own)
-        for free, own in zip((*target, last), (mean, moment, force), strict=True)
+        for free, own in zip((*target, last), (*found, force), strict=True)
     )
+
+
+def _possible(value: jax.Array, own: jax.Array, reach: Pair, bounds: Pair) -> jax.Array:
+    """A mean or moment within what can be reached and what is allowed; `own` is, if any is."""
+    least, most = (jnp.minimum(bounds[0], own), jnp.maximum(bounds[1], own))
+    return jnp.clip(value, jnp.maximum(reach[0], least), jnp.minimum(reach[1], most))
+
+
+def _reach(first, last, fastest, step) -> tuple[Pair, Pair]:
+    """Least and largest means, and moments, of forces between two no faster than a rate limit.
+
+    Those of the force that goes down and then up as fast as it may, and of its opposite.
+    """
+    half, ends = 0.5 * step * step, []
+    for rate in (-fastest, fastest):
+        turn = 0.5 * (step + (last - first) / jnp.where(rate == 0.0, 1.0, rate))
+        turn = jnp.clip(turn, 0.0, step)
+        rest = step - turn
+        mean = turn * (first + 0.5 * rate * turn) + rest * (last + 0.5 * rate * rest)
+        moment = turn * (first * (step - 0.5 * turn) + rate * turn * (0.5 * step - turn / 3.0))
+        moment = moment + rest * rest * (0.5 * last + rate * rest / 3.0)
+        ends.append((mean / step, moment / half))
+    (low, low_moment), (high, high_moment) = ends
+    return (low, high), (low_moment, high_moment)
 
 
 def _parts(span: Span, inputs):

@@ -94,7 +94,7 @@ def followed(
 
     Returns:
         Mean over the step and force at its end. The force to follow is taken as a straight line in
-        each part; where it is followed, the mean is the target's.
+        each part; where it is followed, the mean is the target's, as far as the limits let it.
     """
     unlimited = torch.isinf(rate_limit)
     fastest = torch.where(unlimited, 0.0, rate_limit)
@@ -121,5 +121,24 @@ def followed(
         line_mean = line_mean + 0.5 * (first + end) * time / step
         share = share + torch.where(rise.abs() <= fastest, rest, 0.0) / step
         force = force + side * fastest * until + after * rest
-    mean = mean + share * (target - line_mean)
+    least, most = reach(state["applied"], force, fastest, step)
+    least, most = (
+        torch.maximum(least, torch.minimum(low, mean)),
+        torch.minimum(most, torch.maximum(high, mean)),
+    )
+    mean = torch.minimum(torch.maximum(mean + share * (target - line_mean), least), most)
     return torch.where(unlimited, target, mean), torch.where(unlimited, end, force)
+
+
+def reach(
+    first: torch.Tensor, last: torch.Tensor, fastest: torch.Tensor, step: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Least and largest mean over a step of a force between two that changes no faster."""
+    ends = []
+    for rate in (-fastest, fastest):
+        turn = 0.5 * (step + (last - first) / torch.where(rate == 0.0, 1.0, rate))
+        turn = torch.minimum(turn.clamp(min=0.0), step)
+        rest = step - turn
+        mean = turn * (first + 0.5 * rate * turn) + rest * (last + 0.5 * rate * rest)
+        ends.append(mean / step)
+    return ends[0], ends[1]
