@@ -116,7 +116,7 @@ def _step_figures(time, y, setpoint, period):
     return {
         "overshoot": max(relative.max() - 1.0, 0.0),
         "rise_time": when(high, 0.9) - when(low, 0.1),
-        "settling_time": time[outside[-1]],
+        "settling_time": time[outside[-1] + 1],
     }
 
 

@@ -341,14 +341,14 @@ def finish(
         return jnp.where(finite & when, value, jnp.nan)
 
     cycling = each.verdict == Verdict.LIMIT_CYCLE
-    rise = (running.high - running.low) * period
+    rise, settled = (running.high - running.low) * period, (running.unsettled + 1.0) * period
     quiet = jnp.where(each.verdict == Verdict.STABLE, 0.0, jnp.nan)
     found = Metrics(
         growth_rate=growth_rate,
         verdict=verdict,
         overshoot=known(jnp.maximum(running.highest - 1.0, 0.0), stepped),
         rise_time=known(rise, stepped & jnp.isfinite(running.high)),
-        settling_time=known(running.unsettled * period, stepped & (running.unsettled < ticks)),
+        settling_time=known(settled, stepped & (running.unsettled < ticks)),
         integrated_absolute_error=known(running.absolute_error * period),
         integrated_squared_error=known(running.squared_error * period),
         control_effort=known(running.effort * period),

@@ -41,7 +41,8 @@ VARIABLES: dict[str, Variable] = {
     "settling_time": Variable(
         "s",
         "settling time",
-        "Last time outside 2 % of the step; none if it swings through at the end.",
+        "First control tick from which on it stays within 2 % of the step; none if it swings "
+        "through at the end.",
     ),
     "integrated_absolute_error": Variable(
         "m s", "integrated absolute error", "Integral of |setpoint - position|."

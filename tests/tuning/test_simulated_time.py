@@ -1,5 +1,7 @@
 """Settling and tracking, against simulations of our own by SciPy's matrix exponentials."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -10,17 +12,23 @@ import jaxact as jx
 from jaxact.errors import UserError
 from jaxact.tuning.certificate import Metrics, certify, sentence
 from jaxact.tuning.goal import Goal
+from jaxact.tuning.joint import standstill
 from jaxact.tuning.joint.ensemble import PLANT, Sampling, ensemble
+from jaxact.tuning.joint.problem import Case, log_bounds
 from jaxact.tuning.joint.response import step_responses, timed
-from jaxact.tuning.joint.search import tune
+from jaxact.tuning.joint.search import front, tune
+from jaxact.tuning.polish import Polished
 
 SETTLING = Goal(objective="settling")
 # Overshoots, and comes back out of the band by very little: settles late.
 GRAZING = (184.56038035911513, 17.122111838433533)
 
 
-def _held(kp, kd, plant, period, setpoints, start=0.0):
-    """Positions at the ticks of a loop under held commands; plant: m, wn, zeta, delay, c, k."""
+def _held(kp, kd, plant, period, setpoints, start=0.0, closely=1):
+    """Positions of a loop under held commands, so many in a period.
+
+    plant: m, wn, zeta, delay, c, k
+    """
     m, wn, zeta, delay, c, k = plant
     rate = np.zeros((5, 5))
     rate[0, 1], rate[2, 3] = 1.0, 1.0
@@ -28,23 +36,27 @@ def _held(kp, kd, plant, period, setpoints, start=0.0):
     rate[3, 2:] = -(wn**2), -2.0 * zeta * wn, wn**2
     whole = int(np.floor(delay / period + 1e-9))
     part = delay - whole * period
-    early, late = (scipy.linalg.expm(rate * t) for t in (part, period - part))
+    looked = [period * place / closely for place in range(1, closely)]
+    stops = sorted({part, period, *looked})
+    steps = [scipy.linalg.expm(rate * t) for t in np.diff([0.0, *stops])]
     x, commands, path = np.zeros(4), [0.0] * (whole + 2), []
     x[0] = start
     for setpoint in setpoints:
         path.append(x[0])
         commands = [kp * (setpoint - x[0]) - kd * x[1], *commands[:-1]]
-        x = early[:4, :4] @ x + early[:4, 4] * commands[whole + 1]
-        x = late[:4, :4] @ x + late[:4, 4] * commands[whole]
+        for stop, step in zip(stops, steps, strict=True):
+            x = step[:4, :4] @ x + step[:4, 4] * commands[whole + (stop <= part)]
+            path += [x[0]] if stop in looked else []
     return np.array(path)
 
 
-def _settled(kp, kd, plant, period, duration):
+def _settled(kp, kd, plant, period, duration, closely=1):
     """When a step response comes within 2 % for good [s]."""
-    off = np.abs(_held(kp, kd, plant, period, np.ones(int(duration / period))) - 1.0)
+    setpoints = np.ones(int(duration / period))
+    off = np.abs(_held(kp, kd, plant, period, setpoints, closely=closely) - 1.0)
     last = np.flatnonzero(off > 0.02)[-1]
     assert last < 0.9 * len(off)
-    return period * (last + (off[last] - 0.02) / (off[last] - off[last + 1]))
+    return period / closely * (last + (off[last] - 0.02) / (off[last] - off[last + 1]))
 
 
 def _time(members, kp, kd, goal=SETTLING, use="report"):
@@ -83,12 +95,22 @@ def test_of_a_loop_without_delay_it_is_the_matrix_exponential(use):
 
 def test_of_many_control_periods_the_search_sees_the_loop_in_continuous_time():
     plant = (0.7, 110.0, 0.9, 1e-3, 0.0, 0.0)
-    expected = _settled(100.0, 12.0, plant, 4e-4, 1.2)
+    expected = _settled(100.0, 12.0, plant, 4e-4, 1.2, closely=4)
     members = ensemble(*plant, sampling=Sampling(4e-4))
     assert timed(SETTLING, [members]).options is not None
     assert timed(SETTLING, [members], use="descent").options is None
-    assert _time(members, 100.0, 12.0) == pytest.approx(expected, rel=1e-9)
+    assert _time(members, 100.0, 12.0) == pytest.approx(expected, rel=1e-7)
     assert expected < _time(members, 100.0, 12.0, use="polish") < 1.005 * expected
+
+
+def test_a_response_that_leaves_the_band_between_the_ticks_has_not_settled():
+    """At the ticks it overshoots by 1.99 %, between them by 2.04 %."""
+    plant, period = (0.7, 800.0, 0.45, 2e-3, 0.0, 0.0), 2e-3
+    gains = 6108.25, 97.356
+    expected = _settled(*gains, plant, period, 0.3, closely=60)
+    assert expected > 1.2 * _settled(*gains, plant, period, 0.3)
+    found = _time(ensemble(*plant, sampling=Sampling(period)), *gains)
+    assert found == pytest.approx(expected, rel=1e-3)
 
 
 def test_a_loop_that_does_not_settle_has_no_time_and_no_certificate():
@@ -202,3 +224,36 @@ def test_a_file_that_says_nothing_is_refused_in_one_line(tmp_path, text, said):
         jx.tune(jx.joint(actuator="starleth"), f"tracking:{path}")
     with pytest.raises(UserError, match="needs a file of setpoints"):
         jx.tune(jx.joint(actuator="starleth"), "tracking:")
+
+
+SINE = tuple(0.05 * np.sin(2.0 * np.pi * 2.0 * 0.01 * np.arange(101)))
+TRACKING = Goal(objective="tracking", reference=SINE, reference_period=0.01)
+SLOW = ensemble(0.7, 110.0, 0.9, 1.9e-3, sampling=Sampling(2.5e-3))
+
+
+@pytest.mark.exhaustive
+def test_a_search_does_not_end_where_the_joint_stands_still():
+    """From hardly any gains, at which the error has no slope, to those that track."""
+    case = Case(SLOW, replace(TRACKING, max_peak=3.0))
+    how = timed(case.goal, [SLOW], use="polish")
+    nothing = np.log([[1e-6, 20.0]])
+    still = -np.log(_time(SLOW, *np.exp(nothing[0]), case.goal, "polish"))
+    known = Polished(nothing, np.array([still]), np.zeros(1), 1)
+    assert standstill.stands_still(case.goal, np.exp(-still))
+    found, tried = standstill.moved([case], known, log_bounds(case.goal)[None], how)
+    assert tried > 100 and found.feasible[0] and found.value[0] > still + 0.3
+    # As the whole search finds it.
+    best = tune(SLOW, case.goal)
+    assert found.value[0] == pytest.approx(-np.log(best.value), abs=1e-3)
+    assert not best.certificate.notes
+
+
+@pytest.mark.exhaustive
+def test_along_a_front_a_looser_bound_is_never_worse():
+    points = front(SLOW, TRACKING, 3)
+    values = [point.value for point in points]
+    assert all(point.certified for point in points)
+    assert all(later <= earlier for earlier, later in zip(values[:-1], values[1:], strict=True))
+    notes = [standstill.NOTE in point.certificate.notes for point in points]
+    assert notes == [standstill.stands_still(TRACKING, value) for value in values]
+    assert notes[0] and not notes[-1]

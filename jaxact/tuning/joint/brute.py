@@ -91,6 +91,12 @@ def _plane(case: Case) -> tuple[Table, np.ndarray, np.ndarray]:
     spectrum = tabulate(case.members, joint.time_scale(case), _POINTS)
     own = jax.tree.map(lambda a: a[0], joint.table([case]))
     data = replace(own, spectrum=single_precision(spectrum))
+    low, high = plane(case)
+    return data, 0.5 * (low + high), 0.5 * (high - low)
+
+
+def plane(case: Case) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest and largest log-gains of all that could be stable, shape (2,) each."""
     lag, mass = joint.time_scale(case).max(), case.members.mass.min()
     # A spring keeps a joint stable with hardly any damping from its drive.
     damped = _SPRUNG if np.all(case.members.joint_stiffness > 0.0) else _LEAST
@@ -98,7 +104,7 @@ def _plane(case: Case) -> tuple[Table, np.ndarray, np.ndarray]:
     high = np.log([1.5 * mass / lag**2, 1.6 * mass / lag])
     bounds = joint.log_bounds(case.goal)
     low[0], high[0] = max(low[0], bounds[0, 0]), max(min(high[0], bounds[1, 0]), bounds[0, 0])
-    return data, 0.5 * (low + high), 0.5 * (high - low)
+    return low, high
 
 
 def _grid(case: Case, centre: np.ndarray, half: np.ndarray) -> np.ndarray:

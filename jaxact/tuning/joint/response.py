@@ -27,6 +27,7 @@ from jaxact.drive.sensor import Sensor
 from jaxact.drive.step import Drive
 from jaxact.errors import UserError
 from jaxact.loops.loop import Loop
+from jaxact.plants.linear import hermite
 from jaxact.plants.mass import Mass
 from jaxact.simulation import trajectory
 from jaxact.tuning.goal import Goal
@@ -42,6 +43,10 @@ BAND = 0.02
 # While gains are searched for it is narrower by this: an overshoot that just stays within it does
 # so in finer steps, too.
 _CAREFUL = 0.998
+# A sampled step response is looked at so many times in a control period: between its ticks it may
+# leave the band.
+_BETWEEN = 4
+_ENDS = slice(None, -1), slice(1, None)
 # Simulated time in lags of the slowest member; the best gains settle in about a tenth of it.
 _LAGS = 120.0
 # A lag of a loop that is slow because it must be soft [sqrt(m / kp)].
@@ -103,21 +108,32 @@ class Timed:
         if self.metric == "tracking_error":
             return jnp.log(self._metric(error, plant[3]))
         level = jnp.minimum(sharpness, _SHARPEST)
-        time = self.times(plant[3]) + self.period
+        time = self.times(plant[3]) + self.spacing
         beyond = jnp.log(jnp.abs(error) / self.band + 1e-9)
         outside = jax.nn.log_sigmoid(level * beyond)
         settled = jax.scipy.special.logsumexp(level * (jnp.log(time) + outside)) / level
-        left = softmax(beyond[-max(1, int(_LAST * self.ticks)) :], level)
+        left = softmax(beyond[-max(1, int(_LAST * len(error))) :], level)
         return settled + jax.nn.softplus(level * left) / level
 
+    @property
+    def _closely(self) -> int:
+        """How many errors there are in a period."""
+        return 1 if self.options is None or self.reference else _BETWEEN
+
+    @property
+    def spacing(self) -> float:
+        """Time between errors [s]."""
+        return self.period / self._closely
+
     def times(self, delay: jax.Array) -> jax.Array:
-        """When the errors of a loop are [s], shape (ticks,): a step is met after the delay."""
+        """When the errors of a loop are [s], shape (points,): a step is met after the delay."""
         met = delay - self.measured_late
         begun = met if self.options is None and not self.reference else 0.0 * delay
-        return begun + self.period * jnp.arange(self.ticks, dtype=delay.dtype)
+        points = self._closely * (self.ticks - 1) + 1
+        return begun + self.spacing * jnp.arange(points, dtype=delay.dtype)
 
     def errors(self, kp: jax.Array, kd: jax.Array, plant: jax.Array) -> jax.Array:
-        """Position less setpoint at `times` [m], shape (ticks,)."""
+        """Position less setpoint at `times` [m], shape (points,)."""
         given = jnp.asarray(self.reference or (1.0,) * self.ticks, kp.dtype)
         if self.options is None:
             return self._continuous(kp, kd, plant, given)
@@ -133,7 +149,13 @@ class Timed:
             setpoints=Setpoint(given, still, still),
             position=given[0] if self.reference else 0.0,
         )  # fmt: skip
-        return path.position - given
+        if self.reference:
+            return path.position - given
+        ticks = path.position, path.velocity
+        before, after = (tuple(leaf[part] for leaf in ticks) for part in _ENDS)
+        shares = [place / self._closely for place in range(self._closely)]
+        between = [hermite(before, after, share * self.period, self.period)[0] for share in shares]
+        return jnp.append(jnp.stack(between, axis=1).ravel(), path.position[-1]) - 1.0
 
     def _continuous(
         self, kp: jax.Array, kd: jax.Array, plant: jax.Array, given: jax.Array
@@ -159,13 +181,13 @@ class Timed:
             return jnp.sqrt(jnp.mean(error * error))
         size, time = jnp.abs(error), self.times(delay)
         outside = size > self.band
-        last = self.ticks - 1 - jnp.argmax(outside[::-1])
-        after = jnp.minimum(last + 1, self.ticks - 1)
+        last = len(size) - 1 - jnp.argmax(outside[::-1])
+        after = jnp.minimum(last + 1, len(size) - 1)
         fall = jnp.maximum(size[last] - size[after], jnp.finfo(size.dtype).tiny)
         part = jnp.clip((size[last] - self.band) / fall, 0.0, 1.0)
         # Not at rest well before the end: no time is known.
-        rests = last < (1.0 - _LAST) * self.ticks
-        return jnp.where(rests, time[last] + self.period * part, jnp.nan)
+        rests = last < (1.0 - _LAST) * len(size)
+        return jnp.where(rests, time[last] + self.spacing * part, jnp.nan)
 
 
 def timed(goal: Goal, ensembles: Sequence[Ensemble], *, use: str = "report") -> Timed | None:
@@ -255,7 +277,7 @@ def step_responses(
         duration: [s].
 
     Returns:
-        Time [s], shape (ticks,), and positions relative to the step, shape (members, ticks).
+        Time [s], shape (points,), and positions relative to the step, shape (members, points).
     """
     period = members.sampling.control_period
     longest = float(members.delay.max())
@@ -274,7 +296,7 @@ def step_responses(
     with jax.enable_x64(True):
         gains = (jnp.full(len(members), gain) for gain in (kp, kd))
         errors = np.asarray(_errors(*gains, jnp.asarray(plant), how=how))
-    time = period * np.arange(ticks)
+    time = how.spacing * np.arange(errors.shape[1])
     if options is None:
         rows = zip(members.delay - members.measurement_delay, errors, strict=True)
         errors = np.stack([np.interp(time, late + time, row, left=-1.0) for late, row in rows])
@@ -283,5 +305,5 @@ def step_responses(
 
 @Program
 def _errors(kp: jax.Array, kd: jax.Array, plant: jax.Array, *, how: Timed) -> jax.Array:
-    """Errors of a flat batch of loops, shape (n, ticks), from gains (n,) and plants (6, n)."""
+    """Errors of a flat batch of loops, shape (n, points), from gains (n,) and plants (6, n)."""
     return jax.vmap(how.errors, (0, 0, 1))(kp, kd, plant)

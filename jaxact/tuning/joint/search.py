@@ -22,16 +22,17 @@ from jaxact.tuning.box import KNOWN, Box
 from jaxact.tuning.certificate import Effort, Metrics, beyond, certify
 from jaxact.tuning.course import INTERRUPTED, NOTHING, Course, Told, silent
 from jaxact.tuning.goal import Goal, check, peaks
-from jaxact.tuning.joint import brute, descent
+from jaxact.tuning.joint import brute, descent, standstill
 from jaxact.tuning.joint import problem as joint
 from jaxact.tuning.joint.clouds import in_clouds
 from jaxact.tuning.joint.ensemble import Ensemble, Uncertain, uncertain
 from jaxact.tuning.joint.exchange import exchanged, worst_inside
 from jaxact.tuning.joint.problem import Case, metrics_at
 from jaxact.tuning.joint.rescue import SLOWER
+from jaxact.tuning.joint.response import Timed
 from jaxact.tuning.joint.response import timed as timed_of
 from jaxact.tuning.optimise import Descent, descend, no_path
-from jaxact.tuning.polish import polish
+from jaxact.tuning.polish import Polished, polish
 from jaxact.tuning.result import Outcome, Tuned, judged, objective_value
 
 STARTS, SAMPLES, STEPS = 8, 32, 80
@@ -165,7 +166,21 @@ def front(
         number: of points.
     """
     cases = [Case(members, replace(goal, max_peak=float(peak))) for peak in peaks(number)]
-    return tune_all(cases, starts=starts, how=how)
+    found = _searched(cases, None, starts, how)
+    points: list[Tuned] = []
+    for case, one in zip(cases, found, strict=True):
+        points.append(_judged(case, one, None, verify=False))
+        if len(points) > 1 and points[-2].certified and _behind(points[-1], points[-2], goal):
+            # What keeps a tighter bound keeps this one.
+            gains = points[-2].kp, points[-2].kd
+            one = replace(one, gains=gains, met=True, metrics=metrics_at(case, np.log(gains)))
+            points[-1] = _judged(case, one, None, verify=False)
+    return points
+
+
+def _behind(one: Tuned, tighter: Tuned, goal: Goal) -> bool:
+    """Whether gains are worse than those of a tighter bound."""
+    return not one.certified or goal.sense * one.value < goal.sense * tighter.value
 
 
 def _searched(
@@ -206,9 +221,8 @@ def _searched(
     paths = jax.tree.map(np.asarray, paths)
     course.phase("polishing")
     found, polishing = descent.polished(cases, paths, bounds, timed)
-    if cases[0].goal.objective == "settling":
-        found, more = in_clouds(cases, found, bounds, timed)
-        polishing += more
+    found, more = _looked_around(cases, found, bounds, timed)
+    polishing += more
     lost = ~found.feasible
     if lost.any():
         course.phase("looking for the closest gains")
@@ -233,6 +247,18 @@ def _searched(
             Outcome(joint.gains(x), met, metrics[i], own_paths, tried, steps, begun, effort)
         )
     return outcomes
+
+
+def _looked_around(
+    cases: Sequence[Case], found: Polished, bounds: np.ndarray, timed: Timed | None
+) -> tuple[Polished, int]:
+    """Better points where slopes do not lead to them, and how many were tried for a case."""
+    objective = cases[0].goal.objective
+    if objective == "settling":
+        return in_clouds(cases, found, bounds, timed)
+    if objective == "tracking":
+        return standstill.moved(cases, found, bounds, timed)
+    return found, 0
 
 
 def _again(
@@ -271,6 +297,10 @@ def _judged(
 ) -> Tuned:
     """What a search has led to, against brute force where that is asked for, and judged."""
     goal, members = case.goal, case.members
+    if goal.objective == "tracking" and found.met and found.metrics is not None:
+        error = objective_value(goal, found.gains[0], found.metrics)
+        if standstill.stands_still(goal, error):
+            found = replace(found, notes=(*found.notes, standstill.NOTE))
     if verify and found.met:
         timed = timed_of(goal, [members], use="polish")
         tried = brute.brute_force(case)
