@@ -16,6 +16,7 @@ from jaxact.parameters import (
     PARAMETERS,
     PRESETS,
     ROBOT_ONLY,
+    SETPOINT,
     SHARED,
     WN,
     ZETA,
@@ -77,7 +78,7 @@ def read(given: Mapping[str, Any], *, robot: bool, unit: str | None = None) -> d
 
 
 def _check_dimensions(given: Mapping[str, Any]) -> None:
-    """Raise UserError where xarray would pair values by name otherwise than arrays do by place."""
+    """Raise UserError where xarray or pandas would pair values otherwise than arrays, by place."""
     named = {name: tuple(value.dims) for name, value in given.items() if getattr(value, "dims", ())}
     first = max(named.values(), key=len, default=())
     if any(dims != first[len(first) - len(dims) :] for dims in named.values()):
@@ -86,6 +87,20 @@ def _check_dimensions(given: Mapping[str, Any]) -> None:
             f"values are paired by place, not by the names of dimensions: {shapes}; give arrays"
             " that broadcast, or the axes of jaxact.sweep"
         )
+    for name, dims in named.items():
+        if canonical(name) == SETPOINT and "time" in dims:
+            raise UserError(
+                f"`{name}`: values over time would be steps of as many loops; give the height of a "
+                "step, or a setpoint for every period to jaxact.drive_around"
+            )
+    of_pandas = {name: value.index for name, value in given.items() if hasattr(value, "iloc")}
+    for name, index in of_pandas.items():
+        other = next(iter(of_pandas))
+        if not index.equals(of_pandas[other]):
+            raise UserError(
+                f"values are paired by place, but `{other}` and `{name}` have different indexes; "
+                "align them, or give arrays"
+            )
 
 
 def _preset(value: Any) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import jax
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from matplotlib import pyplot
@@ -204,6 +205,25 @@ def test_dimensions_that_xarray_would_pair_otherwise_are_refused():
         jx.joint(kp=kp, kd=kd)
     both = kp * kd  # dimensions (kp, kd), of which the last is kd's
     assert jx.joint(kp=both, kd=kd).shape == (2, 2)
+
+
+def test_series_whose_indexes_differ_are_refused():
+    kp, kd = pd.Series([300.0, 400.0], index=[1, 0]), pd.Series([10.0, 20.0])
+    with pytest.raises(jx.UserError, match="`kp` and `kd` have different indexes"):
+        jx.joint(kp=kp, kd=kd)
+    assert jx.joint(kp=kp.sort_index(), kd=kd).kp.tolist() == [400.0, 300.0]
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "said"),
+    [
+        (xr.DataArray([0.0, 0.1], dims="time"), "values over time would be steps"),
+        (np.ma.masked_array([0.1], [True]), "`setpoint`: some of its values are masked"),
+    ],
+)
+def test_a_setpoint_that_is_no_height_of_a_step_is_refused(setpoint, said):
+    with pytest.raises(jx.UserError, match=said):
+        jx.simulate(LOOP, setpoint, 0.1)
 
 
 def test_memory_may_be_a_number_of_bytes():
