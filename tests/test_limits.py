@@ -213,6 +213,30 @@ def test_no_mean_is_beyond_the_limit_or_changes_faster_than_the_rate_limit(subst
         assert steps.max() > 0.5 * min(rate * 0.01 / substeps, limit)
 
 
+def test_a_command_that_arrives_within_a_step_slews_from_then_on():
+    """Beyond the force limit, too: 6 ms at 400 N/s have a mean of 0.72 N over the step."""
+    loop = jx.joint(
+        kp=1.0, kd=0.0, control_rate=100.0, delay=4e-3, force_limit=10.0, force_rate_limit=400.0
+    )
+    with jax.enable_x64(True):
+        forces = np.asarray(_forces(loop, 1, jnp.full(5, 60.0)))
+    np.testing.assert_allclose(forces, [0.72, 4.4, 0.9 * 8.2 + 0.1 * 10.0, 10.0, 10.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("substeps", [5, pytest.param(20, marks=pytest.mark.exhaustive)])
+def test_a_force_that_an_actuator_builds_up_slews_from_when_it_begins(substeps):
+    """As it must: 3000 N/s are reached 8 us after the command has arrived at the actuator."""
+    loop = jx.joint(
+        kp=1.0, kd=0.0, control_rate=100.0, wn=800.0, zeta=0.45, delay=2.3e-3,
+        force_rate_limit=3000.0,
+    )  # fmt: skip
+    with jax.enable_x64(True):
+        forces = np.asarray(_forces(loop, substeps, jnp.full(1, 600.0)))
+    ends = 0.01 / substeps * np.arange(substeps + 1)
+    ramp = 0.5 * 3000.0 * np.maximum(ends - 2.3e-3, 0.0) ** 2  # its integral
+    np.testing.assert_allclose(forces, np.diff(ramp) * substeps / 0.01, atol=3000.0 * 2e-5)
+
+
 def test_a_past_setpoint_is_what_reaches_a_drive_with_a_setpoint_delay():
     loop = jx.joint(mass=1e9, kp=20.0, kd=0.0, setpoint_delay=2.5e-3)
     drive = jx.drive_around(

@@ -6,8 +6,10 @@ A rate limit makes the force follow what the force loop gives, and it follows fr
 
 so its mean over a step is not that of g, clipped to what the force may change in a step: a force
 that slews over a whole step gives half of that change. Over each part of a step under one held
-command, g is taken as the straight line that has its mean and its end; then f is known in closed
-form. For an ideal actuator that is exact, for another one of second order in the step.
+command, g is taken as a straight line to its end that has its mean or, where it only begins to
+rise, its beginning; then f is known in closed form. For an ideal actuator that is exact, for
+another one of second order in the step. No step gives more than a bounded force can that changes
+no faster.
 
 The force-speed line of a joint whose inertia is known falls while the force accelerates it:
 
@@ -142,38 +144,55 @@ def _followed(actuator, response, inputs, applied, bounds, target: Pair):
     step, sag = span.older_for + span.newer_for, span.sag
     unlimited = jnp.isinf(actuator.force_rate_limit)
     fastest = jnp.where(unlimited, 0.0, actuator.force_rate_limit)
-    mean = moment = line_mean = line_moment = share = 0.0
-    force, begun = applied, 0.0
-    for time, average, last in _parts(span, inputs):
+    mean = moment = line_moment = off_mean = off_moment = share = 0.0
+    force, begun, unclipped, held_back = applied, 0.0, True, False
+    for time, first, average, last in _parts(span, inputs):
         # The bounds fall evenly from the beginning of the span to its end, or nearly so.
         places = (begun, begun + 0.5 * time, begun + time)
         start, middle, end = (
             bounds(None if sag is None else sag[0] * (place / step)) for place in places
         )
-        last = jnp.clip(last, *end)
-        first = jnp.clip(2.0 * jnp.clip(average, *middle) - last, *start)
-        rise = (last - first) / jnp.where(time > 0.0, time, 1.0)
-        own, line, follows, force = _ramp(force, first, rise, fastest, time)
+        kept, ends = jnp.clip(average, *middle), jnp.clip(last, *end)
+        starts = jnp.clip(first, *start)
+        begins = _beginning(starts, kept, ends, start)
+        unclipped &= ((starts == first) & (kept == average) & (ends == last)) | (time <= 0.0)
+        rise = (ends - begins) / jnp.where(time > 0.0, time, 1.0)
+        own, line, follows, force = _ramp(force, begins, rise, fastest, time)
         left = step - begun - time
         mean, moment = mean + own[0], moment + own[1] + own[0] * left
-        line_mean, line_moment = line_mean + line[0], line_moment + line[1] + line[0] * left
+        line_moment = line_moment + line[1] + line[0] * left
+        held_back |= follows < time
+        part = follows / jnp.where(time > 0.0, time, 1.0)
+        off = part * (kept * time - line[0])
+        off_mean, off_moment = off_mean + off, off_moment + off * (left + 0.5 * time)
         share, begun = share + follows / step, begun + time
     half = 0.5 * step * step
+    # As far as the force follows, it has the curve of its target, of which the line is a chord.
+    curve = jnp.where(unclipped, share * (target[1] - line_moment / half), off_moment / half)
+    own = mean / step, moment / half
+    followed = (
+        jnp.where(held_back, own[0] + off_mean / step, target[0]),
+        jnp.where(held_back, own[1] + curve, target[1]),
+    )
+    reach = _reach(applied, force, fastest, step)
     found = [
-        # Where the force follows, it has the target's own curve and not the straight line's, as far
-        # as the limits let it.
-        _possible(own + share * (free - line), own, reach, bounds(None if sag is None else sag[i]))
-        for i, (own, line, free, reach) in enumerate(
-            zip(
-                (mean / step, moment / half), (line_mean / step, line_moment / half), target,
-                _reach(applied, force, fastest, step), strict=True,
-            ), 1,
-        )
-    ]  # fmt: skip
+        _possible(followed[i], own[i], reach[i], bounds(None if sag is None else sag[i + 1]))
+        for i in range(2)
+    ]
     return tuple(
         jnp.where(unlimited, free, own)
         for free, own in zip((*target, last), (*found, force), strict=True)
     )
+
+
+def _beginning(first, average, last, bounds: Pair):
+    """Where a line begins that stands for a force with this beginning, mean and end.
+
+    It has the mean, unless it would begin beyond both ends: a force that an actuator builds up does
+    not fall first.
+    """
+    low, high = jnp.minimum(first, last), jnp.maximum(first, last)
+    return jnp.clip(jnp.clip(2.0 * average - last, low, high), *bounds)
 
 
 def _possible(value: jax.Array, own: jax.Array, reach: Pair, bounds: Pair) -> jax.Array:
@@ -201,7 +220,7 @@ def _reach(first, last, fastest, step) -> tuple[Pair, Pair]:
 
 
 def _parts(span: Span, inputs):
-    """Length, mean and end of the force loop's force, under the older command and the newer one."""
+    """Length, and beginning, mean and end of the force loop's force, under each of the commands."""
     force, rate, older, newer = inputs
     assert span.before is not None and span.after is not None
     for free, time, command in (
@@ -210,8 +229,9 @@ def _parts(span: Span, inputs):
     ):
         e = force - command
         impulse = command * time + free.Ic * e + free.Is * rate
+        first = force
         force, rate = command + free.c * e + free.s * rate, free.rate_e * e + free.rate_g * rate
-        yield time, impulse / jnp.where(time > 0.0, time, 1.0), force
+        yield time, first, impulse / jnp.where(time > 0.0, time, 1.0), force
 
 
 def _ramp(force, first, rise, fastest, time):

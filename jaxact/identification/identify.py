@@ -21,10 +21,12 @@ from jaxact.identification.model import LONG_DELAYS
 from jaxact.identification.reading import ColumnMap, Columns, read, read_columns
 from jaxact.identification.result import Identified, check_gains, inspected
 from jaxact.identification.verdict import judge, withdrawn
-from jaxact.parameters import FEEDFORWARD
+from jaxact.parameters import FEEDFORWARD, SETPOINT
 
 # Gains that explain so much of a command are those of its controller.
 _ALL_OF_IT = 0.9999
+# What a difference leaves unexplained of it, at most of what another velocity does.
+_SURELY = 0.1
 
 PLANTS = ("none", *motion.PLANTS)
 LOSSES = ("linear", "soft_l1", "huber")
@@ -158,7 +160,9 @@ def with_gains(log: Log) -> Log:
 
     Under the controller a joint stays near its log; under commands alone it drifts away.
     """
-    found = inspection.recomputed(log) if log.gains[0] is None else None
+    if log.gains[0] is not None:
+        return _differenced(log)
+    found = inspection.recomputed(log)
     if found is None or found.explained < _ALL_OF_IT or found.kp <= 0.0:
         return log
     if abs(found.offset) > 0.01 * np.std(log["command"]) or FEEDFORWARD in log:
@@ -171,6 +175,26 @@ def with_gains(log: Log) -> Log:
         difference_ticks=log.difference_ticks or (0 if "velocity" in log else 1),
         notes=(*log.notes, note),
     )
+
+
+def _differenced(log: Log) -> Log:
+    """A log whose map states gains, with the difference that its command shows them to act on.
+
+    A velocity that is differenced over a row is half a row late: damping that acts on it lessens
+    the inertia that the joint seems to have.
+    """
+    kp, kd = log.gains
+    shown_by = {"command", SETPOINT} <= set(log.signals)
+    if log.difference_ticks or kp is None or not kd or not shown_by:
+        return log
+    late = replace(log, difference_ticks=1)
+    left = 1.0 - inspection.explained_by(late, kp, kd)
+    between = np.gradient(log["position"], log.time)
+    seen = log if "velocity" in log else replace(log, signals={**log.signals, "velocity": between})
+    if left > 1.0 - _ALL_OF_IT or left > _SURELY * (1.0 - inspection.explained_by(seen, kp, kd)):
+        return log
+    note = "its controller differences the position over a row, as its command shows"
+    return replace(late, notes=(*log.notes, note))
 
 
 def logs_of(

@@ -200,7 +200,7 @@ def _resting_away(run: Single) -> str:
     """
     from jaxact.plotting.wording import quantity
 
-    if run.trajectory.configuration is None or any(start.moving for start in run.starts):
+    if run.trajectory.configuration is None or not all(start.resting for start in run.starts):
         return ""
     if _values(run, (INITIAL_POSITION,)).any():
         return ""  # it did not start from the posture

@@ -94,19 +94,22 @@ def followed(
 
     Returns:
         Mean over the step and force at its end. The force to follow is taken as a straight line in
-        each part; where it is followed, the mean is the target's, as far as the limits let it.
+        each part; as far as that is followed, the mean is the force's, and in a step that is
+        followed throughout the target's, within what the limits let it be.
     """
     unlimited = torch.isinf(rate_limit)
     fastest = torch.where(unlimited, 0.0, rate_limit)
     free, rate, force = state["force"], state["rate"], state["applied"]
-    step, mean, line_mean, share, end = parts[0] + parts[7], 0.0, 0.0, 0.0, free
+    step, mean, off, end = parts[0] + parts[7], 0.0, 0.0, free
+    held_back = torch.zeros_like(free, dtype=torch.bool)
     for row, command in ((parts[:7], state["older"]), (parts[7:], state["newer"])):
         time, c, s, rate_e, rate_g, mean_e, mean_g = row
         e = free - command
         average = (command + mean_e * e + mean_g * rate).clamp(low, high)
+        start = free.clamp(low, high)
         free, rate = command + c * e + s * rate, rate_e * e + rate_g * rate
         end = free.clamp(low, high)
-        first = (2.0 * average - end).clamp(low, high)
+        first = (2.0 * average - end).clamp(torch.minimum(start, end), torch.maximum(start, end))
         rise = (end - first) / torch.where(time > 0.0, time, 1.0)
         gap = first - force
         side = torch.sign(gap)
@@ -118,15 +121,17 @@ def followed(
         after = rise.clamp(-fastest, fastest)
         change = side * fastest * (until * time - 0.5 * until * until) + 0.5 * after * rest * rest
         mean = mean + (force * time + change) / step
-        line_mean = line_mean + 0.5 * (first + end) * time / step
-        share = share + torch.where(rise.abs() <= fastest, rest, 0.0) / step
+        follows = torch.where(rise.abs() <= fastest, rest, 0.0)
+        held_back = held_back | (follows < time)
+        off = off + follows * (average - 0.5 * (first + end)) / step
         force = force + side * fastest * until + after * rest
     least, most = reach(state["applied"], force, fastest, step)
     least, most = (
         torch.maximum(least, torch.minimum(low, mean)),
         torch.minimum(most, torch.maximum(high, mean)),
     )
-    mean = torch.minimum(torch.maximum(mean + share * (target - line_mean), least), most)
+    mean = torch.where(held_back, mean + off, target)
+    mean = torch.minimum(torch.maximum(mean, least), most)
     return torch.where(unlimited, target, mean), torch.where(unlimited, end, force)
 
 
