@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 
+from jaxact.analysis.robot.processes import Helpers
 from jaxact.tuning.robot import cores, peaks
 from jaxact.tuning.robot.condensed import condensed, together
 from jaxact.tuning.robot.open_loops import OpenLoops
@@ -139,6 +140,28 @@ def test_processes_that_help_give_what_this_one_gives(monkeypatch):
         with contextlib.closing(cores.spread(inverted, one)) as results:
             np.testing.assert_array_equal(next(results)[1], whole[0])
     assert {pid for pid, _ in cores.many(inverted, list(stack))} == {os.getpid()}
+
+
+def twice(matrix):
+    """Work that is spread itself, within what is spread."""
+    return [one for _, one in cores.spread(inverted, [(matrix,), (matrix,)])]
+
+
+def test_what_is_spread_may_spread_again_and_many_cores_start_few_processes(monkeypatch):
+    started = []
+
+    @contextlib.contextmanager
+    def none(count, prepare, shared):
+        started.append(count)
+        yield Helpers(0, prepare, shared)
+
+    monkeypatch.setattr(cores, "helping", none)
+    monkeypatch.setattr(cores, "number", lambda: 64)
+    matrix = np.diag([1.0, 2.0])
+    with cores.helped(worthwhile=True):
+        found = list(cores.spread(twice, [(matrix,)] * 3))
+    assert started == [7]
+    np.testing.assert_array_equal(found, np.tile(np.linalg.inv(matrix), (3, 2, 1, 1)))
 
 
 def test_what_is_too_short_starts_no_process():

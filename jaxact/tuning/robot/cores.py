@@ -25,8 +25,9 @@ Result = TypeVar("Result")
 
 # Multiplications of all matrices together below which threads are not worth it.
 _LEAST = 3e6
-# Parts that each core takes of many items.
-_PARTS = 3
+# Parts that each core takes of many items, and processes that help at most: a search has little to
+# share at once, and each of them has to start.
+_PARTS, _MOST = 3, 7
 # What helps in this block.
 _helpers: ContextVar[Helpers | None] = ContextVar("helpers", default=None)
 
@@ -95,7 +96,7 @@ def helped(*, worthwhile: bool) -> Iterator[None]:
     if not worthwhile or number() < 2 or _helpers.get() is not None:
         yield
         return
-    with helping(number() - 1, _computing, None) as helpers:
+    with helping(min(number() - 1, _MOST), _computing, None) as helpers:
         before = _helpers.set(helpers)
         try:
             yield
@@ -123,7 +124,7 @@ def many(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
     """What work, which can be sent, gives for each of many small items, in their order."""
     if _helpers.get() is None:
         return each(work, items)
-    size = max(1, math.ceil(len(items) / (_PARTS * number())))
+    size = max(1, math.ceil(len(items) / (_PARTS * min(number(), 1 + _MOST))))
     parts = [(work, items[first : first + size]) for first in range(0, len(items), size)]
     return [one for found in spread(_of_all, parts) for one in found]
 
@@ -133,5 +134,14 @@ def _of_all(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Resul
 
 
 def _computing(_: None) -> Callable[[tuple[Callable[..., Any], tuple[Any, ...]]], Any]:
-    """What computes a task of `spread`."""
-    return lambda task: task[0](*task[1])
+    """What computes a task of `spread`, which spreads nothing itself."""
+
+    def compute(task: tuple[Callable[..., Any], tuple[Any, ...]]) -> Any:
+        before = _helpers.set(None)
+        try:
+            work, given = task
+            return work(*given)
+        finally:
+            _helpers.reset(before)
+
+    return compute
