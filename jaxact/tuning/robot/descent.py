@@ -20,7 +20,8 @@ from jaxact.tuning.optimise import Descended, Descent, descend
 from jaxact.tuning.polish import MET
 from jaxact.tuning.robot import cores, smooth
 from jaxact.tuning.robot.loops import Situation
-from jaxact.tuning.robot.rows import Found, RobotCase, excess, part, polished, rescued, seen
+from jaxact.tuning.robot.polishing import polished
+from jaxact.tuning.robot.rows import Found, RobotCase, excess, part, rescued, seen
 from jaxact.tuning.robot.starts import closer
 
 # Log-gains stay this near to where the search begins.

@@ -15,7 +15,8 @@ from jaxact.tuning.robot.inside import worst_inside
 from jaxact.tuning.robot.loops import Situation
 from jaxact.tuning.robot.open_loops import OpenLoops, open_loops, together
 from jaxact.tuning.robot.peaks import extended, refined
-from jaxact.tuning.robot.rows import OUT_OF_REACH, Found, RobotCase, more, polished, rescued, seen
+from jaxact.tuning.robot.polishing import polished
+from jaxact.tuning.robot.rows import OUT_OF_REACH, Found, RobotCase, more, rescued, seen
 from jaxact.tuning.worst import SMALL, apart, named
 
 # How often it does, and how far a peak may be off where the bounds cannot be met anyway [ln], or

@@ -23,8 +23,9 @@ from jaxact.tuning.robot import cores
 from jaxact.tuning.robot.descent import approached, bounds
 from jaxact.tuning.robot.exchange import Candidate, exchanged
 from jaxact.tuning.robot.loops import Situation
+from jaxact.tuning.robot.polishing import polished
 from jaxact.tuning.robot.resting import settled
-from jaxact.tuning.robot.rows import Found, RobotCase, more, polished
+from jaxact.tuning.robot.rows import Found, RobotCase, more
 from jaxact.tuning.robot.search import judge
 
 # The front begins so far above the smallest peak, and ends so far above it or above the bound that

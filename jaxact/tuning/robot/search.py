@@ -43,7 +43,8 @@ from jaxact.tuning.robot.exchange import Candidate, exchanged, inside_worse
 from jaxact.tuning.robot.loops import Situation, integrated
 from jaxact.tuning.robot.open_loops import OpenLoops, open_loops
 from jaxact.tuning.robot.peaks import tabulate
-from jaxact.tuning.robot.rows import Found, RobotCase, more, polished
+from jaxact.tuning.robot.polishing import polished
+from jaxact.tuning.robot.rows import Found, RobotCase, more
 from jaxact.tuning.robot.so_far import so_far
 from jaxact.tuning.robot.starts import CLOUDS, apart, closer, screened
 from jaxact.tuning.rollouts import tracking
@@ -294,14 +295,13 @@ def _searched(
     """The paths of a descent from many gains, and the best of their ends, polished."""
     near = approached(case, x)
     course.points.append(near)
-    others = apart(known, starts - 1, case.stable)
-    first = np.stack([near.x, *others])[:starts]
+    first = np.stack([near.x, *apart(known, starts - 1, case.stable)])[:starts]
     small = hardest(case, near.x)
     course.phase(f"descending from {len(first)} start{'s' if len(first) > 1 else ''}")
     paths = descended(small, first, Descent(steps=steps, polish=0))
-    found = best_of(case, near, paths, others, course)
-    tried = near.evaluations + len(first) * steps * len(small.table.loops)
-    return paths, more(found, tried, near.steps)
+    found = best_of(case, near, paths, list(first[1:]), course)
+    spent = len(first) * steps * len(small.table.loops)
+    return paths, more(found, near.evaluations + spent, near.steps)
 
 
 def _traded(

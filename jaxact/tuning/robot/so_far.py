@@ -16,7 +16,8 @@ from jaxact.parameters import KP
 from jaxact.tuning.polish import MET
 from jaxact.tuning.robot.exact import Exact, exact
 from jaxact.tuning.robot.exchange import Candidate
-from jaxact.tuning.robot.rows import Found, RobotCase, polished
+from jaxact.tuning.robot.polishing import polished
+from jaxact.tuning.robot.rows import Found, RobotCase
 
 # Points that are evaluated: the best ones, and of the others those furthest inside the bounds.
 _BEST, _SAFEST = 6, 3
