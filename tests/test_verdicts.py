@@ -235,6 +235,29 @@ def test_a_motion_too_slow_to_turn_is_judged_by_where_it_goes(seconds):
         assert (verdict[farthest > 2.0] == Verdict.UNSTABLE).all()
 
 
+def test_a_damped_joint_on_a_spring_is_not_lost_behind_a_limited_force():
+    inertia, damping, stiffness, force = 0.08531, 0.1357, 9.21, 110.0
+    loop = jx.joint(
+        inertia=inertia, joint_damping=damping, joint_stiffness=stiffness, wn=295.7, zeta=0.816,
+        kp=779.2, kd=6.465, delay=4.4e-3, control_rate=500, force_limit=force,
+    )  # fmt: skip
+    # The largest motion that forces within +-F make: F times the integral of |impulse response|.
+    wn = np.sqrt(stiffness / inertia)
+    zeta = damping / (2.0 * inertia * wn)
+    angle = np.pi * zeta / np.sqrt(1.0 - zeta**2)
+    farthest = force / stiffness / np.tanh(0.5 * angle)
+    runs = [jx.simulate(loop, setpoint=0.1, duration=duration) for duration in (2.0, 8.0)]
+    assert float(runs[0].growth_rate) > 0.0
+    for run in runs:
+        assert int(run.verdict) == Verdict.LIMIT_CYCLE
+        assert 2.0 < float(run.limit_cycle_amplitude) < farthest
+    assert "still getting wider" in runs[0].report
+    assert "still getting wider" not in runs[1].report
+    # By itself it topples: beyond what the limit can hold nothing brings it back.
+    topples = loop.replace(joint_stiffness=-stiffness)
+    assert int(jx.simulate(topples, setpoint=0.1, duration=2.0).verdict) == Verdict.UNSTABLE
+
+
 @pytest.mark.exhaustive
 def test_a_map_of_quantised_loops_is_the_same_for_every_setpoint():
     axes = """
@@ -291,7 +314,7 @@ def _shaped(**rows):
 
 def _of(
     amplitudes, growth, count=1e-3, farthest=1e-2, frequency=10.0, plant=True, leaving=True,
-    span=1e-2,
+    span=1e-2, held=False,
 ):  # fmt: skip
     motion = Motion(
         **_shaped(amplitude=amplitudes, frequency=frequency, farthest=farthest, span=span),
@@ -299,7 +322,8 @@ def _of(
         leaving=jnp.asarray(leaving),
         valid=jnp.asarray(True),
     )
-    flags = {"bounded": False, "linear": False, "unlimited": False, "plant_linear": plant}
+    flags = {"bounded": held, "held": held, "plant_linear": plant}
+    flags |= {"linear": False, "unlimited": False}
     flags = {name: jnp.asarray(flag) for name, flag in flags.items()}
     scale = Scale(**_shaped(count=count, rest=0.01 * count, floor=0.0, limit=0.0), **flags)
     return verdicts.of_motion(motion, scale, jnp.asarray(growth), jnp.asarray(0.5)), scale
@@ -315,6 +339,8 @@ def test_what_a_motion_that_remains_means():
     assert verdict(4e-3, 6e-3, 3.6e-3) == Verdict.LIMIT_CYCLE  # smaller only now
     assert verdict(1e-6, 1e-6, 1e-6, growth=1.0) == Verdict.UNSTABLE  # has not grown yet
     assert verdict(1e-3, 2e-3, 4e-3, growth=1.0) == Verdict.UNSTABLE
+    assert verdict(1e-3, 2e-3, 4e-3, growth=1.0, held=True) == Verdict.LIMIT_CYCLE  # on its way
+    assert verdict(1e-6, 1e-6, 1e-6, growth=1.0, held=True) == Verdict.UNSTABLE
     assert verdict(1e-3, 1e-3, 1e-3, growth=1.0) == Verdict.LIMIT_CYCLE
     assert verdict(1e-3, 1e-3, 1e-3, farthest=1e2) == Verdict.UNSTABLE
     # Friction ends what grows once it moves further: no cycle, and not stable either.

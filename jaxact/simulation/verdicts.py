@@ -75,6 +75,7 @@ class Scale:
         limit: displacement that commands the largest force [m or rad]; 0 without limits, and where
             the plant bounds a motion, too.
         bounded: whether a force limit, and nothing else, keeps every motion of the loop bounded.
+        held: whether the joint's own damping and stiffness do, whatever a limited force does.
         linear: whether the loop is linear, but for noise: its growth rate tells all.
         unlimited: whether it is linear in a motion so large that counts are nothing in it; then
             what grows, grows for ever.
@@ -87,6 +88,7 @@ class Scale:
     floor: jax.Array
     limit: jax.Array
     bounded: jax.Array
+    held: jax.Array
     linear: jax.Array
     unlimited: jax.Array
     plant_linear: jax.Array
@@ -165,6 +167,12 @@ def _bounded(drive: Drive) -> jax.Array:
     return alone & (controller.kp > 0.0) & (controller.kd > controller.kp * lag)
 
 
+def _held(drive: Drive, joint: Joint) -> jax.Array:
+    """Whether a joint that is stable by itself is pushed by a bounded force, shape (joints,)."""
+    limited = jnp.isfinite(drive.actuator.force_limit)
+    return limited & (joint.damping > 0.0) & (joint.stiffness > 0.0)
+
+
 def scale(
     drive: Drive,
     size: jax.Array,
@@ -196,12 +204,17 @@ def scale(
     least = jnp.maximum(_ROUNDING * jnp.finfo(size.dtype).eps * size, floor)
     most = jnp.where(jnp.isfinite(far) & linear_plant, far, 0.0)
     own = jnp.where(counts > 0.0, _OF_A_COUNT * counts, _OF_THE_LIMIT * most)
+    bounded, held = _bounded(drive) & linear_plant, jnp.zeros_like(unlimited)
+    if joint is not None:
+        held = _held(drive, joint)
+        bounded = (bounded & (joint.stiffness >= 0.0)) | held
     return Scale(
         count=counts,
         rest=jnp.maximum(least, own),
         floor=least,
         limit=most,
-        bounded=_bounded(drive) & linear_plant & (joint is None or joint.stiffness >= 0.0),
+        bounded=bounded,
+        held=held,
         linear=exact & unlimited & linear_plant,
         unlimited=unlimited & linear_plant,
         plant_linear=jnp.full_like(unlimited, linear_plant),
@@ -261,6 +274,8 @@ def of_motion(
     wider = jnp.maximum(last, previous) > _GROWING * jnp.maximum(before, motion.amplitude[0])
     beyond = motion.farthest > motion.span
     growing = jnp.where(slow, wider & beyond, growing)
+    # On the way to a cycle, however long that takes.
+    growing &= ~scale.held
     # Half the decay that the linear loop would show is decay; less is a motion that keeps going.
     kept = 1.0 + 0.5 * jnp.expm1(jnp.minimum(growth_rate, 0.0) * segment)
     # An irregular limit cycle is smaller than before now and then, but rarely twice in a row.

@@ -149,9 +149,11 @@ class Tuned(Reportable):
     def __repr__(self) -> str:
         """The loop with its gains, the verdict, and every constraint."""
         head = f"kp {self.kp}, kd {self.kd}" if self.loop is None else repr(self.loop)
+        units = {"noise_gain": f" {self.units[0]}", "delay_margin": " s"}
         lines = [head, ("" if self.certified else "NOT ") + f"certified: {self.verdict}"]
         lines += [
-            f"  {one.metric} {one.value:.6g} (asked: {one.bound:g}), {one.member}"
+            f"  {one.metric} {one.value:.6g}{units.get(one.metric, '')}"
+            f" (asked: {one.bound:g}), {one.member}"
             for one in self.certificate.checks
         ]
         lines += [UNSAMPLED] if self.continuous else []

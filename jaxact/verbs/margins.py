@@ -208,7 +208,8 @@ def margins(
         The margins, of a joint a `LoopMargins`, of the loop's shape, of a robot a
         `RobotLoopMargins`; printed, they are the command line's table. Each metric is an attribute
         (`delay_margin` [s], `phase_margin` [rad], `gain_margin`, `sensitivity_peak`, `disk_margin`,
-        ...; `dir` lists them). NaN where a loop is unstable; `stable` tells.
+        ...; `dir` lists them). NaN where a loop is unstable, and its derivatives
+        0 there; `stable` tells.
 
     Raises:
         UserError: what is not a loop, parameters or arguments that do not fit each other; of a

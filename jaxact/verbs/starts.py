@@ -38,6 +38,8 @@ _NAMES = {
 
 # By how much small motions should have decayed before what grows is said to be lost.
 _MOSTLY = 0.5
+# A motion that is wider by this factor than a quarter of the duration ago is getting wider.
+_WIDER = 1.05
 # Farther from the posture [rad or m] its growth rate says little.
 _ELSEWHERE = 0.05
 _ON_ITS_WAY = (
@@ -141,12 +143,23 @@ def _of_limit_cycle(run: Single) -> str:
         helps = ["lower the gains", "shorten the delay", *more]
         return (
             f"The motion stays bounded but goes on, as {_listed(causes)} can make it; "
-            f"{', '.join(helps[:-1])} or {helps[-1]}."
+            f"{', '.join(helps[:-1])} or {helps[-1]}.{_widening(run)}"
         )
     size = "The motion keeps going at this amplitude"
     if run.trajectory.configuration is not None:  # of a robot
         size += ", of a robot far from its posture"
     return f"{size}; lower gains or a shorter delay help."
+
+
+def _widening(run: Single) -> str:
+    """That the own motion of a joint was still getting wider when the duration was over."""
+    if len(run.joints) != 1 or not run.starts[0].moving:
+        return ""
+    position = run.trajectory.position[:, 0]
+    last, before = (np.ptp(part) for part in reversed(np.array_split(position, 4)[-2:]))
+    if last <= _WIDER * before:
+        return ""
+    return " It was still getting wider when the duration was over: a longer one tells how wide."
 
 
 def _values(run: Single, names: Collection[str]) -> np.ndarray:
