@@ -235,7 +235,7 @@ def test_a_motion_too_slow_to_turn_is_judged_by_where_it_goes(seconds):
         assert (verdict[farthest > 2.0] == Verdict.UNSTABLE).all()
 
 
-def test_a_damped_joint_on_a_spring_is_not_lost_behind_a_limited_force():
+def test_a_damped_joint_is_not_lost_behind_a_limited_force():
     inertia, damping, stiffness, force = 0.08531, 0.1357, 9.21, 110.0
     loop = jx.joint(
         inertia=inertia, joint_damping=damping, joint_stiffness=stiffness, wn=295.7, zeta=0.816,
@@ -253,6 +253,12 @@ def test_a_damped_joint_on_a_spring_is_not_lost_behind_a_limited_force():
         assert 2.0 < float(run.limit_cycle_amplitude) < farthest
     assert "still getting wider" in runs[0].report
     assert "still getting wider" not in runs[1].report
+    # Without the spring its velocity stays within F / c, and its controller brings it back.
+    rolls = loop.replace(joint_stiffness=0.0, kd=4.0)
+    for duration in (1.0, 5.0):
+        run = jx.simulate(rolls, setpoint=0.1, duration=duration)
+        assert int(run.verdict) == Verdict.LIMIT_CYCLE
+        assert float(np.abs(run.velocity).max()) < force / damping
     # By itself it topples: beyond what the limit can hold nothing brings it back.
     topples = loop.replace(joint_stiffness=-stiffness)
     assert int(jx.simulate(topples, setpoint=0.1, duration=2.0).verdict) == Verdict.UNSTABLE

@@ -75,7 +75,7 @@ class Scale:
         limit: displacement that commands the largest force [m or rad]; 0 without limits, and where
             the plant bounds a motion, too.
         bounded: whether a force limit, and nothing else, keeps every motion of the loop bounded.
-        held: whether the joint's own damping and stiffness do, whatever a limited force does.
+        held: whether it does in any case, as the joint has damping of its own, and does not topple.
         linear: whether the loop is linear, but for noise: its growth rate tells all.
         unlimited: whether it is linear in a motion so large that counts are nothing in it; then
             what grows, grows for ever.
@@ -168,9 +168,13 @@ def _bounded(drive: Drive) -> jax.Array:
 
 
 def _held(drive: Drive, joint: Joint) -> jax.Array:
-    """Whether a joint that is stable by itself is pushed by a bounded force, shape (joints,)."""
-    limited = jnp.isfinite(drive.actuator.force_limit)
-    return limited & (joint.damping > 0.0) & (joint.stiffness > 0.0)
+    """Whether a joint with damping c is held behind a limited force F, shape (joints,).
+
+    A spring of its own bounds its position, whatever the force does. Without one its velocity is
+    at most F / c: far enough away all of the force pulls back, and it does not get far until then.
+    """
+    returns = (joint.stiffness > 0.0) | ((joint.stiffness == 0.0) & (drive.controller.kp > 0.0))
+    return jnp.isfinite(drive.actuator.force_limit) & (joint.damping > 0.0) & returns
 
 
 def scale(
