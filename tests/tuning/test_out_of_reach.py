@@ -9,7 +9,7 @@ from jaxact.tuning.box import read_box
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.polish import Polished
-from jaxact.tuning.robot import rows
+from jaxact.tuning.robot import polishing
 from jaxact.tuning.robot import search as robot
 from jaxact.tuning.robot.loops import VARIED, situation
 
@@ -103,7 +103,7 @@ def test_where_a_few_frequencies_do_not_show_that_a_loop_is_lost_all_are_looked_
 ):
     case = far[0].robot.case
     x = case.groups.log_gains(far[0].kp, far[0].kd)
-    stage, seen = rows._stage, []
+    stage, seen = polishing._stage, []
 
     def lost_at_first(case, near, kept, x, *others):
         seen.append(kept.copy())
@@ -112,6 +112,6 @@ def test_where_a_few_frequencies_do_not_show_that_a_loop_is_lost_all_are_looked_
         assert not case.stable(x + 6.0)
         return Polished(x[None] + 6.0, np.zeros(1), np.zeros(1), 1), 1
 
-    monkeypatch.setattr(rows, "_stage", lost_at_first)
-    assert case.stable(rows.polished(case, x, fine=False).x)
+    monkeypatch.setattr(polishing, "_stage", lost_at_first)
+    assert case.stable(polishing.polished(case, x, fine=False).x)
     assert not seen[0].all() and seen[1].all()
