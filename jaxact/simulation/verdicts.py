@@ -277,9 +277,8 @@ def of_motion(
     slow &= (growth_rate < 0.0) & (last > _FEW * jnp.maximum(scale.count, scale.rest))
     wider = jnp.maximum(last, previous) > _GROWING * jnp.maximum(before, motion.amplitude[0])
     beyond = motion.farthest > motion.span
-    growing = jnp.where(slow, wider & beyond, growing)
-    # On the way to a cycle, however long that takes.
-    growing &= ~scale.held
+    # A joint that is held is on its way to a cycle, however long that takes.
+    growing = jnp.where(slow, wider & beyond, growing) & ~scale.held
     # Half the decay that the linear loop would show is decay; less is a motion that keeps going.
     kept = 1.0 + 0.5 * jnp.expm1(jnp.minimum(growth_rate, 0.0) * segment)
     # An irregular limit cycle is smaller than before now and then, but rarely twice in a row.
