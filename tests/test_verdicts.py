@@ -264,6 +264,37 @@ def test_a_damped_joint_is_not_lost_behind_a_limited_force():
     assert int(jx.simulate(topples, setpoint=0.1, duration=2.0).verdict) == Verdict.UNSTABLE
 
 
+def test_starts_that_still_grow_within_a_cycle_are_on_their_way_to_it_behind_a_line_too():
+    loop = jx.joint(
+        mass=0.7, wn=110.0, zeta=0.9, joint_stiffness=300.0, kd=60.0, stall_force=40.0,
+        no_load_speed=4.0, velocity_resolution=1e-3,
+    )  # fmt: skip
+    found = jx.sweep(loop, kp=[1840.0, 2200.0, 3000.0, 5000.0], duration=2.0)
+    assert (found.verdict.values == Verdict.LIMIT_CYCLE).all()
+    # From small steps in C, written apart, over 60 s.
+    apart = [4.29e-3, 6.07e-3, 13.3e-3, 36.5e-3]
+    assert found.limit_cycle_amplitude.values == pytest.approx(apart, rel=0.02)
+
+
+def test_a_motor_on_a_force_speed_line_drives_no_mass_faster_than_the_line_allows():
+    loop = jx.joint(mass=0.7, kp=4000.0, kd=5.0, delay=4e-3, stall_force=40.0, no_load_speed=4.0)
+    for duration in (0.3, 4.0):
+        run = jx.simulate(loop, setpoint=0.01, duration=duration)
+        assert float(run.growth_rate) > 0.0 and int(run.verdict) == Verdict.LIMIT_CYCLE
+        assert float(np.abs(run.velocity).max()) < 4.0 * (1.0 + 1e-6)
+
+
+def test_a_creep_that_has_not_turned_is_said_not_to_be_known():
+    loop = jx.joint(
+        mass=0.7, joint_damping=5.0, stall_force=10.0, no_load_speed=0.3, kp=67.2574, kd=38.1111,
+        velocity_resolution=0.01, delay=1e-3,
+    )  # fmt: skip
+    # It comes to rest, which a simulation in small steps, written apart, shows.
+    short, long = (jx.simulate(loop, setpoint=0.1, duration=duration) for duration in (2.0, 5.0))
+    assert "may only creep" in short.report
+    assert int(long.verdict) == Verdict.STABLE and "may only creep" not in long.report
+
+
 @pytest.mark.exhaustive
 def test_a_map_of_quantised_loops_is_the_same_for_every_setpoint():
     axes = """

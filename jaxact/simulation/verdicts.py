@@ -74,8 +74,8 @@ class Scale:
         floor: the part of it that is none of the loop's own [m or rad].
         limit: displacement that commands the largest force [m or rad]; 0 without limits, and where
             the plant bounds a motion, too.
-        bounded: whether a force limit, and nothing else, keeps every motion of the loop bounded.
-        held: whether it does in any case, as the joint has damping of its own, and does not topple.
+        bounded: whether limits are likely to keep every motion of the loop bounded.
+        held: whether they are sure to, see `_bounds`.
         linear: whether the loop is linear, but for noise: its growth rate tells all.
         unlimited: whether it is linear in a motion so large that counts are nothing in it; then
             what grows, grows for ever.
@@ -167,14 +167,29 @@ def _bounded(drive: Drive) -> jax.Array:
     return alone & (controller.kp > 0.0) & (controller.kd > controller.kp * lag)
 
 
-def _held(drive: Drive, joint: Joint) -> jax.Array:
-    """Whether a joint with damping c is held behind a limited force F, shape (joints,).
+def _bounds(drive: Drive, joint: Joint | None) -> tuple[jax.Array, jax.Array]:
+    """Whether limits are likely to keep a joint's motions bounded, and whether they are sure to.
 
-    A spring of its own bounds its position, whatever the force does. Without one its velocity is
-    at most F / c: far enough away all of the force pulls back, and it does not get far until then.
+    Sure, where the force or its line is limited: a joint with damping c on a spring of its own is
+    bounded, whatever a force within F does. Without a spring it is no faster than F / c, or than
+    the line's no-load speed: far enough away all of the force pulls back, and it does not get far
+    until then. With a spring and no damping, or a limit of the rate alone, where it is likely,
+    another start has to show the cycle.
+
+    Args:
+        joint: None for a bare mass.
+
+    Returns:
+        Both of shape (joints,).
     """
-    returns = (joint.stiffness > 0.0) | ((joint.stiffness == 0.0) & (drive.controller.kp > 0.0))
-    return jnp.isfinite(drive.actuator.force_limit) & (joint.damping > 0.0) & returns
+    actuator, kp = drive.actuator, drive.controller.kp
+    k, c = (0.0, 0.0) if joint is None else (joint.stiffness, joint.damping)
+    damped, line = jnp.asarray(c) > 0.0, jnp.isfinite(actuator.stall_force)
+    line &= jnp.isfinite(actuator.no_load_speed)
+    rolls, stands = (k == 0.0) & (kp > 0.0), jnp.asarray(k) > 0.0
+    likely = (_bounded(drive) & (k >= 0.0)) | ((damped | line) & (rolls | stands))
+    limited = jnp.isfinite(actuator.force_limit) | line
+    return likely, limited & ((damped & (rolls | stands)) | (line & rolls))
 
 
 def scale(
@@ -208,17 +223,14 @@ def scale(
     least = jnp.maximum(_ROUNDING * jnp.finfo(size.dtype).eps * size, floor)
     most = jnp.where(jnp.isfinite(far) & linear_plant, far, 0.0)
     own = jnp.where(counts > 0.0, _OF_A_COUNT * counts, _OF_THE_LIMIT * most)
-    bounded, held = _bounded(drive) & linear_plant, jnp.zeros_like(unlimited)
-    if joint is not None:
-        held = _held(drive, joint)
-        bounded = (bounded & (joint.stiffness >= 0.0)) | held
+    bounded, held = _bounds(drive, joint)
     return Scale(
         count=counts,
         rest=jnp.maximum(least, own),
         floor=least,
         limit=most,
-        bounded=bounded,
-        held=held,
+        bounded=bounded & linear_plant,
+        held=held & linear_plant,
         linear=exact & unlimited & linear_plant,
         unlimited=unlimited & linear_plant,
         plant_linear=jnp.full_like(unlimited, linear_plant),

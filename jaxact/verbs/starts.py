@@ -54,11 +54,15 @@ def lines(run: Single) -> list[str]:
     starts = run.starts
     if len(starts) == 1:
         return [_ON_ITS_WAY] if _on_its_way(run) else []
-    stable = int(run.results["verdict"]) == Verdict.STABLE
+    verdict = Verdict(int(run.results["verdict"]))
+    stable = verdict == Verdict.STABLE
     rotary, rubs = run.rotary[0], _rubs(run)
     groups: dict[str, list[str]] = {}
     for start in starts:
-        groups.setdefault(_end(start, rotary, rubs, stable), []).append(_NAMES[start.name])
+        end = _end(start, rotary, rubs, stable)
+        if verdict == Verdict.LIMIT_CYCLE and end == Verdict.UNSTABLE.label:
+            end = "still growing"
+        groups.setdefault(end, []).append(_NAMES[start.name])
     parts = [f"{end} after {_listed(names)}" for end, names in groups.items()]
     found = [f"From {len(starts)} starts: {'; '.join(parts)}."]
     open_ones = [start for start in starts if not (start.moving or start.resting)]
@@ -66,7 +70,18 @@ def lines(run: Single) -> list[str]:
         found.append(
             "What still decays at the end may yet go on as a limit cycle: a longer duration tells."
         )
+    if verdict == Verdict.LIMIT_CYCLE and _unturned(run):
+        found.append(
+            "None of these motions has turned twice in the last quarter of the duration, so that "
+            "they may only creep, and come to rest: a longer duration tells."
+        )
     return found
+
+
+def _unturned(run: Single) -> bool:
+    """Whether a joint's limit cycle is one of motions too slow to have shown that they return."""
+    cycles = [one for one in run.starts if one.moving]
+    return len(run.joints) == 1 and not any(np.isfinite(one.frequency) for one in cycles)
 
 
 def document(run: Single) -> list[dict[str, Any]]:
