@@ -18,9 +18,10 @@ from jaxact.drive.sensor import Sensor
 from jaxact.loops import reading, robots
 from jaxact.loops.loop import Output
 from jaxact.loops.samples import expand
-from jaxact.simulation import envelope, execute, metrics, verdicts
+from jaxact.simulation import envelope, execute, metrics, scales, verdicts
 from jaxact.simulation.metrics import Metrics
-from jaxact.simulation.verdicts import Judgement, Motion, Scale
+from jaxact.simulation.scales import Scale
+from jaxact.simulation.verdicts import Judgement, Motion
 from jaxact.status import Verdict
 
 # A motor with an encoder of 4,096 counts a revolution, whose differences are its velocity.
@@ -533,7 +534,7 @@ def test_counts_are_felt_as_positions():
         Controller(jnp.array([100.0, 100.0, 0.0]), 5.0, command_resolution=0.2),
         sensor=Sensor(position_resolution=jnp.array([1e-4, 1e-2, 1e-4]), velocity_resolution=0.1),
     )
-    np.testing.assert_allclose(verdicts.count(drive), [5e-3, 1e-2, 1e-4], rtol=1e-6)
+    np.testing.assert_allclose(scales.count(drive), [5e-3, 1e-2, 1e-4], rtol=1e-6)
 
 
 @pytest.mark.exhaustive

@@ -31,7 +31,7 @@ from jaxact.robots.base import Base
 from jaxact.robots.silence import silenced
 from jaxact.simulation import envelope as _envelope
 from jaxact.simulation import metrics as _metrics
-from jaxact.simulation import verdicts as _verdicts
+from jaxact.simulation import scales as _scales
 from jaxact.simulation.envelope import Envelope
 from jaxact.simulation.falling import fall
 from jaxact.simulation.metrics import SEGMENTS, Metrics, Period, Reference, Running
@@ -360,7 +360,7 @@ def _finished(
         period=period,
         ticks=ticks,
         counted=counted,
-        scale=_verdicts.scale(drive, size, rest, linear_plant=False),
+        scale=_scales.scale(drive, size, rest, linear_plant=False),
         others=others,
         fell=fell,
     )

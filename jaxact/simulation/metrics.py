@@ -22,7 +22,8 @@ from jaxact.simulation import envelope as _envelope
 from jaxact.simulation import verdicts
 from jaxact.simulation.envelope import Envelope
 from jaxact.simulation.falling import Fall
-from jaxact.simulation.verdicts import Judgement, Motion, Scale
+from jaxact.simulation.scales import Scale
+from jaxact.simulation.verdicts import Judgement, Motion
 from jaxact.status import Verdict
 
 SETTLED = 0.02
@@ -314,8 +315,7 @@ def finish(
         period: control period [s].
         ticks: number of ticks.
         counted: number of ticks in the integrals.
-        scale: from `jaxact.simulation.verdicts.scale`; None for a loop that is linear, but for
-        noise.
+        scale: from `jaxact.simulation.scales.scale`; None for a loop that is linear, but for noise.
         others: from `judge`, of other starts of the same loop, shape (starts, joints).
         fell: from `jaxact.simulation.falling.fall`; None of what cannot.
     """

@@ -21,16 +21,17 @@ from jaxact.loops.loop import LoopState, Output, Prepared
 from jaxact.robots.base import Base
 from jaxact.simulation import envelope as _envelope
 from jaxact.simulation import metrics as _metrics
+from jaxact.simulation import scales as _scales
 from jaxact.simulation import stopping
-from jaxact.simulation import verdicts as _verdicts
 from jaxact.simulation.envelope import Envelope
 from jaxact.simulation.falling import fall
 from jaxact.simulation.growth import rate as _growth
 from jaxact.simulation.growth.rate import GrowthOptions
 from jaxact.simulation.metrics import SEGMENTS, Metrics, Period, Reference, Running
+from jaxact.simulation.scales import Scale
 from jaxact.simulation.settling import staying
 from jaxact.simulation.stopping import parted
-from jaxact.simulation.verdicts import Judgement, Scale
+from jaxact.simulation.verdicts import Judgement
 
 
 @dataclass(frozen=True)
@@ -220,7 +221,7 @@ def scale_of(
         return None
     size = jnp.maximum(jnp.abs(reference.start), jnp.abs(reference.target))
     drive, joint = prepared.drive.drive, prepared.joint
-    return _verdicts.scale(drive, size, rest_amplitude, linear_plant=linear_plant, joint=joint)
+    return _scales.scale(drive, size, rest_amplitude, linear_plant=linear_plant, joint=joint)
 
 
 def judged(

@@ -14,7 +14,7 @@ ones whatever its own setpoint:
     kick      where nothing else disturbs the loop: a small step, of a robot a kick of its joints
     linear    as `between`, without counts and limits: what noise alone sustains
 
-A count is that of the coarsest quantiser, as `jaxact.simulation.verdicts.count` has it; where that
+A count is that of the coarsest quantiser, as `jaxact.simulation.scales.count` has it; where that
 is not the encoder's, the small steps are two counts longer, so that something comes of them.
 """
 
@@ -38,7 +38,7 @@ from jaxact.parameters import (
     REST_AMPLITUDE,
     SETPOINT,
 )
-from jaxact.simulation import verdicts
+from jaxact.simulation import scales, verdicts
 from jaxact.simulation.verdicts import Judgement
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def given(
     Returns:
         Setpoint and initial state, shapes (starts, joints).
     """
-    count = verdicts.count(drive)
+    count = scales.count(drive)
     if friction is not None:
         count = jnp.minimum(count, _MOST)
     shape = () if friction is None else friction.shape
@@ -135,7 +135,7 @@ def given(
         elif friction is not None:
             setpoint, velocity = jnp.zeros_like(like), _KICK * sign
         else:
-            setpoint = jnp.minimum(_BELOW_LIMIT * verdicts.limit(drive), _STEP)
+            setpoint = jnp.minimum(_BELOW_LIMIT * scales.limit(drive), _STEP)
         setpoints.append(sign * setpoint)
         velocities.append(velocity)
     stacked = jnp.stack(setpoints)
@@ -244,6 +244,6 @@ def rest_amplitude(
     given = jnp.asarray(values[REST_AMPLITUDE])
     usual = jnp.asarray(_TREMBLE if robot else 0.0, given.dtype)
     if robot and options.quantised and not options.random:
-        count = verdicts.count(drive)
+        count = scales.count(drive)
         usual = jnp.where(count > 0.0, jnp.minimum(usual, _OF_A_COUNT * count), usual)
     return jnp.where(jnp.isnan(given), usual, given)

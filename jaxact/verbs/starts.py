@@ -81,7 +81,8 @@ def lines(run: Single) -> list[str]:
 def _unturned(run: Single) -> bool:
     """Whether a joint's limit cycle is one of motions too slow to have shown that they return."""
     cycles = [one for one in run.starts if one.moving]
-    return len(run.joints) == 1 and not any(np.isfinite(one.frequency) for one in cycles)
+    joint = run.trajectory.configuration is None
+    return joint and not any(np.isfinite(one.frequency) for one in cycles)
 
 
 def document(run: Single) -> list[dict[str, Any]]:
@@ -168,7 +169,7 @@ def _of_limit_cycle(run: Single) -> str:
 
 def _widening(run: Single) -> str:
     """That the own motion of a joint was still getting wider when the duration was over."""
-    if len(run.joints) != 1 or not run.starts[0].moving:
+    if run.trajectory.configuration is not None or not run.starts[0].moving:
         return ""
     position = run.trajectory.position[:, 0]
     last, before = (np.ptp(part) for part in reversed(np.array_split(position, 4)[-2:]))
