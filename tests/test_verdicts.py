@@ -277,6 +277,7 @@ def test_starts_that_still_grow_within_a_cycle_are_on_their_way_to_it_behind_a_l
     assert found.limit_cycle_amplitude.values == pytest.approx(apart, rel=0.02)
 
 
+@pytest.mark.exhaustive
 def test_a_motor_on_a_force_speed_line_drives_no_mass_faster_than_the_line_allows():
     loop = jx.joint(mass=0.7, kp=4000.0, kd=5.0, delay=4e-3, stall_force=40.0, no_load_speed=4.0)
     for duration in (0.3, 4.0):
@@ -285,6 +286,7 @@ def test_a_motor_on_a_force_speed_line_drives_no_mass_faster_than_the_line_allow
         assert float(np.abs(run.velocity).max()) < 4.0 * (1.0 + 1e-6)
 
 
+@pytest.mark.exhaustive
 def test_a_creep_that_has_not_turned_is_said_not_to_be_known():
     loop = jx.joint(
         mass=0.7, joint_damping=5.0, stall_force=10.0, no_load_speed=0.3, kp=67.2574, kd=38.1111,
