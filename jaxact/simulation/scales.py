@@ -89,7 +89,7 @@ def limit(drive: Drive) -> jax.Array:
     return jnp.where(jnp.abs(kp) > 0.0, _felt(force, kp), jnp.inf)
 
 
-def _bounded(drive: Drive) -> jax.Array:
+def _leads(drive: Drive) -> jax.Array:
     """Whether a force limit keeps the motions of a bare mass bounded, shape (joints,).
 
         kd > kp lag,   lag = delays + T / 2 + 2 zeta / wn
@@ -125,7 +125,7 @@ def _bounds(drive: Drive, joint: Joint | None) -> tuple[jax.Array, jax.Array]:
     damped, line = jnp.asarray(c) > 0.0, jnp.isfinite(actuator.stall_force)
     line &= jnp.isfinite(actuator.no_load_speed)
     rolls, stands = (k == 0.0) & (kp > 0.0), jnp.asarray(k) > 0.0
-    likely = (_bounded(drive) & (k >= 0.0)) | ((damped | line) & (rolls | stands))
+    likely = (_leads(drive) & (k >= 0.0)) | ((damped | line) & (rolls | stands))
     limited = jnp.isfinite(actuator.force_limit) | line
     return likely, limited & ((damped & (rolls | stands)) | (line & rolls))
 

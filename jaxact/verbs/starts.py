@@ -45,6 +45,10 @@ _ELSEWHERE = 0.05
 _ON_ITS_WAY = (
     "The motion had neither turned nor ended when the duration was over: a longer one tells."
 )
+_MAY_CREEP = (
+    "No motion that goes on has turned twice in the last quarter of the duration, so that it may "
+    "yet come to rest: a longer one tells."
+)
 
 
 def lines(run: Single) -> list[str]:
@@ -52,9 +56,9 @@ def lines(run: Single) -> list[str]:
     from jaxact.status import Verdict
 
     starts = run.starts
-    if len(starts) == 1:
-        return [_ON_ITS_WAY] if _on_its_way(run) else []
     verdict = Verdict(int(run.results["verdict"]))
+    if len(starts) == 1:
+        return [_ON_ITS_WAY] if _on_its_way(run) else [_MAY_CREEP] if _unturned(run) else []
     stable = verdict == Verdict.STABLE
     rotary, rubs = run.rotary[0], _rubs(run)
     groups: dict[str, list[str]] = {}
@@ -70,19 +74,21 @@ def lines(run: Single) -> list[str]:
         found.append(
             "What still decays at the end may yet go on as a limit cycle: a longer duration tells."
         )
-    if verdict == Verdict.LIMIT_CYCLE and _unturned(run):
-        found.append(
-            "None of these motions has turned twice in the last quarter of the duration, so that "
-            "they may only creep, and come to rest: a longer duration tells."
-        )
+    if _unturned(run):
+        found.append(_MAY_CREEP)
     return found
 
 
 def _unturned(run: Single) -> bool:
-    """Whether a joint's limit cycle is one of motions too slow to have shown that they return."""
-    cycles = [one for one in run.starts if one.moving]
-    joint = run.trajectory.configuration is None
-    return joint and not any(np.isfinite(one.frequency) for one in cycles)
+    """Whether a joint's limit cycle is one of motions too slow to have shown that they return.
+
+    Where small motions grow, none comes to rest, and it is one all the same.
+    """
+    from jaxact.status import Verdict
+
+    cycle = int(run.results["verdict"]) == Verdict.LIMIT_CYCLE and run.results["growth_rate"] < 0.0
+    turned = any(one.moving and np.isfinite(one.frequency) for one in run.starts)
+    return cycle and not turned and run.trajectory.configuration is None
 
 
 def document(run: Single) -> list[dict[str, Any]]:

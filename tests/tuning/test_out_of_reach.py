@@ -2,37 +2,20 @@
 
 import numpy as np
 import pytest
-import robots
+from arms import at_home
 
-from jaxact.loops import reading
-from jaxact.tuning.box import read_box
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.polish import Polished
 from jaxact.tuning.robot import polishing
 from jaxact.tuning.robot import search as robot
-from jaxact.tuning.robot.loops import VARIED, situation
 
-SPECIFICATION = """
-engine = "mujoco"
-[plant]
-model = '{path}'
-keyframe = "home"
-[parameters]
-actuator = "hyq"
-delay = 0.002
-[axes]
-feedforward = [0.0]
-"""
 LEAST = 300.0
 
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
-    path = tmp_path_factory.mktemp("robots") / "arm.xml"
-    path.write_text(robots.PENDULUM)
-    box = read_box("wn=0.8..1.2,delay=0.001..0.003", VARIED)
-    return situation(reading.parse(SPECIFICATION.format(path=path)), "home", box)
+    return at_home(tmp_path_factory.mktemp("robots"), "wn=0.8..1.2,delay=0.001..0.003")
 
 
 def _tuned(arm, peak, **options):

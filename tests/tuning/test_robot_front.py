@@ -2,35 +2,20 @@
 
 import numpy as np
 import pytest
-import robots
+from arms import at_home
 from quickly import compiled_quickly as compiled_quickly
 
-from jaxact.loops import reading
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.robot import front as robot_front
 from jaxact.tuning.robot import search as robot
-from jaxact.tuning.robot.loops import situation
 
 QUICK = {"starts": 2, "steps": 30}
 
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
-    path = tmp_path_factory.mktemp("front") / "arm.xml"
-    path.write_text(robots.PENDULUM)
-    text = f"""
-engine = "mujoco"
-[plant]
-model = '{path}'
-keyframe = "home"
-[parameters]
-actuator = "hyq"
-delay = 0.002
-[axes]
-feedforward = [0.0]
-"""
-    return situation(reading.parse(text), "home")
+    return at_home(tmp_path_factory.mktemp("front"))
 
 
 @pytest.fixture(scope="module")

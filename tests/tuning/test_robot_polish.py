@@ -4,15 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import robots
+from arms import at_home
 
-from jaxact.loops import reading
-from jaxact.tuning.box import read_box
 from jaxact.tuning.goal import Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.robot import polishing
 from jaxact.tuning.robot.descent import bounds, usual
-from jaxact.tuning.robot.loops import VARIED, situation
 from jaxact.tuning.robot.open_loops import open_loops
 from jaxact.tuning.robot.peaks import tabulate
 from jaxact.tuning.robot.rows import RobotCase, seen
@@ -22,23 +19,10 @@ PEAK = 1.8
 
 @pytest.fixture(scope="module")
 def case(tmp_path_factory):
-    path = tmp_path_factory.mktemp("robots") / "arm.xml"
-    path.write_text(robots.PENDULUM)
-    text = f"""
-engine = "mujoco"
-[plant]
-model = '{path}'
-keyframe = "home"
-[parameters]
-actuator = "hyq"
-delay = 0.002
-[axes]
-feedforward = [0.0]
-"""
-    one = situation(reading.parse(text), "home")
+    one = at_home(tmp_path_factory.mktemp("robots"))
     groups, goal = group([], one.names), Goal(max_peak=PEAK)
     low, high = bounds(goal, groups, usual([one], groups))
-    loops = open_loops([one], read_box("", VARIED).members(1, 0))
+    loops = open_loops([one], one.box.members(1, 0))
     return RobotCase(tabulate(loops), groups, goal, low, high)
 
 
@@ -69,9 +53,9 @@ class _Stuck:
         self.ends, self.asked, self.polish = ends, [], polishing._polished
         monkeypatch.setattr(polishing, "_polished", self)
 
-    def __call__(self, case, x, **options):
+    def __call__(self, case, x, *stage, **options):
         self.asked.append(case.goal.max_peak)
-        found = self.polish(case, x, **options)
+        found = self.polish(case, x, *stage, **options)
         if len(self.asked) > self.ends:
             return found
         return seen(case, found.x + 2e-4)

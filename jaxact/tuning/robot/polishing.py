@@ -73,7 +73,8 @@ def polished(
         fresh: False where x is nearly the best already.
         fine: False leaves out the last digits.
     """
-    found = _polished(case, x, aim=aim, steps=steps, fresh=fresh, fine=fine)
+    first = replace(_COARSE, steps=steps) if fresh else _FINE
+    found = _polished(case, x, first, aim=aim, fine=fine)
     for times in _TIGHTER if aim and fine else ():
         if found.met or found.violation > _STUCK:
             break
@@ -90,25 +91,19 @@ def _from_inside(case: RobotCase, found: Found, tighter: float) -> Found:
         tighter: how much tighter they are [ln].
     """
     own = replace(case, goal=case.goal.tightened(tighter))
-    inside = _polished(own, found.x, fresh=False)
+    inside = _polished(own, found.x, _FINE)
     ends = [found, more(seen(case, inside.x), inside.evaluations, inside.steps)]
     if ends[-1].met:
-        ends.append(_polished(case, inside.x, fresh=False))
+        ends.append(_polished(case, inside.x, _FINE))
     spent = {"evaluations": sum(one.evaluations for one in ends),
              "steps": sum(one.steps for one in ends)}  # fmt: skip
     return replace(min(ends, key=Found.rank), **spent)
 
 
 def _polished(
-    case: RobotCase,
-    x: np.ndarray,
-    *,
-    aim: bool = True,
-    steps: int = _COARSE.steps,
-    fresh: bool = True,
-    fine: bool = True,
+    case: RobotCase, x: np.ndarray, stage: _Stage, *, aim: bool = True, fine: bool = True
 ) -> Found:
-    """The same, once.
+    """The same, once, from some stage on.
 
     Only loops that are near their bounds are computed at every step, and at the frequencies of
     their peaks; all are looked at in between, and join if they turn out to matter.
@@ -117,7 +112,6 @@ def _polished(
     near = np.zeros(len(over), bool)
     kept = np.zeros(case.table.angle.shape[1], bool)
     tried, number = len(over), 0
-    stage = replace(_COARSE, steps=steps) if fresh else _FINE
     for _ in range(_ROUNDS):
         near |= over > over.max(initial=-np.inf) - stage.idle
         kept |= _columns(case, near, x, stage)
