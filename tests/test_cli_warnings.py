@@ -1,5 +1,7 @@
 """What is computed nevertheless, and warned of in one line."""
 
+import subprocess
+import sys
 import warnings
 from dataclasses import replace
 
@@ -91,3 +93,31 @@ def test_warnings_of_the_library_are_lines_on_the_command_line(flat, capsys):
     out, said = capsys.readouterr()
     assert out == "" and said.count("\n") == 1
     assert said.startswith("jaxact: warning: the engine `mjx` leaves out corners")
+
+
+INTERRUPTED = """
+import sys, threading, warnings
+import zarr, zarr.errors
+from jaxact.cli import main
+
+def consolidate_metadata(*_, **__):
+    # As in Zarr's own thread, which goes on after an interruption.
+    of_formats = "Consolidated metadata is currently not part in the Zarr format 3 specification."
+    told = lambda: warnings.warn(of_formats, zarr.errors.ZarrUserWarning)
+    threading.Timer(0.3, told).start()
+    raise KeyboardInterrupt
+
+zarr.consolidate_metadata = consolidate_metadata
+sys.argv = ["jaxact", "sweep", "s.toml", "--out", "o"]
+main.entry()
+"""
+
+
+@pytest.mark.exhaustive
+def test_an_interruption_is_one_line_though_zarr_still_writes(tmp_path):
+    (tmp_path / "s.toml").write_text("duration = 0.1\n[axes]\nkp = [100, 200]\nkd = [5]\n")
+    ran = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert ran.returncode == 130
+    assert ran.stderr.count("\n") == 1 and "interrupted" in ran.stderr

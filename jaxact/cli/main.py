@@ -163,7 +163,11 @@ def entry() -> NoReturn:
     """Run the command line of this process and end it."""
     _signals.listen()
     import gc
+    import warnings
 
+    # Zarr writes in a thread of its own, which may still warn of this when an interruption has
+    # ended what asked it not to.
+    warnings.filterwarnings("ignore", message="Consolidated metadata is currently not part")
     # Tracing makes hundreds of thousands of objects, few of which are garbage: looking for it after
     # every few hundred takes a tenth of a command's time.
     gc.set_threshold(50_000, 20, 100)
