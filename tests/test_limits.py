@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
 from jaxact.drive import step as drives

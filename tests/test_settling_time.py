@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from quickly import compiled_quickly as compiled_quickly
 from scipy.linalg import expm
 
 import jaxact as jx

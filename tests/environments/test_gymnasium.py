@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from mujoco import mjx
+from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
 from jaxact.errors import UserError

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import scipy.linalg
+from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.loops import reading, toml
 from jaxact.robot_margins import whole_robot
