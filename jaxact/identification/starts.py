@@ -15,6 +15,7 @@ from scipy import signal as _signal
 from jaxact.identification import inspection
 from jaxact.identification.joint_motion import COMMAND_LIMIT
 from jaxact.identification.log import LINKS, Log
+from jaxact.identification.model import LONG_DELAYS
 from jaxact.parameters import FEEDFORWARD, KD, KP, SETPOINT
 
 if TYPE_CHECKING:
@@ -27,7 +28,8 @@ _LIMITS, _MUCH_BETTER = tuple(0.75**power for power in range(1, 14)), 0.6
 _TOLD = 0.5
 # What the motion's columns stand for.
 _NAMES = ("inertia", "viscous", "coulomb", "offset", "gravity")
-# Rows by which a drive may be late where the search begins.
+# Rows by which a drive may be late where the search begins; if by the last, by this much more too.
+_LATER = 1.25
 _LATE = (0, 1, 2, 4, 6, 8, 12)
 
 
@@ -63,20 +65,28 @@ def _explained(
 ) -> tuple[tuple[bool, float], dict[str, float]]:
     """How badly the motion follows from what was asked for within a limit, and the numbers.
 
-    The drive is late by a few rows: by how many is tried. A motion against the force is the worst.
+    The drive is late by some rows: by how many is tried. A motion against the force is the worst.
 
     Args:
         rows: of all logs, from `_motions`.
         logs, context: as in `guess`.
         limit: of what was asked for [N or N m].
     """
-    tried = []
-    for late in _LATE:
+
+    def late_by(late: int) -> tuple[tuple[bool, float], dict[str, float]]:
         force = np.concatenate([_smooth(log, _needed(log, context, late, limit)) for log in logs])
         found, rest = _least_squares(rows, force, _NAMES)
         left = rest / max(float(np.var(force)), 1e-300)
-        tried.append(((found["inertia"] <= 0.0, left), found))
-    return min(tried, key=lambda one: one[0])
+        return (found["inertia"] <= 0.0, left), found
+
+    tried = [late_by(late) for late in _LATE]
+    best = min(tried, key=lambda one: one[0])
+    late = _LATE[-1]
+    longest = min(LONG_DELAYS[-1] / min(log.period for log in logs), 0.5 * min(map(len, logs)))
+    while best is tried[-1] and (late := math.ceil(_LATER * late)) <= longest:
+        tried.append(late_by(late))
+        best = min(best, tried[-1], key=lambda one: one[0])
+    return best
 
 
 def guess(
