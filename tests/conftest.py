@@ -3,7 +3,6 @@
 import gc
 import os
 import tempfile
-import time
 from pathlib import Path
 
 import hypothesis
@@ -27,9 +26,6 @@ from jaxact.cli import _xla  # noqa: E402
 from jaxact.compilation import programs  # noqa: E402
 from jaxact.sweeping import memory  # noqa: E402
 
-_UNTIL = os.environ.get("JAXACT_TESTS_UNTIL")  # seconds since 1970; `.ci/run` gives it
-_DAY = 24 * 3600  # [s]
-_LEFT_OUT = "begun too late (JAXACT_TESTS_UNTIL)"
 _MAPPINGS = 25_000  # of memory, beyond which compiled functions are let go of
 _WORKER = 4 * 2**30  # bytes that one takes at most, with what it starts
 
@@ -69,27 +65,6 @@ def mappings_do_not_run_out():
         programs.let_go()
         jax.clear_caches()
         gc.collect()
-
-
-def pytest_collection_modifyitems(items):
-    """Where time is limited, files take turns at being the last: another begins each day."""
-    if _UNTIL:
-        files = list(dict.fromkeys(item.path for item in items))
-        turn = int(float(_UNTIL) // _DAY)
-        order = {file: (place - turn) % len(files) for place, file in enumerate(files)}
-        items.sort(key=lambda item: order[item.path])
-
-
-def pytest_runtest_setup(item):
-    """Everyday tests all run, however late."""
-    if _UNTIL and time.time() > float(_UNTIL) and item.get_closest_marker("exhaustive"):
-        pytest.skip(_LEFT_OUT)
-
-
-def pytest_terminal_summary(terminalreporter):
-    skipped = terminalreporter.stats.get("skipped", ())
-    if count := sum(_LEFT_OUT in str(report.longrepr) for report in skipped):
-        terminalreporter.write_line(f"NOT RUN: {count} exhaustive tests, {_LEFT_OUT}")
 
 
 @pytest.hookimpl(optionalhook=True)

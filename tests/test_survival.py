@@ -22,7 +22,7 @@ SMALL = "[axes]\nkp = [1, 2, 3]\nkd = [1, 2]"
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize(("what", "number"), [("kills", 6), ("damages", 10)])
+@pytest.mark.parametrize(("what", "number"), [("kills", 8), ("damages", 16)])
 def test_a_small_campaign_finds_nothing_wrong(what, number, tmp_path):
     ran = subprocess.run(
         [sys.executable, str(ROOT / "tools/survival.py"), what, "--number", str(number)],

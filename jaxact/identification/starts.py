@@ -28,9 +28,9 @@ _LIMITS, _MUCH_BETTER = tuple(0.75**power for power in range(1, 14)), 0.6
 _TOLD = 0.5
 # What the motion's columns stand for.
 _NAMES = ("inertia", "viscous", "coulomb", "offset", "gravity")
-# Rows by which a drive may be late where the search begins; if by the last, by this much more too.
-_LATER = 1.25
-_LATE = (0, 1, 2, 4, 6, 8, 12)
+# Rows by which a drive may be late where the search begins. While the last of them explains the
+# motion best, one that is later by this factor is tried too.
+_LATE, _LATER = (0, 1, 2, 4, 6, 8, 12), 1.25
 
 
 def speed(log: Log) -> np.ndarray:

@@ -151,8 +151,11 @@ def _results(loop):
     yield "margins", jx.margins(loop)
     yield "both", jx.margins(loop[0], sampled="both")
     yield "tuned", jx.tune(loop[0], max_peak=1.6, starts=1, steps=30, front=2)
-    chain = Path(__file__).parents[1] / "data" / "chain.xml"
-    yield "robot", jx.margins(jx.robot(chain, actuator="starleth", delay=2e-3, kp=30, kd=1))
+    robot = jx.robot(
+        "experiments/quadruped/quadruped.xml", actuator="starleth", delay=2e-3, kp=100, kd=3,
+        base="fixed",
+    )  # fmt: skip
+    yield "robot", jx.margins(robot)
     yield "run", jx.simulate(loop[0], setpoint=0.1, duration=0.2).jaxact
     axes = {"kp": jx.log(10, 1e4, 4), "kd": jx.log(1, 100, 3)}
     maps = jx.sweep(loop[0], **axes, duration=0.2).jaxact
