@@ -6,9 +6,11 @@ crease. At a minimum within a smooth piece the residuals are orthogonal to their
 
     |Q^T r|^2 / s^2 = 0,      Q: orthonormal basis of the slopes J,  s^2 = |r|^2 / (rows - unknowns)
 
-the fall of the sum that the slopes still promise, in units of the residuals' variance. A delay at a
-control tick is left out: the sum has a kink there on either side of which it rises, and the search
-has looked at both (`fitting`).
+the fall of the sum that the slopes still promise, in units of the residuals' variance. What would
+take a step beyond the unknowns' ranges is no promise: a direction that no residual depends on has
+slopes of rounding errors, and would promise anything. A delay at a control tick is left out: the
+sum has a kink there on either side of which it rises, and the search has looked at both
+(`fitting`).
 """
 
 from __future__ import annotations
@@ -53,8 +55,11 @@ def promised(fit: Fit, covariance: np.ndarray) -> float:
     """
     ended = {*fit.at_bounds, *([DELAY] if at_a_tick(fit) else [])}
     free = [at for at, name in enumerate(fit.problem.names) if name not in ended]
-    basis, _ = np.linalg.qr(fit.slopes[:, free])
-    fall = float(np.sum(np.square(basis.T @ fit.residuals)))
+    ranges = np.array([abs(u.inner(u.high) - u.inner(u.low)) for u in fit.problem.unknowns])
+    # Sizes are what a step as long as the ranges changes the residuals by.
+    basis, sizes, _ = np.linalg.svd(fit.slopes[:, free] * ranges[free], full_matrices=False)
+    along = np.abs(basis.T @ fit.residuals)
+    fall = float(np.sum(np.where(along < sizes, along**2, (2.0 * along - sizes) * sizes)))
     plain = np.diag(uncertainty.naive(fit))
     wider = float(np.median(np.diag(covariance)[plain > 0.0] / plain[plain > 0.0]))
     spare = max(len(fit.residuals) - len(fit.point), 1)

@@ -6,13 +6,15 @@ import driven_joint
 import jax
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
 import jaxact as jx
 from jaxact.identification import motion, uncertainty
-from jaxact.identification.fitting import at_a_tick, solve
+from jaxact.identification.fitting import Fit, at_a_tick, solve
 from jaxact.identification.log import Log
 from jaxact.identification.model import of_rung
+from jaxact.identification.problem import Problem, Unknown
 from jaxact.identification.settling import promised, settled
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -89,3 +91,34 @@ def test_a_delay_at_a_control_tick_is_not_a_crease():
     # One period of 500 Hz, a kink on either side of which the sum rises.
     assert at_a_tick(fit) and fit.values["delay"] == pytest.approx(2e-3, rel=1e-3)
     assert settled(fit) is fit
+
+
+def _solved(slopes, residuals, most):
+    """A fit in the middle of its unknowns' ranges, which reach `most` to either side."""
+    unknowns = tuple(
+        Unknown(f"x{at}", "1", -size, size, (0.0,)) for at, size in enumerate(most.tolist())
+    )
+    numbers = {unknown.name: 0.0 for unknown in unknowns}
+    problem = Problem(unknowns, numbers, frozenset(), lambda values, rows: rows, (residuals,),
+                      (residuals,), 1.0, None)  # fmt: skip
+    return Fit(problem, np.zeros(len(most)), residuals, slopes, (), 1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_slopes_promise_what_a_linear_least_squares_within_the_ranges_reaches(seed):
+    """Also where two unknowns do the same, and where one does next to nothing."""
+    generator = np.random.default_rng(seed)
+    slopes = generator.normal(size=(300, 5))
+    slopes[:, 3] = -2.0 * slopes[:, 2]
+    slopes[:, 4] *= 1e-12
+    most = np.full(5, 100.0)
+    rest = generator.normal(size=300)
+    independent = slopes[:, [0, 1, 2, 4]]
+    arrived = rest - independent @ np.linalg.lstsq(independent, rest, rcond=1e-9)[0]
+    for residuals in (rest, arrived):
+        fit = _solved(slopes, residuals, most)
+        best = lsq_linear(independent, -residuals, (-most[:4], most[:4]))
+        variance = fit.square_sum / (300 - 5)
+        expected = (fit.square_sum - 2.0 * best.cost) / variance
+        assert promised(fit, uncertainty.naive(fit)) == pytest.approx(expected, rel=1e-6, abs=1e-6)
+    assert expected < 1e-6
