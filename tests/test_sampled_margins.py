@@ -316,17 +316,22 @@ def test_a_loop_is_lost_at_its_delay_margin_and_not_before(slow):
             assert not outside(number, more=margin * part), (number, part)
 
 
+MARGINS = ("delay_margin", "disk_margin")
+
+
+@jax.jit
+@jax.value_and_grad
+def backwards(values, which):
+    """One of two margins by its place, and its derivatives by reverse mode."""
+    found = sampled_margins(SampledLoop(*values, jnp.asarray(PERIOD)), max_delay_steps=STEPS)
+    return jnp.stack([getattr(found, name) for name in MARGINS])[which]
+
+
 @pytest.mark.exhaustive
 def test_the_slope_of_the_delay_margin_of_an_unstable_loop_is_zero():
-    values = jnp.asarray([4e4, 20.0, 0.7, 110.0, 0.9, 1e-3])[:, None]
-
-    def margin(kp):
-        changed = values.at[0].set(kp)
-        loop = SampledLoop(*changed, jnp.full(1, PERIOD), jnp.full(1, np.inf))
-        return sampled_margins(loop, max_delay_steps=STEPS).delay_margin[0]
-
-    value, slope = jax.jit(jax.value_and_grad(margin))(4e4)
-    assert np.isnan(value) and slope == 0.0
+    values = jnp.asarray([4e4, 20.0, 0.7, 110.0, 0.9, 1e-3])
+    value, slopes = backwards(values, MARGINS.index("delay_margin"))
+    assert np.isnan(value) and slopes[0] == 0.0
 
 
 @pytest.mark.exhaustive
@@ -456,12 +461,7 @@ def test_every_derivative_equals_central_differences():
 @pytest.mark.exhaustive
 def test_reverse_mode_equals_central_differences():
     values = jnp.array([400.0, 20.0, 0.7, 110.0, 0.9, 1.37e-3])
-
-    def disk(x):
-        loop = SampledLoop(*x, jnp.asarray(PERIOD))
-        return sampled_margins(loop, max_delay_steps=2).disk_margin
-
-    gradient = np.asarray(jax.jit(jax.grad(disk))(values))
+    gradient = np.asarray(backwards(values, MARGINS.index("disk_margin"))[1])
     for i in range(6):
         shifted = np.repeat(np.asarray(values)[:, None], 2, axis=1)
         shifted[i] *= [1 + 1e-6, 1 - 1e-6]

@@ -91,65 +91,61 @@ test("the bound of mu is mu where that is known, and never below it", () => {
   }
 });
 
-function closedOf({ data }) {
+/** A robot of Python's with its loop closed, which is opened and looked at once for all that follows. */
+function opened(row) {
+  const { data } = row;
   const [own] = data.loops;
   const plant = plantOf(data.plants[own.plants[own.rate]], data.joints.length);
   const open = openRobot(plant, own.drives, data.velocity === "differenced");
-  const loop = closed.closedLoop(closed.responses(open, true), own.drives.kp, own.drives.kd);
-  return { loop, plant };
+  const fine = closed.responses(open, true);
+  return { row, plant, fine, loop: closed.closedLoop(fine, own.drives.kp, own.drives.kd) };
 }
 
-test("robots have Python's singular values", { skip }, () => {
-  for (const row of rows) {
-    const { loop } = closedOf(row);
-    row.angle.forEach((t, k) => {
-      const S = closed.sensitivityOf(loop.at(t));
-      const both = { S, T: shifted(S, 1, -1) };
-      for (const name of ["S", "T"]) {
-        singularValues(both[name]).forEach((value, i) => {
-          const far = Math.abs(value - row[name][k][i]);
-          assert.ok(far < EXACT * row[name][k][0], `${row.robot}: ${name} ${value} at ${t}`);
-        });
-      }
-    });
-  }
-});
+function singularValuesArePythons({ row, loop }) {
+  row.angle.forEach((t, k) => {
+    const S = closed.sensitivityOf(loop.at(t));
+    const both = { S, T: shifted(S, 1, -1) };
+    for (const name of ["S", "T"]) {
+      singularValues(both[name]).forEach((value, i) => {
+        const far = Math.abs(value - row[name][k][i]);
+        assert.ok(far < EXACT * row[name][k][0], `${row.robot}: ${name} ${value} at ${t}`);
+      });
+    }
+  });
+}
 
-test("robots have Python's margins", { skip }, () => {
-  for (const row of rows) {
-    const { loop, plant } = closedOf(row);
-    const growth = finished(margins.growth(loop));
-    assert.equal(growth.unstable_roots, row.unstable_roots, row.robot);
-    assert.notEqual(growth.rate, null, row.robot);
-    near(growth.rate, row.growth_rate, EXACT, `${row.robot}: growth rate`);
-    const words = [growth.shakes && "shakes", growth.topples && "topples"].filter((one) => one);
-    assert.equal(words.join(" and ") || "stable", row.verdict, row.robot);
-    if (!row.whole) continue;
-    finished(margins.sharpen(loop, growth.roots));
-    const found = finished(margins.peaks(loop));
-    for (const name of ["sensitivity_peak", "complementary_peak", "unscaled_disk_margin"]) {
-      near(found[name], row.whole[name], EXACT, `${row.robot}: ${name}`);
-    }
-    const disk = finished(diskMargin(loop));
-    near(disk.margin, row.whole.disk_margin, EXACT, `${row.robot}: disk margin`);
-    const up = finished(limits.gainLimit(loop, true));
-    near(up?.factor ?? Infinity, row.whole.gain_margin, EXACT, `${row.robot}: gain margin`);
-    const down = finished(limits.gainLimit(loop, false));
-    near(down?.factor ?? 0, row.whole.gain_reduction_margin, EXACT, `${row.robot}: gains down`);
-    const later = finished(limits.delayLimit(loop));
-    near(later?.delay ?? Infinity, row.whole.delay_margin, EXACT, `${row.robot}: delay margin`);
-    if (later && row.first) {
-      // Which of two legs that are alike is named is rounding.
-      const own = margins.lateShape(loop, later, plant.inertias);
-      for (const [name, places] of Object.entries(row.data.groups)) {
-        const sum = (share) => places.reduce((all, i) => all + share(i), 0);
-        const [here, there] = [sum((i) => own[i].share), sum((i) => row.first[i])];
-        assert.ok(Math.abs(here - there) < SHARE, `${row.robot}: ${name}: ${here}, not ${there}`);
-      }
-    }
-    ofJoints(loop, row);
+function marginsArePythons({ row, loop, plant }) {
+  const growth = finished(margins.growth(loop));
+  assert.equal(growth.unstable_roots, row.unstable_roots, row.robot);
+  assert.notEqual(growth.rate, null, row.robot);
+  near(growth.rate, row.growth_rate, EXACT, `${row.robot}: growth rate`);
+  const words = [growth.shakes && "shakes", growth.topples && "topples"].filter((one) => one);
+  assert.equal(words.join(" and ") || "stable", row.verdict, row.robot);
+  if (!row.whole) return;
+  finished(margins.sharpen(loop, growth.roots));
+  const found = finished(margins.peaks(loop));
+  for (const name of ["sensitivity_peak", "complementary_peak", "unscaled_disk_margin"]) {
+    near(found[name], row.whole[name], EXACT, `${row.robot}: ${name}`);
   }
-});
+  const disk = finished(diskMargin(loop));
+  near(disk.margin, row.whole.disk_margin, EXACT, `${row.robot}: disk margin`);
+  const up = finished(limits.gainLimit(loop, true));
+  near(up?.factor ?? Infinity, row.whole.gain_margin, EXACT, `${row.robot}: gain margin`);
+  const down = finished(limits.gainLimit(loop, false));
+  near(down?.factor ?? 0, row.whole.gain_reduction_margin, EXACT, `${row.robot}: gains down`);
+  const later = finished(limits.delayLimit(loop));
+  near(later?.delay ?? Infinity, row.whole.delay_margin, EXACT, `${row.robot}: delay margin`);
+  if (later && row.first) {
+    // Which of two legs that are alike is named is rounding.
+    const own = margins.lateShape(loop, later, plant.inertias);
+    for (const [name, places] of Object.entries(row.data.groups)) {
+      const sum = (share) => places.reduce((all, i) => all + share(i), 0);
+      const [here, there] = [sum((i) => own[i].share), sum((i) => row.first[i])];
+      assert.ok(Math.abs(here - there) < SHARE, `${row.robot}: ${name}: ${here}, not ${there}`);
+    }
+  }
+  ofJoints(loop, row);
+}
 
 function ofJoints(loop, row) {
   const names = ["sensitivity_peak", "complementary_peak", "disk_margin", "phase_margin", "delay_margin", "gain_margin"];
@@ -162,51 +158,58 @@ function ofJoints(loop, row) {
   });
 }
 
-test("robots answer a step as Python's loops over their periods", { skip }, () => {
-  for (const row of rows) {
-    const { loop, plant } = closedOf(row);
-    const { drives } = loop.open;
-    const [which, ticks] = [row.data.joints.length - 1, row.step.length - 1];
-    const differenced = row.data.velocity === "differenced";
-    const { time, positions } = finished(stepResponse(plant, drives, differenced, which, ticks));
-    assert.ok(time.length > 10, row.robot);
-    const largest = Math.max(...row.step.slice(0, time.length).flat().map(Math.abs));
-    time.forEach((t, k) => {
-      near(t, k * loop.open.period, 1e-12, "time");
-      positions.forEach((all, i) => {
-        const far = Math.abs(all[k] - row.step[k][i]);
-        assert.ok(far < EXACT * largest, `${row.robot}: joint ${i} at tick ${k}: off by ${far}`);
-      });
+function stepsArePythons({ row, loop, plant }) {
+  const { drives } = loop.open;
+  const [which, ticks] = [row.data.joints.length - 1, row.step.length - 1];
+  const differenced = row.data.velocity === "differenced";
+  const { time, positions } = finished(stepResponse(plant, drives, differenced, which, ticks));
+  assert.ok(time.length > 10, row.robot);
+  const largest = Math.max(...row.step.slice(0, time.length).flat().map(Math.abs));
+  time.forEach((t, k) => {
+    near(t, k * loop.open.period, 1e-12, "time");
+    positions.forEach((all, i) => {
+      const far = Math.abs(all[k] - row.step[k][i]);
+      assert.ok(far < EXACT * largest, `${row.robot}: joint ${i} at tick ${k}: off by ${far}`);
     });
-    // What grows beyond all bounds is left off there, and only that.
-    if (time.length <= ticks) assert.ok(positions.some((all) => Math.abs(all.at(-1)) >= 20));
-  }
-});
+  });
+  // What grows beyond all bounds is left off there, and only that.
+  if (time.length <= ticks) assert.ok(positions.some((all) => Math.abs(all.at(-1)) >= 20));
+}
 
-test("a first glance has Python's number of unstable roots, and its outline", { skip }, () => {
-  for (const row of rows) {
-    const { loop } = closedOf(row);
-    const { open, kp, kd } = loop;
-    const found = finished(glance(closed.responses(open, false), kp, kd));
-    assert.equal(found.unstable, row.unstable_roots, row.robot);
-    for (const { t, peaks } of found.points) {
-      const S = closed.sensitivityOf(loop.at(t));
-      near(peaks[0], largestSingularValue(S), PICTURED, `${row.robot}: S at ${t}`);
-      near(peaks[1], largestSingularValue(shifted(S, 1, -1)), PICTURED, `${row.robot}: T at ${t}`);
-    }
-    // With other gains as the eigenvalues of L count.
-    for (const [i, factor] of [0.03, 0.3, 3, 30].entries()) {
-      const [stiff, damping] = [kp, kd].map((own, k) => own.map((x, j) => x * factor * (1 + ((i + j + k) % 3))));
-      const other = closed.closedLoop(closed.responses(open, true), stiff, damping);
-      const { unstable } = finished(glance(closed.responses(open, false), stiff, damping));
-      assert.equal(unstable, other.count(1), `${row.robot}: gains times ${factor}`);
-    }
+function firstGlancesArePythons({ row, loop, fine }) {
+  const { open, kp, kd } = loop;
+  const coarse = closed.responses(open, false);
+  const found = finished(glance(coarse, kp, kd));
+  assert.equal(found.unstable, row.unstable_roots, row.robot);
+  for (const { t, peaks } of found.points) {
+    const S = closed.sensitivityOf(loop.at(t));
+    near(peaks[0], largestSingularValue(S), PICTURED, `${row.robot}: S at ${t}`);
+    near(peaks[1], largestSingularValue(shifted(S, 1, -1)), PICTURED, `${row.robot}: T at ${t}`);
   }
-});
+  // With other gains as the eigenvalues of L count.
+  for (const [i, factor] of [0.03, 0.3, 3, 30].entries()) {
+    const [stiff, damping] = [kp, kd].map((own, k) => own.map((x, j) => x * factor * (1 + ((i + j + k) % 3))));
+    const other = closed.closedLoop(fine, stiff, damping);
+    const { unstable } = finished(glance(coarse, stiff, damping));
+    assert.equal(unstable, other.count(1), `${row.robot}: gains times ${factor}`);
+  }
+}
+
+for (const row of rows) {
+  test(row.robot, async (t) => {
+    const robot = opened(row);
+    await t.test("has Python's singular values", () => singularValuesArePythons(robot));
+    await t.test("answers a step as Python's loop over its periods", () => stepsArePythons(robot));
+    await t.test("has Python's number of unstable roots at a first glance, and its outline", () =>
+      firstGlancesArePythons(robot),
+    );
+    // The last: these put more points into the loop.
+    await t.test("has Python's margins", () => marginsArePythons(robot));
+  });
+}
 
 test("ranges of a map change where the margins are", { skip }, () => {
-  const row = rows.find(({ whole }) => whole);
-  const { loop } = closedOf(row);
+  const { row, loop } = opened(rows.find(({ whole }) => whole));
   const found = [...limits.ranges(loop)];
   const here = found.find(({ low, high }) => low < 1 && high > 1);
   assert.equal(here.unstable, 0);

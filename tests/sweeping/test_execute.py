@@ -1,18 +1,16 @@
-"""Running sweeps: the same bits however a sweep is cut up, and no sweep that hangs."""
+"""Running sweeps: rates, physics steps, precisions, and no sweep that hangs."""
 
 import os
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 from exact import growth_rate as exact_growth_rate
-from quickly import compiled_fully as compiled_fully
+from noisy_sweep import NOISY, run
+from quickly import ENVIRONMENT
 from quickly import compiled_quickly as compiled_quickly
-from quickly import optimised_fully
 
 from jaxact.errors import UserError
 from jaxact.loops import reading
@@ -20,85 +18,6 @@ from jaxact.loops.samples import expand
 from jaxact.plants.mjx import plant as mjx
 from jaxact.simulation import execute, plans, spectra
 from jaxact.status import Verdict
-
-NOISY = """
-engine = "mass"
-duration = 0.2
-tile = 16
-[parameters]
-actuator = "starleth"
-position_noise = 1e-4
-position_resolution = 1e-4
-force_limit = 60
-[axes]
-delay = [0.0, 0.0013]
-kp = { min = 10, max = 2000, num = 9, spacing = "log" }
-kd = { min = 1, max = 100, num = 5, spacing = "log" }
-"""
-
-
-def _asked(text, *changes):
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "sweep.toml"
-        path.write_text(text)
-        return reading.load(path, changes)
-
-
-def _run(text, *changes):
-    asked = _asked(text, *changes)
-    return execute.run(asked, expand(asked))
-
-
-def _same(a, b):
-    for name in a:
-        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
-
-
-@pytest.fixture(scope="module")
-def noisy():
-    with optimised_fully():  # bits are those of the user's kernels
-        return _run(NOISY)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.usefixtures("compiled_fully")
-def test_one_or_two_devices_give_the_same_bits(noisy):
-    assert len(jax.local_devices()) == 2
-    _same(noisy, _run(NOISY, "devices=1"))
-
-
-@pytest.mark.exhaustive
-@pytest.mark.usefixtures("compiled_fully")
-def test_a_sample_does_not_depend_on_its_neighbours(noisy):
-    """Every third sample alone, at other places of other tiles, keyed by number."""
-    asked = reading.parse(NOISY)
-    samples = expand(asked)
-    for first in range(3):
-        numbers = np.arange(first, len(samples), 3)
-        groups = plans.groups(asked, samples, together=numbers.size)
-        for name, row in execute.compute(groups, asked, samples, numbers).items():
-            np.testing.assert_array_equal(row, noisy[name][numbers], err_msg=name)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.usefixtures("compiled_fully")
-def test_other_tiles_give_the_same_figures(noisy):
-    other = _run(NOISY, "tile=8")
-    np.testing.assert_allclose(other["growth_rate"], noisy["growth_rate"], atol=1e-6)
-    assert np.mean(other["verdict"] == noisy["verdict"]) > 0.97
-    calm = noisy["verdict"] == Verdict.STABLE
-    for name in ("rms_force", "integrated_absolute_error"):
-        np.testing.assert_allclose(other[name][calm], noisy[name][calm], rtol=1e-2)
-
-
-@pytest.mark.exhaustive
-def test_progress_counts_every_sample_once():
-    asked = reading.parse(NOISY)
-    calls = []
-    samples = expand(asked)
-    execute.run(asked, samples, progress=lambda done, total: calls.append((done, total)))
-    assert calls[-1] == (90, 90)
-    assert [done for done, _ in calls] == sorted({done for done, _ in calls})
 
 
 @pytest.mark.exhaustive
@@ -113,7 +32,7 @@ def test_control_rates_may_differ_between_samples():
     control_rate = [250, 500, 1000]
     kp = [200, 400, 6000]
     """
-    got = _run(text)
+    got = run(text)
     rates = np.repeat([250.0, 500.0, 1000.0], 3)
     gains = np.tile([200.0, 400.0, 6000.0], 3)
     for place, (rate, kp) in enumerate(zip(rates, gains, strict=True)):
@@ -121,7 +40,7 @@ def test_control_rates_may_differ_between_samples():
         assert got["growth_rate"][place] == pytest.approx(want, rel=0.01, abs=0.02)
         if (rate, kp) != (250.0, 200.0):
             continue
-        alone = _run(text, f"kp=[{kp}]", f"control_rate=[{rate}]")
+        alone = run(text, f"kp=[{kp}]", f"control_rate=[{rate}]")
         # integrals end with the duration, whatever the fastest rate of the sweep
         for name in ("integrated_absolute_error", "overshoot", "rms_force"):
             np.testing.assert_allclose(got[name][place], alone[name][0], rtol=1e-3, err_msg=name)
@@ -151,16 +70,15 @@ def test_physics_steps_group_the_samples():
 
 def test_too_many_devices_and_odd_periods_are_refused():
     with pytest.raises(UserError, match="devices = 9"):
-        _run(NOISY, "devices=9")
+        run(NOISY, "devices=9")
     with pytest.raises(UserError, match="multiple"):
-        _run(NOISY, "physics_step=0.0003")
+        run(NOISY, "physics_step=0.0003")
 
 
 @pytest.mark.exhaustive
-@pytest.mark.usefixtures("compiled_fully")
-def test_double_precision_changes_little(noisy):
-    double = _run(NOISY, "precision=float64", "position_noise=0", "position_resolution=0")
-    single = _run(NOISY, "position_noise=0", "position_resolution=0")
+def test_double_precision_changes_little():
+    double = run(NOISY, "precision=float64", "position_noise=0", "position_resolution=0")
+    single = run(NOISY, "position_noise=0", "position_resolution=0")
     assert double["rms_force"].dtype == np.float64
     calm = (single["verdict"] == Verdict.STABLE) & (double["verdict"] == Verdict.STABLE)
     assert calm.sum() > 20
@@ -187,6 +105,7 @@ def test_no_sweep_hangs(tmp_path, devices):
     )
     words = f"sweep sweep.toml --quiet --set devices={devices}"
     environment = {key: value for key, value in os.environ.items() if key != "NPROC"}
+    environment |= ENVIRONMENT
     environment["PYTHONPATH"] = str(Path(__file__).resolve().parents[2])
     done = subprocess.run(
         [sys.executable, "-c", SWEEPS, words, "32", "1024"],

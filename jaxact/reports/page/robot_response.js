@@ -74,10 +74,10 @@ export function openRobot(plant, drives, differenced) {
   const { step, substeps, inputs, outputs } = plant;
   const [m, n] = [inputs.columns, inputs.rows];
   const period = step * substeps;
-  const { powers, whole } = overPeriod(plant);
+  const { powers, whole, within } = overPeriod(plant);
   const forces = servos(drives, m, period, substeps);
   const sensed = drives.measurement_delay.map((delay) => instant(delay, period, step, substeps));
-  const seen = sensed.some((one) => one !== null) ? rowsWithin(plant, powers) : null;
+  const seen = sensed.some((one) => one !== null) ? within() : null;
   const filters = drives.velocity_filter.map((cutoff) => Math.exp(-cutoff * period));
 
   const respond = (zr, zi) => answer(forces(zr, zi), zr, zi);
@@ -121,16 +121,16 @@ export function openRobot(plant, drives, differenced) {
       const { s } = one;
       const rise = s * s * (3 - 2 * s);
       const [b0, b1] = [step * s * (1 - s) * (1 - s), -step * s * s * (1 - s)];
+      const position = (of, at, speed) =>
+        (1 - rise) * before[of][at] + rise * then[of][at] + b0 * before[of][speed] + b1 * then[of][speed];
+      const rate = (of, speed) => (1 - s) * before[of][speed] + s * then[of][speed];
       for (let at = i * m, speed = (m + i) * m; at < (i + 1) * m; at++, speed++) {
-        const [q, v] = ["re", "im"].reduce(
-          ([own, rate], part) => [
-            [...own, (1 - rise) * before[part][at] + rise * then[part][at] + b0 * before[part][speed] + b1 * then[part][speed]],
-            [...rate, (1 - s) * before[part][speed] + s * then[part][speed]],
-          ],
-          [[], []],
-        );
-        [found.q.re[at], found.q.im[at]] = times([lr, li], q);
-        [found.v.re[at], found.v.im[at]] = times([lr, li], v);
+        const [x, y] = [position("re", at, speed), position("im", at, speed)];
+        const [u, w] = [rate("re", speed), rate("im", speed)];
+        found.q.re[at] = lr * x - li * y;
+        found.q.im[at] = lr * y + li * x;
+        found.v.re[at] = lr * u - li * w;
+        found.v.im[at] = lr * w + li * u;
       }
     });
   }
@@ -198,7 +198,7 @@ function keptAnswers(plant, drives, differenced, answer, zr, zi) {
 
 const known = new WeakMap();
 
-/** U^j Q^H B of every physics step j, and U^n; computed once for a plant. */
+/** U^j Q^H B of every physics step j, U^n, and `rowsWithin` if asked; computed once for a plant. */
 function overPeriod(plant) {
   if (!known.has(plant)) {
     const { triangular, inputs, substeps } = plant;
@@ -208,7 +208,9 @@ function overPeriod(plant) {
       powers.push(product(triangular, powers[j - 1]));
       whole = product(triangular, whole);
     }
-    known.set(plant, { powers, whole });
+    let rows = null;
+    const within = () => (rows ??= rowsWithin(plant, powers));
+    known.set(plant, { powers, whole, within });
   }
   return known.get(plant);
 }
