@@ -20,6 +20,12 @@ from jaxact.parameters import (
     JOINT_STIFFNESS,
 )
 
+FIELDS = (
+    "body_mass", "body_inertia", "body_subtreemass", "dof_damping", "jnt_stiffness",
+    "dof_armature", "dof_frictionloss", "geom_friction",
+)  # fmt: skip
+"""Of a model, that `changed` may replace."""
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)

@@ -7,13 +7,15 @@ that a changed robot rests elsewhere (`jaxact.robots.rest`), and where depends o
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact.compilation.programs import building
 from jaxact.loops import robots
 from jaxact.loops.joint_ranges import HIGHEST_FORCE, LOWEST_FORCE
 from jaxact.loops.specification import Setting
@@ -107,6 +109,14 @@ def _rows(case: Case, setting: Setting, values: Values, stiffness: np.ndarray | 
 
 def _springs(case: Case, setting: Setting, values: Values, joints: int) -> np.ndarray:
     """Stiffness, feedforward, lowest and highest force of the joints, shape (n, 4, joints)."""
+    with jax.enable_x64(True):
+        along = {name: np.asarray(value, float) for name, value in values.items()}
+        return np.array(_of_joints(along, case=case, setting=setting, joints=joints))
+
+
+@building
+def _of_joints(*, case: Case, setting: Setting, joints: int) -> Callable[[Any], jax.Array]:
+    """What `_springs` gives, from the parameters of the samples."""
     made = mujoco_batch.template(case, setting)
 
     def one(row: Mapping[str, jax.Array]) -> jax.Array:
@@ -120,9 +130,7 @@ def _springs(case: Case, setting: Setting, values: Values, joints: int) -> np.nd
         )
         return jnp.stack([jnp.broadcast_to(part, (joints,)) for part in parts])
 
-    with jax.enable_x64(True):
-        along = {name: jnp.asarray(value, float) for name, value in values.items()}
-        return np.array(jax.vmap(one)(along))
+    return jax.vmap(one)
 
 
 @functools.lru_cache(maxsize=256)

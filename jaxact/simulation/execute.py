@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
-from jaxact.simulation import plans, spectra, tiles
+from jaxact.simulation import kernel, plans, spectra, tiles
 from jaxact.simulation.growth.rate import TOLERANCE
 from jaxact.simulation.metrics import Metrics
 from jaxact.simulation.spectra import Rates
@@ -117,15 +117,16 @@ def _inputs(
     """What `jaxact.simulation.tiles.run` simulates a batch from: arrays and static arguments."""
     dtype = np.float64 if specification.precision == "float64" else np.float32
     shared, values = tiles.tiled(plan, samples, numbers, dtype)
+    setting, push = kernel.apart(specification.setting, dtype)
     shape = values[tiles.NEVER_SHARED].shape
     inputs = (
-        shared,
+        {**shared, **push},
         values,
         growth.reshape(shape).astype(dtype),
         np.full(shape, specification.seed, np.uint32),
         (samples.first + numbers).reshape(shape).astype(np.uint32),
     )
-    return inputs, tiles.static(plan, "metrics", plan.case, specification.setting)
+    return inputs, tiles.static(plan, "metrics", plan.case, setting)
 
 
 def _by_life(plan: plans.Plan, growth: np.ndarray) -> slice | np.ndarray:

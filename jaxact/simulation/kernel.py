@@ -51,6 +51,9 @@ from jaxact.simulation.verdicts import Judgement
 
 Values = Mapping[str, Any]
 
+# The parameter that `apart` makes of a push.
+PUSH = "push"
+
 
 @dataclass(frozen=True)
 class Case:
@@ -154,6 +157,23 @@ def occurring(setting: Setting, along: Mapping[str, np.ndarray]) -> Mapping[str,
     return robots.spread(along, robots.brought(scene))
 
 
+def apart(setting: Setting, dtype: type) -> tuple[Setting, Values]:
+    """What a kernel is compiled for, and the numbers of the push, which belong to its parameters.
+
+    Another push on the same body needs no other kernel.
+    """
+    push = setting.push
+    if push is None:
+        return setting, {}
+    numbers = {
+        "force": (np.array(push.impulse) / push.duration).astype(dtype),
+        "start": np.asarray(push.time, dtype),
+        "duration": np.asarray(push.duration, dtype),
+    }
+    any_push = replace(push, impulse=(0.0, 0.0, 0.0), time=0.0, duration=1.0)
+    return replace(setting, push=any_push), {PUSH: numbers}
+
+
 def resolved(template: Template, values: Values) -> Values:
     """The parameters of a sample, for each joint where joints differ, gains scaled."""
     if template.scene is not None:
@@ -170,6 +190,8 @@ def _plant_of(case: Case, template: Template, values: Values) -> Any:
         own = (values[name] if name in case.varied else None for name in OF_JOINT)
         return Mass(values[MASS], *own)
     plant = template.plant if case.engine.robot else template.plant.with_mass(values[MASS])
+    if PUSH in values:
+        plant = replace(plant, push=replace(plant.push, **values[PUSH]))
     if not case.varied:
         return plant
     from jaxact.plants.variation import Variation

@@ -10,13 +10,14 @@ import copy
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.compilation.programs import building
+from jaxact.compilation.programs import Program, building
 from jaxact.drive import step as _drive
 from jaxact.drive.controller import Setpoint
 from jaxact.drive.step import Coefficients
@@ -84,14 +85,16 @@ def _fields(case: Case, scene: Scene, row: np.ndarray) -> dict[str, np.ndarray]:
         name: values[0] if name in (PAYLOAD, CONTACT_FRICTION) else values
         for name, values in zip(case.varied, row, strict=True)
     }
-    joints = scene.robot.joints
+    joints, model = scene.robot.joints, scene.robot.model
     with jax.enable_x64(True):
-        fields = variation.changed(
-            scene.robot.model,
-            Variation(**given),
+        fields = _changed(
+            {name: getattr(model, name) for name in variation.FIELDS},
+            given,
             dofs=tuple(joint.dof for joint in joints),
             bodies=tuple(joint.body for joint in joints),
             payload_body=scene.payload_body,
+            body_parentid=tuple(model.body_parentid.tolist()),
+            dof_jntid=tuple(model.dof_jntid.tolist()),
         )
     arrays = {name: np.asarray(value) for name, value in fields.items()}
     if not softness.DEPENDS.intersection(arrays):
@@ -100,6 +103,13 @@ def _fields(case: Case, scene: Scene, row: np.ndarray) -> dict[str, np.ndarray]:
     for name, value in arrays.items():
         getattr(changed, name)[:] = value
     return arrays | softness.compiled(scene.robot.model, changed)
+
+
+@Program
+def _changed(fields: dict[str, jax.Array], given: dict[str, jax.Array], **static: Any):
+    """What `jaxact.plants.variation.changed` gives of a model's fields, in one call."""
+    places = {name: np.array(static.pop(name)) for name in ("body_parentid", "dof_jntid")}
+    return variation.changed(SimpleNamespace(**fields, **places), Variation(**given), **static)
 
 
 def metrics(

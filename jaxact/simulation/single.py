@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -231,10 +230,11 @@ def _in_jax(
 
     dtype = jnp.result_type(float)
     inputs = {name: jnp.asarray(value, dtype) for name, value in values.items()}
+    setting, push = kernel.apart(setting, dtype)
     loops = inputs, jnp.asarray(growth, dtype), np.uint32(seed), jnp.asarray(numbers, jnp.uint32)
     # A model of MJX is where JAX has put it.
     where = {"devices": 1} if case.engine.impl else {}
-    return jax.tree.map(np.asarray, _all(*loops, case=case, setting=setting, **where))
+    return jax.tree.map(np.asarray, _all(push, *loops, case=case, setting=setting, **where))
 
 
 @building
@@ -242,8 +242,12 @@ def _all(
     *, case: Case, setting: Setting, devices: int = 1
 ) -> Callable[..., tuple[Metrics, Trajectory, Judgement]]:
     del devices
-    one = functools.partial(_one, case, kernel.template_of(case, setting, "metrics"))
-    return jax.vmap(one, in_axes=(0, 0, None, 0))
+    template = kernel.template_of(case, setting, "metrics")
+
+    def one(shared, values, *loop):
+        return _one(case, template, {**shared, **values}, *loop)
+
+    return jax.vmap(one, in_axes=(None, 0, 0, None, 0))
 
 
 def _one(
