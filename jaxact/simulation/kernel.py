@@ -165,7 +165,7 @@ def apart(setting: Setting, dtype: type) -> tuple[Setting, Values]:
     push = setting.push
     if push is None:
         return setting, {}
-    numbers = {
+    numbers: Values = {
         "force": (np.array(push.impulse) / push.duration).astype(dtype),
         "start": np.asarray(push.time, dtype),
         "duration": np.asarray(push.duration, dtype),
