@@ -167,7 +167,7 @@ def test_without_delay_it_is_an_explicit_pd():
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-SCALES = (0.5, 1.0, 0.25, 0.75)  # of the gains of four models
+SCALES = (0.5, 1.0, 1.25, 0.75)  # of the gains of four models
 FEEDFORWARD = np.array([1.5, -0.5])
 
 
