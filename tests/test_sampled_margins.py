@@ -323,7 +323,7 @@ MARGINS = ("delay_margin", "disk_margin")
 @jax.value_and_grad
 def backwards(values, which):
     """One of two margins by its place, and its derivatives by reverse mode."""
-    found = sampled_margins(SampledLoop(*values, jnp.asarray(PERIOD)), max_delay_steps=STEPS)
+    found = sampled_margins(SampledLoop(*values, jnp.asarray(PERIOD)), max_delay_steps=2)
     return jnp.stack([getattr(found, name) for name in MARGINS])[which]
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from exact import growth_rate as exact_growth_rate
 from noisy_sweep import NOISY, run
-from quickly import ENVIRONMENT
 from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.errors import UserError
@@ -105,7 +104,6 @@ def test_no_sweep_hangs(tmp_path, devices):
     )
     words = f"sweep sweep.toml --quiet --set devices={devices}"
     environment = {key: value for key, value in os.environ.items() if key != "NPROC"}
-    environment |= ENVIRONMENT
     environment["PYTHONPATH"] = str(Path(__file__).resolve().parents[2])
     done = subprocess.run(
         [sys.executable, "-c", SWEEPS, words, "32", "1024"],
