@@ -40,14 +40,9 @@ def _path(loop, options, ticks):
     return trajectory.of_loop(loop, options, ticks, Setpoint(0.1))
 
 
-def simulate(drive, plant, ticks, substeps=1, *, beside=()):
-    """Trajectory at the control ticks: position and velocity, shape (ticks, 2).
-
-    With the parts and the delay lines that the drives `beside` it need too, as it has in a sweep
-    over all of them: one program serves them all.
-    """
-    all_of_them = jax.tree.map(lambda *values: np.array(values), drive, *beside)
-    path = _path(Loop(plant, drive), drives.options(all_of_them, substeps=substeps), ticks)
+def simulate(drive, plant, ticks, substeps=1):
+    """Trajectory at the control ticks: position and velocity, shape (ticks, 2)."""
+    path = _path(Loop(plant, drive), drives.options(drive, substeps=substeps), ticks)
     return np.stack([path.position[::substeps], path.velocity[::substeps]], axis=-1)
 
 
@@ -99,13 +94,11 @@ def wrong(found, expected):
 @pytest.mark.exhaustive
 def test_an_ideal_actuator_behind_a_rate_limit_is_exact():
     """One physics step in a control period or many, with a delay that ends within one."""
-    cases = [
-        replace(SLEWING, actuator=replace(SLEWING.actuator, delay=delay), sensor=Sensor(delay=late))
-        for delay, late in ((0.0, 0.0), (2.4e-3, 0.0), (0.0, 1.7e-3))
-    ]
     with jax.enable_x64(True):
-        for drive in cases:
-            one, many = (simulate(drive, Mass(0.7), 40, n, beside=cases) for n in (1, 4))
+        for delay, late in ((0.0, 0.0), (2.4e-3, 0.0), (0.0, 1.7e-3)):
+            own = replace(SLEWING.actuator, delay=delay)
+            drive = replace(SLEWING, actuator=own, sensor=Sensor(delay=late))
+            one, many = (simulate(drive, Mass(0.7), 40, n) for n in (1, 4))
             np.testing.assert_allclose(one, many, rtol=1e-9, atol=1e-12)
             # the reference takes its steps' ends for their middles where the force turns
             assert (wrong(one, reference(drive, Mass(0.7), 40)) < 1e-4).all()
@@ -149,37 +142,25 @@ def test_a_line_is_as_steep_for_a_step_as_it_is_for_many():
         assert one < 5e-3 and one > 3 * two > 9 * four
 
 
-def driven(case, actuator):
-    late = Sensor(delay=1.7e-3) if case == "all" else Sensor()
-    return Drive(Controller(400.0, 20.0), Actuator(**actuator, **CASES[case]), late)
-
-
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("case", ["rate limit", "line and rate limit"])
 def test_a_limit_behind_an_actuator_is_of_second_order(case):
-    drive, both = driven(case, HYQ), [driven("line and rate limit", HYQ)]
+    drive = Drive(Controller(400.0, 20.0), Actuator(**HYQ, **CASES[case]))
     with jax.enable_x64(True):
-        expected = simulate(drive, Mass(0.7), 100, 128, beside=both)
-        errors = [
-            wrong(simulate(drive, Mass(0.7), 100, n, beside=both), expected).max()
-            for n in (1, 4, 16)
-        ]
+        expected = simulate(drive, Mass(0.7), 100, 128)
+        errors = [wrong(simulate(drive, Mass(0.7), 100, n), expected).max() for n in (1, 4, 16)]
     assert errors[0] < 3e-2 and errors[1] < 4e-3 and errors[2] < 5e-4
 
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("actuator", [{}, HYQ, STARLETH], ids=["ideal", "hyq", "starleth"])
-@pytest.mark.parametrize(
-    ("plant", "beside"),
-    [(Mass(0.7), ()), (Mass(0.7, 3.0, -40.0), tuple(CASES))],
-    ids=["bare", "sprung"],
-)
-def test_limits_are_those_of_an_integration_in_small_steps(plant, beside, actuator, case):
-    """With just the parts that the case needs, and with those of all cases."""
-    drive = driven(case, actuator)
+@pytest.mark.parametrize("plant", [Mass(0.7), Mass(0.7, 3.0, -40.0)], ids=["bare", "sprung"])
+def test_limits_are_those_of_an_integration_in_small_steps(plant, actuator, case):
+    late = Sensor(delay=1.7e-3) if case == "all" else Sensor()
+    drive = Drive(Controller(400.0, 20.0), Actuator(**actuator, **CASES[case]), late)
     with jax.enable_x64(True):
-        found = simulate(drive, plant, 200, 4, beside=[driven(one, {}) for one in beside])
+        found = simulate(drive, plant, 200, 4)
     assert (wrong(found, reference(drive, plant, 200)) < 5e-3).all()
 
 

@@ -105,7 +105,7 @@ def solve(
         free = [index for index, u in enumerate(sought.unknowns) if u.name not in held]
         from jaxact.identification.minibatches import descend  # imports optax
 
-        point = descend(sought, begun[0].point, *_bounds(sought), free)
+        point = descend(sought, begun[0].point, *bounds(sought), free)
         return at(sought, point, sought.evaluate(point))
     tried = {
         one.piece: _solve_piece(
@@ -196,7 +196,7 @@ def _solve_piece(
         most: evaluations.
         evaluated_there: residuals and slopes at `point`, where they are known.
     """
-    low, high = _bounds(sought, piece)
+    low, high = bounds(sought, piece)
     free = [index for index, u in enumerate(sought.unknowns) if u.name not in held]
     base = np.clip(point, low, high)
     for index, unknown in enumerate(sought.unknowns):
@@ -270,7 +270,7 @@ def at(
     evaluations: int = 0,
 ) -> Fit:
     """A problem's residuals and slopes at a point, as a fit."""
-    low, high = _bounds(sought)
+    low, high = bounds(sought)
     near = _AT_THE_BOUND * (high - low)
     touched = (point - low < near) | (high - point < near)
     return Fit(
@@ -285,7 +285,7 @@ def at(
     )
 
 
-def _bounds(sought: Problem, piece: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+def bounds(sought: Problem, piece: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of the search, of the delay between the ticks `piece` and `piece + 1`."""
     both = np.array([sorted((u.inner(u.low), u.inner(u.high))) for u in sought.unknowns], float)
     low, high = both[:, 0].copy(), both[:, 1].copy()

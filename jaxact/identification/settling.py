@@ -7,10 +7,11 @@ crease. At a minimum within a smooth piece the residuals are orthogonal to their
     |Q^T r|^2 / s^2 = 0,      Q: orthonormal basis of the slopes J,  s^2 = |r|^2 / (rows - unknowns)
 
 the fall of the sum that the slopes still promise, in units of the residuals' variance. What would
-take a step beyond the unknowns' ranges is no promise: a direction that no residual depends on has
-slopes of rounding errors, and would promise anything. A delay at a control tick is left out: the
-sum has a kink there on either side of which it rises, and the search has looked at both
-(`fitting`).
+take a step beyond the unknowns' ranges is no promise: along a direction whose whole range changes
+the residuals by u, their component a promises a^2 where a < u, and (2 a - u) u beyond. Else one
+that no residual depends on, whose slopes are rounding errors, would promise anything. A delay at a
+control tick is left out: the sum has a kink there on either side of which it rises, and the search
+has looked at both (`fitting`).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from jaxact.identification import uncertainty
-from jaxact.identification.fitting import Fit, at_a_tick, solve
+from jaxact.identification.fitting import Fit, at_a_tick, bounds, solve
 from jaxact.parameters import DELAY
 
 # A search has arrived where it is left with this share of a robust variance to fall.
@@ -55,9 +56,9 @@ def promised(fit: Fit, covariance: np.ndarray) -> float:
     """
     ended = {*fit.at_bounds, *([DELAY] if at_a_tick(fit) else [])}
     free = [at for at, name in enumerate(fit.problem.names) if name not in ended]
-    ranges = np.array([abs(u.inner(u.high) - u.inner(u.low)) for u in fit.problem.unknowns])
+    low, high = bounds(fit.problem)
     # Sizes are what a step as long as the ranges changes the residuals by.
-    basis, sizes, _ = np.linalg.svd(fit.slopes[:, free] * ranges[free], full_matrices=False)
+    basis, sizes, _ = np.linalg.svd(fit.slopes[:, free] * (high - low)[free], full_matrices=False)
     along = np.abs(basis.T @ fit.residuals)
     fall = float(np.sum(np.where(along < sizes, along**2, (2.0 * along - sizes) * sizes)))
     plain = np.diag(uncertainty.naive(fit))

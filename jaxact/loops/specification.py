@@ -116,6 +116,11 @@ class Push:
     time: Annotated[float, Field(ge=0.0, le=1e5, allow_inf_nan=False)] = 0.1
     duration: Annotated[float, Field(gt=0.0, le=1e5, allow_inf_nan=False)] = 0.05
 
+    @property
+    def force(self) -> tuple[float, ...]:
+        """While it lasts, in the world's axes [N]."""
+        return tuple(part / self.duration for part in self.impulse)
+
 
 @dataclass(frozen=True, config=_STRICT)
 class Setting:

@@ -152,7 +152,7 @@ def _placed(setting: Setting, scene: Scene, varied: tuple[str, ...], impl: str) 
     push = setting.push
     if push is None:
         return plant
-    force = jnp.asarray(np.array(push.impulse) / push.duration)
+    force = jnp.asarray(push.force)
     number = bodies.pushed(scene.robot, push.body)
     start, duration = jnp.asarray(push.time), jnp.asarray(push.duration)
     return replace(plant, push=mjx.Push(force, start, duration, number))

@@ -117,7 +117,7 @@ def _inputs(
     """What `jaxact.simulation.tiles.run` simulates a batch from: arrays and static arguments."""
     dtype = np.float64 if specification.precision == "float64" else np.float32
     shared, values = tiles.tiled(plan, samples, numbers, dtype)
-    setting, push = kernel.apart(specification.setting, dtype)
+    setting, push = kernel.split_push(specification.setting, dtype)
     shape = values[tiles.NEVER_SHARED].shape
     inputs = (
         {**shared, **push},

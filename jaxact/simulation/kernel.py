@@ -51,7 +51,7 @@ from jaxact.simulation.verdicts import Judgement
 
 Values = Mapping[str, Any]
 
-# The parameter that `apart` makes of a push.
+# The parameter that `split_push` makes of a push.
 PUSH = "push"
 
 
@@ -157,7 +157,7 @@ def occurring(setting: Setting, along: Mapping[str, np.ndarray]) -> Mapping[str,
     return robots.spread(along, robots.brought(scene))
 
 
-def apart(setting: Setting, dtype: type) -> tuple[Setting, Values]:
+def split_push(setting: Setting, dtype: type) -> tuple[Setting, Values]:
     """What a kernel is compiled for, and the numbers of the push, which belong to its parameters.
 
     Another push on the same body needs no other kernel.
@@ -166,7 +166,7 @@ def apart(setting: Setting, dtype: type) -> tuple[Setting, Values]:
     if push is None:
         return setting, {}
     numbers: Values = {
-        "force": (np.array(push.impulse) / push.duration).astype(dtype),
+        "force": np.asarray(push.force, dtype),
         "start": np.asarray(push.time, dtype),
         "duration": np.asarray(push.duration, dtype),
     }

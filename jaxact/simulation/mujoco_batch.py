@@ -227,8 +227,7 @@ def _impulse(setting: Setting, scene: Scene) -> Impulse | None:
     if push is None:
         return None
     number = bodies.pushed(scene.robot, push.body)
-    force = np.array(push.impulse) / push.duration
-    return Impulse(number, force, push.time, push.duration)
+    return Impulse(number, np.array(push.force), push.time, push.duration)
 
 
 def _beginning(case: Case, setting: Setting, start: str) -> dict[str, Any]:

@@ -230,7 +230,7 @@ def _in_jax(
 
     dtype = jnp.result_type(float)
     inputs = {name: jnp.asarray(value, dtype) for name, value in values.items()}
-    setting, push = kernel.apart(setting, dtype)
+    setting, push = kernel.split_push(setting, dtype)
     loops = inputs, jnp.asarray(growth, dtype), np.uint32(seed), jnp.asarray(numbers, jnp.uint32)
     # A model of MJX is where JAX has put it.
     where = {"devices": 1} if case.engine.impl else {}

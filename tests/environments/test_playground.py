@@ -167,32 +167,32 @@ def test_without_delay_it_is_an_explicit_pd():
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-SCALES = (0.5, 1.0, 1.25, 0.75)  # of the gains of four models
-FEEDFORWARD = np.array([1.5, -0.5])
-
-
-def randomise(model):
-    """Four models with gains of their own, as Playground's `randomization_fn` returns them."""
-    axes = jax.tree.map(lambda leaf: None, model)
-    names = ("actuator_gainprm", "actuator_biasprm")
-    changed = {name: jnp.array(SCALES)[:, None, None] * getattr(model, name) for name in names}
-    return model.tree_replace(changed), axes.tree_replace(dict.fromkeys(names, 0))
+@pytest.mark.exhaustive
+def test_a_feedforward_is_a_constant_force_and_part_of_the_first_command():
+    values = {"feedforward": np.array([1.5, -0.5]), "delay": 0.004}
+    with jax.enable_x64(True):
+        env = playground(Leg(leg()), **values)
+        state, found = jax.jit(env.reset)(jax.random.PRNGKey(2)), []
+        data, step = state.data, jax.jit(env.step)
+        for control in actions(5):
+            state = step(state, jnp.asarray(control))
+            found.append(joint_forces(state))
+        expected = by_hand(leg(), data, actions(5), values)
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
 @pytest.fixture(scope="module")
 def four():
-    """Four environments whose drives and models differ, stepped 30 times.
+    """Four environments with drives that differ, stepped 30 times.
 
     Returns:
         The driven environment, a compiled step of the four, their states, and their controls.
     """
     with jax.numpy_rank_promotion("allow"), jax.enable_x64(True):
-        env = playground(Leg(leg(), settles=True), wn=(60.0, 200.0), zeta=0.7, delay=(0.0, 0.02),
-                         feedforward=FEEDFORWARD)  # fmt: skip
-        wrapped = wrap_for_brax_training(env, randomization_fn=randomise)
-        reset, step = jax.jit(wrapped.reset), jax.jit(wrapped.step)
-        controls = actions(30, (4,))
-        states = [reset(jax.random.split(jax.random.PRNGKey(3), 4))]
+        env = playground(Leg(leg(), settles=True), wn=(60.0, 200.0), zeta=0.7, delay=(0.0, 0.02))
+        reset, step = jax.jit(jax.vmap(env.reset)), jax.jit(jax.vmap(env.step))
+        first = reset(jax.random.split(jax.random.PRNGKey(3), 4))
+        controls, states = actions(30, (4,)), [first]
         for control in controls:
             states.append(step(states[-1], jnp.asarray(control)))
     return env, step, states, controls
@@ -206,20 +206,13 @@ def drawn(env, state, member):
 
 @pytest.mark.exhaustive
 def test_torques_are_those_of_the_drive_stepped_by_hand(four):
-    """With the gains of each one's model, which ordinary wrappers leave out.
-
-    The feedforward is a constant force and part of the first command, which is held as long as the
-    delay is.
-    """
     env, _, states, controls = four
     delays = []
-    for member, scale in enumerate(SCALES):
+    for member in range(4):
         with jax.enable_x64(True):
             values = drawn(env, states[1], member)
             data = jax.tree.map(operator.itemgetter(member), states[0].data)
-            expected = by_hand(leg(), data, controls[:, member],
-                               values | {"feedforward": FEEDFORWARD},
-                               gains=(scale * KP, scale * KD))  # fmt: skip
+            expected = by_hand(leg(), data, controls[:, member], values)
         found = [joint_forces(state)[member] for state in states[1:]]
         np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
         delays.append(values["delay"])
@@ -295,6 +288,37 @@ def test_drives_begin_anew_with_their_episode(full_reset):
 
 
 @pytest.mark.exhaustive
+def test_randomised_models_bring_their_own_gains():
+    """Beside `randomization_fn`, which ordinary wrappers are left out by."""
+    env = playground(Leg(leg()), delay=0.004)
+    scales = jnp.array([0.5, 1.0, 2.0])
+
+    def randomise(model):
+        axes = jax.tree.map(lambda leaf: None, model)
+        names = ("actuator_gainprm", "actuator_biasprm")
+        changed = {name: scales[:, None, None] * getattr(model, name) for name in names}
+        return model.tree_replace(changed), axes.tree_replace(dict.fromkeys(names, 0))
+
+    wrapped = wrap_for_brax_training(env, randomization_fn=randomise)
+    key = jnp.tile(jax.random.PRNGKey(7), (3, 1))
+    state = jax.jit(wrapped.reset)(key)
+    begin = state.data
+    controls = actions(12, (3,))
+    found = []
+    step = jax.jit(wrapped.step)
+    for control in controls:
+        state = step(state, jnp.asarray(control))
+        found.append(joint_forces(state))
+    for member, scale in enumerate((0.5, 1.0, 2.0)):
+        own = jax.tree.map(operator.itemgetter(member), begin)
+        expected = by_hand(leg(), own, controls[:, member], {"delay": 0.004},
+                           gains=(scale * KP, scale * KD))  # fmt: skip
+        np.testing.assert_allclose(
+            np.array(found)[:, member], expected, atol=2e-5 * np.abs(expected).max()
+        )
+
+
+@pytest.mark.exhaustive
 def test_forces_of_motors_are_delayed():
     env = playground(Leg(leg(actuator="motor")), delay=2.5 * STEP * SUBSTEPS)
     step = jax.jit(env.step)
@@ -326,8 +350,9 @@ def test_an_environment_of_playground_is_wrapped():
     driven = playground(env, actuator="starleth", delay=(0.002, 0.008))
     wrapped = wrap_for_brax_training(driven, episode_length=5)
     state = jax.jit(wrapped.reset)(jax.random.split(jax.random.PRNGKey(0), 2))
+    step = jax.jit(wrapped.step)
     for _ in range(7):
-        state = jax.jit(wrapped.step)(state, jnp.full((2, 1), 0.2))
+        state = step(state, jnp.full((2, 1), 0.2))
     assert np.isfinite(np.asarray(state.obs)).all()
     assert mjx_env.step is own  # nothing is left behind
     with pytest.raises(UserError, match="already"):

@@ -16,7 +16,6 @@ from jaxact.loops import reading
 from jaxact.loops.samples import expand
 from jaxact.plants.mjx import plant as mjx
 from jaxact.simulation import execute, plans, spectra
-from jaxact.status import Verdict
 
 
 @pytest.mark.exhaustive
@@ -72,16 +71,6 @@ def test_too_many_devices_and_odd_periods_are_refused():
         run(NOISY, "devices=9")
     with pytest.raises(UserError, match="multiple"):
         run(NOISY, "physics_step=0.0003")
-
-
-@pytest.mark.exhaustive
-def test_double_precision_changes_little():
-    double = run(NOISY, "precision=float64", "position_noise=0", "position_resolution=0")
-    single = run(NOISY, "position_noise=0", "position_resolution=0")
-    assert double["rms_force"].dtype == np.float64
-    calm = (single["verdict"] == Verdict.STABLE) & (double["verdict"] == Verdict.STABLE)
-    assert calm.sum() > 20
-    np.testing.assert_allclose(single["rms_force"][calm], double["rms_force"][calm], rtol=1e-3)
 
 
 SWEEPS = """

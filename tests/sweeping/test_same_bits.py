@@ -1,4 +1,4 @@
-"""The same bits however a sweep is cut up, by kernels as users have them."""
+"""What a sweep's cuts and precision change, of kernels as users have them: no bit, and little."""
 
 import jax
 import numpy as np
@@ -55,6 +55,16 @@ def test_other_tiles_give_the_same_figures(noisy):
     calm = noisy["verdict"] == Verdict.STABLE
     for name in ("rms_force", "integrated_absolute_error"):
         np.testing.assert_allclose(other[name][calm], noisy[name][calm], rtol=1e-2)
+
+
+@pytest.mark.exhaustive
+def test_double_precision_changes_little():
+    double = run(NOISY, "precision=float64", "position_noise=0", "position_resolution=0")
+    single = run(NOISY, "position_noise=0", "position_resolution=0")
+    assert double["rms_force"].dtype == np.float64
+    calm = (single["verdict"] == Verdict.STABLE) & (double["verdict"] == Verdict.STABLE)
+    assert calm.sum() > 20
+    np.testing.assert_allclose(single["rms_force"][calm], double["rms_force"][calm], rtol=1e-3)
 
 
 @pytest.mark.exhaustive
