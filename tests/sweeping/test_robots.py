@@ -15,7 +15,7 @@ from jaxact.loops import reading, robots
 from jaxact.loops.samples import expand
 from jaxact.plants.mjx import plant as mjx
 from jaxact.robots import model as models
-from jaxact.simulation import engines, execute, plans, single
+from jaxact.simulation import engines, execute, kernel, plans, single
 from jaxact.status import Verdict
 from jaxact.sweeping import cache, execution, location, throughput
 from jaxact.verbs import sweep_options
@@ -69,6 +69,26 @@ def test_both_engines_simulate_the_same_loop(case, folder):
     figures = found["mujoco"].results
     assert found["mjx"].results == pytest.approx(figures, rel=1e-4, nan_ok=True)
     assert figures["integrated_squared_error"] > 0.0 and figures["peak_force"] > 0.0
+
+
+def test_pushes_one_after_another_are_each_their_own_though_one_kernel_serves_them(folder):
+    """A cart of 2 kg that nothing holds: ``v = J / m`` behind a push, ``J t / (m T)`` within it."""
+    cart = (
+        '<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body name="cart">'
+        '<joint name="rail" type="slide" axis="1 0 0"/><geom size="0.1" mass="2"/></body>'
+        '</worldbody><actuator><motor joint="rail"/></actuator></mujoco>'
+    )
+    (folder / "cart.xml").write_text(cart)
+    settings = set()
+    for impulse, begin, lasts in ((3.0, 0.01, 0.02), (-1.0, 0.005, 0.04)):
+        push = f'[push]\nbody = "cart"\nimpulse = [{impulse}, 0, 0]\ntime = {begin}\n'
+        asked = _parsed(folder, f'model = "cart.xml"\n{push}duration = {lasts}', "kp = 0\nkd = 0",
+                        engine="mjx", duration=0.1, precision="float64")  # fmt: skip
+        path = single.simulate(asked).trajectory
+        gone = np.clip((path.time - begin) / lasts, 0.0, 1.0)
+        np.testing.assert_allclose(path.velocity[:, 0], impulse / 2.0 * gone, atol=1e-9)
+        settings.add(kernel.split_push(asked.setting, float)[0])
+    assert len(settings) == 1
 
 
 def test_gains_of_the_model_are_the_default_and_patterns_override_them(folder):
