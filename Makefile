@@ -6,7 +6,7 @@
 # make shipped how much delay the gains bear that public robots ship with, to results/shipped_gains/
 # make identification  drives from real logs, and how simple their models may be
 # make training  policies trained with and without the drive, to results/training/
-# make test    the everyday tests
+# make test    the everyday tests; what they compile is kept in ~/.cache/jaxact-tests
 # make test-all  all tests, the exhaustive ones too
 # make docs    the site of the documentation, all of whose code runs, to docs/_build/html/
 # make lint    style and types
@@ -81,6 +81,7 @@ lock:
 
 clean:
 	rm -rf $(VENV) $(ROBOTS) $(ENVIRONMENTS) $(TORCH) $(SITE) $(TRAINING)
+	rm -rf "$${XDG_CACHE_HOME:-$$HOME/.cache}/jaxact-tests"
 
 # Everything is pinned by the lock file, the build backend included, so nothing is resolved here;
 # the second step only adds what a platform needs beyond it (colorama on Windows).

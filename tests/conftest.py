@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 import hypothesis
+import kept_programs
 import pytest
 
 # Before JAX starts: it reads these once.
@@ -16,9 +17,14 @@ os.environ.setdefault("MPLBACKEND", "agg")
 # Before NumPy and SciPy start: threads of theirs wait by spinning, on cores that others need.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Compiled kernels of the command line are kept for these tests only, for all workers together.
-if "PYTEST_XDIST_WORKER" not in os.environ:
+_RUNS_ALL = "PYTEST_XDIST_WORKER" not in os.environ
+if _RUNS_ALL:
+    _kept = kept_programs.directory()
     _cache = tempfile.TemporaryDirectory(prefix="jaxact-tests-")
     os.environ["XDG_CACHE_HOME"] = _cache.name
+_programs = Path(os.environ["XDG_CACHE_HOME"]) / "tests"
+if _RUNS_ALL:
+    kept_programs.lend(_kept, _programs)
 
 import jax  # noqa: E402
 
@@ -34,9 +40,9 @@ _xla.enlarge_pool()  # JAX reads it when it starts its devices
 # Tracing makes many objects and little garbage; looking for it often takes a tenth of the time.
 gc.set_threshold(500_000, 20, 100)
 
-# Two workers that run tests of one module compile its functions once. Not by the environment, which
-# the command line under test would inherit.
-jax.config.update("jax_compilation_cache_dir", str(Path(os.environ["XDG_CACHE_HOME"]) / "tests"))
+# Two workers that run tests of one module compile its functions once, and so do two runs. Not by
+# the environment, which the command line under test would inherit.
+jax.config.update("jax_compilation_cache_dir", str(_programs))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 hypothesis.settings.register_profile(
@@ -47,6 +53,13 @@ hypothesis.settings.register_profile(
     suppress_health_check=[hypothesis.HealthCheck.too_slow],
 )
 hypothesis.settings.load_profile("jaxact")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(exitstatus):
+    """The workers have ended by then. An interrupted run may have left half a program."""
+    if _RUNS_ALL and exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+        kept_programs.keep(_programs, _kept)
 
 
 @pytest.fixture(autouse=True)
