@@ -44,6 +44,8 @@ gc.set_threshold(500_000, 20, 100)
 # the environment, which the command line under test would inherit.
 jax.config.update("jax_compilation_cache_dir", str(_programs))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+# Where each operation was written is noted while tracing, for profiles that no test takes.
+jax.config.update("jax_traceback_in_locations_limit", 0)
 
 hypothesis.settings.register_profile(
     "jaxact",
