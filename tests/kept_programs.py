@@ -1,6 +1,6 @@
 """Programs that JAX compiled for the tests, kept from one run to the next.
 
-Compiling is half of what the tests cost, and most programs are the same as in the run before. JAX
+Compiling is two fifths of what the tests cost, and most programs are those of the run before. JAX
 itself finds a program by all that it is compiled from, its options and its own version; of the
 processor it knows too little, so each kind of processor has its own.
 """
@@ -18,8 +18,12 @@ _PROCESSOR = ("model name", "flags", "CPU part", "Features")
 
 def directory():
     """In the user's cache, for this kind of processor."""
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(home) / "jaxact-tests" / hashlib.sha256(_processor().encode()).hexdigest()[:16]
+    told = os.environ.get("XDG_CACHE_HOME", "")
+    try:
+        cache = Path(told) if os.path.isabs(told) else Path.home() / ".cache"
+    except RuntimeError:  # a user without a home
+        cache = Path(os.devnull)
+    return cache / "jaxact-tests" / hashlib.sha256(_processor().encode()).hexdigest()[:16]
 
 
 def _processor():
@@ -33,14 +37,14 @@ def lend(kept, to):
     """Give a run what was kept; it writes to a directory of its own, since it may be killed."""
     to.mkdir(parents=True, exist_ok=True)
     for program in kept.glob("*-cache"):
-        with contextlib.suppress(FileNotFoundError):  # another run dropped it
+        with contextlib.suppress(OSError):  # dropped by another run, or there is no room
             _share(program, to / program.name)
 
 
 def keep(of_the_run, kept):
     """Keep what a run compiled that has ended by itself; nothing where nothing can be written."""
     with contextlib.suppress(OSError):
-        kept.mkdir(parents=True, exist_ok=True)
+        kept.mkdir(mode=0o700, parents=True, exist_ok=True)
         for program in of_the_run.glob("*-cache"):
             if not (kept / program.name).exists() and _is_whole(program):
                 _share(program, kept / program.name)

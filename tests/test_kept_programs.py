@@ -59,3 +59,9 @@ def test_another_processor_has_its_own(monkeypatch, tmp_path):
     assert here.parent == tmp_path / "jaxact-tests"
     monkeypatch.setattr(kept_programs, "_processor", lambda: "another")
     assert kept_programs.directory() != here
+
+
+def test_a_cache_folder_that_is_none_is_not_taken(monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", "somewhere")
+    monkeypatch.setenv("HOME", "/home/user")
+    assert kept_programs.directory().is_relative_to("/home/user/.cache/jaxact-tests")
