@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import signal as _signal
+from scipy.optimize import lsq_linear
 
 from jaxact.identification import inspection
 from jaxact.identification.joint_motion import COMMAND_LIMIT
@@ -24,10 +25,12 @@ if TYPE_CHECKING:
 # Shares of the largest command at which a drive may follow no further, where logs do not say so;
 # one by which the forces are explained so much better is begun from.
 _LIMITS, _MUCH_BETTER = tuple(0.75**power for power in range(1, 14)), 0.6
-# Where the motion leaves less than this share of the forces it tells their sign.
-_TOLD = 0.5
+# Where the motion leaves less than this share of the forces it tells their sign; where it leaves
+# more than the other it contradicts them.
+_TOLD, _CONTRADICTS = 0.5, 0.2
 # What the motion's columns stand for.
 _NAMES = ("inertia", "viscous", "coulomb", "offset", "gravity")
+_OF_EITHER_SIGN = ("offset", "gravity")
 # Rows by which a drive may be late where the search begins. While the last of them explains the
 # motion best, one that is later by this factor is tried too.
 _LATE, _LATER = (0, 1, 2, 4, 6, 8, 12), 1.25
@@ -82,7 +85,7 @@ def _explained(
     tried = [late_by(late) for late in _LATE]
     best = min(tried, key=lambda one: one[0])
     late = _LATE[-1]
-    longest = min(LONG_DELAYS[-1] / min(log.period for log in logs), 0.5 * min(map(len, logs)))
+    longest = _longest(logs)
     while best is tried[-1] and (late := math.ceil(_LATER * late)) <= longest:
         tried.append(late_by(late))
         best = min(best, tried[-1], key=lambda one: one[0])
@@ -156,16 +159,34 @@ def command_limit(log: Log) -> float:
 
 
 def against_the_command(log: Log) -> bool:
-    """Whether a joint accelerates against its log's command."""
+    """Whether a joint moves against its log's command, and no joint could move so with it.
+
+    Both signs are tried, with inertia and friction as they can be and every delay that is looked
+    for: what a sine alone does, gravity or a delay of half a turn do as well as another sign.
+    """
     rows = _motions(log, gravity=True)
-    tried = []
-    for late in _LATE:
+    square, triangle = np.linalg.qr(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300))
+    least = [-math.inf if name in _OF_EITHER_SIGN else 0.0 for name in _NAMES]
+
+    def left(late: int) -> list[float]:
         command = np.append(np.full(late, log["command"][0]), log["command"][: len(log) - late])
         force = _smooth(log, command)
-        found, rest = _least_squares(rows, force, _NAMES)
-        tried.append((rest / max(float(np.var(force)), 1e-300), found["inertia"]))
-    left, inertia = min(tried)
-    return left < _TOLD and inertia < 0.0
+        own = square.T @ force
+        apart = float(force @ force - own @ own)
+        rests = [lsq_linear(triangle, sign * own, (least, np.inf)).cost for sign in (1.0, -1.0)]
+        size = max(len(log) * float(np.var(force)), 1e-300)
+        return [(apart + 2.0 * rest) / size for rest in rests]
+
+    late, longest = list(_LATE), _longest([log])
+    while (later := math.ceil(_LATER * late[-1])) <= longest:
+        late.append(later)
+    along, against = np.min([left(each) for each in late], axis=0)
+    return bool(along > _CONTRADICTS and against < min(_TOLD, _MUCH_BETTER * along))
+
+
+def _longest(logs: Sequence[Log]) -> float:
+    """The most rows by which a drive may be late."""
+    return min(LONG_DELAYS[-1] / min(log.period for log in logs), 0.5 * min(map(len, logs)))
 
 
 def _least_squares(

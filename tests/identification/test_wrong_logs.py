@@ -8,8 +8,9 @@ import pytest
 from driven_joint import DELAY, INERTIA, WN, ZETA, log, prbs
 
 from jaxact.errors import UserError
-from jaxact.identification import inspection
+from jaxact.identification import inspection, starts
 from jaxact.identification.identify import identify
+from jaxact.identification.log import Log
 
 
 def _joint(seed, hold, **given):
@@ -82,6 +83,39 @@ def test_a_command_of_the_wrong_sign_is_said():
     verdict = identify(replace(alone, gains=(None, None)), "mass").verdict
     assert "position goes against the command" in verdict.sentence
     assert verdict.level.value == "not good enough"
+
+
+def _told(frequencies, *, inertia, coulomb, gravity=0.0, late=0.0, sign=1.0):
+    """A log of a swinging joint and of the command that makes it swing so."""
+    time = 1e-3 * np.arange(6000)
+
+    def motion(order, time):
+        turns = 2.0 * np.pi * np.asarray(frequencies)[:, None]
+        return np.sum(0.1 * turns**order * np.sin(turns * time + order * np.pi / 2.0), axis=0)
+
+    position, speed, acceleration = (motion(order, time + late) for order in range(3))
+    friction = 0.02 * speed + coulomb * np.sign(speed)
+    command = inertia * acceleration + friction + gravity * np.sin(position)
+    noise = 1e-4 * np.random.default_rng(1).normal(size=len(time))
+    return Log("told", time, {"position": motion(0, time) + noise, "command": sign * command})
+
+
+@pytest.mark.parametrize(
+    ("frequencies", "joint"),
+    [
+        ((0.22,), {"inertia": 0.011, "coulomb": 0.5, "gravity": 6.0, "late": 3e-3}),
+        ((2.4,), {"inertia": 0.14, "coulomb": 0.0, "gravity": 6.7, "late": 3e-3}),
+        ((10.0,), {"inertia": 0.05, "coulomb": 0.0, "late": 0.05}),  # half a turn late
+    ],
+)
+def test_a_sine_alone_does_not_tell_the_sign_of_its_command(frequencies, joint):
+    assert not starts.against_the_command(_told(frequencies, **joint))
+
+
+def test_several_sines_tell_the_sign_of_their_command():
+    joint = {"inertia": 0.14, "coulomb": 0.1, "gravity": 1.0, "late": 3e-3}
+    assert not starts.against_the_command(_told((0.7, 2.9, 6.3), **joint))
+    assert starts.against_the_command(_told((0.7, 2.9, 6.3), sign=-1.0, **joint))
 
 
 def test_positions_in_degrees_contradict_the_command():
