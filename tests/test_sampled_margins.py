@@ -202,6 +202,28 @@ def sprung():
     return found
 
 
+def largest_root(kp, kd, c, k, delay):
+    """Of 1 kg with a damper and a spring under ideal forces after a delay, sampled each second."""
+    whole = int(delay)
+    flow = np.zeros((3, 3))
+    flow[0, 1], flow[1] = 1.0, (-k, -c, 1.0)
+    before, after = (scipy.linalg.expm(flow * t) for t in (delay - whole, 1 - delay + whole))
+    state = after @ before
+    size = 2 + whole + 1
+    matrix = np.zeros((size, size))
+    matrix[:2, :2] = state[:2, :2]
+    matrix[:2, 2 + whole] = after[:2, :2] @ before[:2, 2]
+    newest = np.zeros(size) if whole else None
+    command = np.zeros(size)
+    command[:2] = -kp, -kd
+    if whole:
+        newest[1 + whole] = 1.0
+    matrix[:2] += np.outer(after[:2, 2], newest if whole else command)
+    matrix[2] = command
+    matrix[3:, 2:-1] += np.eye(size - 3)
+    return np.abs(np.linalg.eigvals(matrix)).max()
+
+
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("gains", "joint", "between"),
@@ -227,29 +249,25 @@ def test_the_delay_at_which_a_loop_is_first_lost_though_it_returns_soon_after(
     (kp, kd), (c, k) = gains, joint
     found = sprung(*([value] for value in (kp, kd, 1.0, np.inf, 1.0, 0.0, c, k)))
 
-    def radius(delay):
-        whole = int(delay)
-        flow = np.zeros((3, 3))
-        flow[0, 1], flow[1] = 1.0, (-k, -c, 1.0)
-        before, after = (scipy.linalg.expm(flow * t) for t in (delay - whole, 1 - delay + whole))
-        state = after @ before
-        size = 2 + whole + 1
-        matrix = np.zeros((size, size))
-        matrix[:2, :2] = state[:2, :2]
-        matrix[:2, 2 + whole] = after[:2, :2] @ before[:2, 2]
-        newest = np.zeros(size) if whole else None
-        command = np.zeros(size)
-        command[:2] = -kp, -kd
-        if whole:
-            newest[1 + whole] = 1.0
-        matrix[:2] += np.outer(after[:2, 2], newest if whole else command)
-        matrix[2] = command
-        matrix[3:, 2:-1] += np.eye(size - 3)
-        return np.abs(np.linalg.eigvals(matrix)).max()
-
+    radius = partial(largest_root, kp, kd, c, k)
     first = scipy.optimize.brentq(lambda delay: radius(delay) - 1.0, *between)
     assert all(radius(delay) < 1.0 for delay in np.linspace(0.0, first - 1e-6, 40))
     np.testing.assert_allclose(found.delay_margin[0], first, rtol=1e-9)
+
+
+def test_the_delay_of_weak_gains_beside_an_undamped_spring(sprung):
+    """Both crossovers are within 1e-2 to 1e-5 of the joint's own frequency, where L is infinite."""
+    rng = np.random.default_rng(5)
+    kp, kd = 10.0 ** rng.uniform(-5, -2, SIZE), 10.0 ** rng.uniform(-4, -2, SIZE)
+    k, none, one = rng.uniform(0.02, 3.0, SIZE), np.zeros(SIZE), np.ones(SIZE)
+    found = sprung(kp, kd, one, np.inf * one, one, none, none, k)
+    assert found.stable.sum() > 100
+    assert np.isfinite(found.delay_margin[found.stable]).all()
+    for each in np.flatnonzero(found.stable):
+        radius = partial(largest_root, kp[each], kd[each], 0.0, k[each])
+        limit = found.delay_margin[each]
+        assert all(radius(delay) < 1.0 for delay in np.linspace(0.0, limit * (1 - 1e-6), 12))
+        assert radius(limit * (1.0 + 1e-5)) > 1.0
 
 
 @pytest.mark.exhaustive

@@ -6,7 +6,8 @@ leaves at the loop's own crossovers is exact for whole periods only, and near th
 off by as much as half. From starts that take this into account (`delay_starts`) Newton finds
 L(theta, delay) = -1 in both unknowns. At z = -1 a single root passes: L is real there, and the
 delay is the only unknown. The least delay that is found is the limit, and there the root has to
-leave the unit circle: one that comes back has left before, so that the limit is not known.
+leave the unit circle: one that comes back has left before, so that the limit is not known. Nor is
+it where none is found of a loop with a gain crossover: some delay destabilises that.
 """
 
 from __future__ import annotations
@@ -94,7 +95,9 @@ def delay_limits(loops: SampledLoop, transfers: PulseTransfer, found: Found) -> 
     limit = DelayLimit(*jax.lax.fori_loop(0, number, tried, first), overflow)
     # |z| = exp(-Im theta), and theta moves by -by_delay / by_theta.
     returns = jnp.isfinite(limit.delay) & ((limit.by_delay / limit.by_theta).imag < 0.0)
-    return replace(limit, delay=jnp.where(returns, jnp.nan, limit.delay))
+    # Where |L| exceeds 1 somewhere some delay turns it to -1.
+    missed = jnp.isposinf(limit.delay) & jnp.any(found.gain_present, axis=1)
+    return replace(limit, delay=jnp.where(returns | missed, jnp.nan, limit.delay))
 
 
 @jax.custom_jvp

@@ -137,7 +137,8 @@ def starts(
         changes = (square[:-1] > 1.0) != (square[1:] > 1.0)
         cells, present = first_cells(changes, GAIN_SLOTS)
         low, high = grid[cells], grid[cells + 1]
-        begin, end = jnp.log(square[cells]), jnp.log(square[cells + 1])
+        # 1/|L|, which grows evenly beside a resonance, however narrow that is.
+        begin, end = jax.lax.rsqrt(square[cells]), jax.lax.rsqrt(square[cells + 1])
         response = partial(response_with, loop, late, newer, steps)
 
         def newton(_: int, theta: jax.Array) -> jax.Array:
@@ -145,12 +146,12 @@ def starts(
             step = jnp.log(jnp.abs(value)) / nonzero((slope / value).real)
             return jnp.clip(theta - step, low, high)
 
-        theta = low + (high - low) * begin / nonzero(begin - end)
+        theta = low + (high - low) * (1.0 - begin) / nonzero(end - begin)
         theta = jax.lax.fori_loop(0, _REFINEMENTS, newton, theta)
         theta = jnp.append(jnp.where(present, theta, jnp.nan), math.pi)
         there = response(theta)
         left = jnp.arctan2(-there.imag, -there.real)
-        rising = jnp.append(jnp.sign(end - begin), 0.0)
+        rising = jnp.append(jnp.sign(begin - end), 0.0)
         return theta, left, rising, there[-1].real, jnp.sum(changes) > GAIN_SLOTS
 
     theta, left, rising, height, overflow = jax.vmap(of_part)(newer, jnp.floor(beyond))
