@@ -12,6 +12,7 @@ taken at the end.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -70,18 +71,31 @@ def step(
     """
     # MJX multiplies matrices by vectors as NumPy allows; a user may have forbidden that.
     with jax.numpy_rank_promotion("allow"):
-
-        def whole(model: Any, data: Any) -> Any:
-            return _whole(model, data, solve)
-
-        def beside_others(model: Any, data: Any) -> Any:
-            return side_by_side.step(model, data, pushed, STATE)
-
         if is_small(model, data):
-            return written_out(whole)(model, data)
-        if solve is solved and is_side_by_side(model, data):
-            return derived(beside_others, whole)(model, data)
-        return whole(model, data)
+            return written_out(lambda *given: _whole(*given, solve))(model, data)
+        return _of_larger(model, data, solve=solve, pushed=pushed)
+
+
+# Loops within loops are traced again and again under `jax.vmap`; this is traced once.
+@functools.partial(jax.jit, static_argnames=("solve", "pushed"))
+def _of_larger(
+    model: Any,
+    data: Any,
+    *,
+    solve: Callable[[Any, Any], Any],
+    pushed: tuple[int, ...] | None,
+) -> Any:
+    """As `step`, of a robot that is not small."""
+
+    def whole(model: Any, data: Any) -> Any:
+        return _whole(model, data, solve)
+
+    def beside_others(model: Any, data: Any) -> Any:
+        return side_by_side.step(model, data, pushed, STATE)
+
+    if solve is solved and is_side_by_side(model, data):
+        return derived(beside_others, whole)(model, data)
+    return whole(model, data)
 
 
 def is_small(model: Any, data: Any) -> bool:
