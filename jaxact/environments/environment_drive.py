@@ -20,6 +20,7 @@ from jaxact.environments import actuators as _actuators
 from jaxact.environments.actuators import Actuators
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import given as _given
+from jaxact.loops import torque_speed
 from jaxact.loops.conversion import drive_of
 from jaxact.loops.joint_ranges import HIGHEST_FORCE, LOWEST_FORCE
 from jaxact.parameters import (
@@ -295,6 +296,8 @@ def ranges(
                 f"`{name}`: its range has no end, so nothing can be drawn from it; give a finite"
                 " (low, high)"
             )
+    line = [sides[0][name] for name in torque_speed.LINE]
+    torque_speed.check(line, joints if any(map(np.ndim, line)) else ())
     return sides[0], sides[1]
 
 

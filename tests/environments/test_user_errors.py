@@ -104,6 +104,20 @@ def test_a_range_without_an_end_and_a_word_for_yes():
     )
 
 
+@pytest.mark.parametrize(
+    "line, words",
+    [
+        ({"no_load_speed": 3.0}, "stall_force: a torque-speed line needs"),
+        ({"stall_force": (10.0, 20.0)}, "no_load_speed: a torque-speed line needs"),
+        ({"stall_force": {"hip": 20.0}}, "no_load_speed of hip: a torque-speed line needs"),
+    ],
+)
+def test_half_a_torque_speed_line(line, words):
+    said(lambda: environments.playground(Hinge(), **line), words)
+    said(lambda: environments.gymnasium(gym.make("InvertedPendulum-v5"), no_load_speed=3.0),
+         "stall_force: a torque-speed line needs")  # fmt: skip
+
+
 @pytest.mark.parametrize("actuator", ("motor", "velocity"))
 def test_a_stiffness_needs_setpoints(actuator):
     words = "hip: its actuator asks for a"
