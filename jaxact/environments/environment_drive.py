@@ -184,8 +184,7 @@ def build(
             raise UserError(f"`{name}` = {shown(value)}; {nearest(value, known)}")
     if not isinstance(each_joint, bool):
         raise UserError(f"`each_joint` = {shown(each_joint)}; allowed: True, False")
-    patterns = (joints,) if isinstance(joints, str) else tuple(joints)
-    found = _actuators.find(model, patterns, where)
+    found = _actuators.find(model, _given.patterns_of(joints), where)
     step = float(model.opt.timestep)
     given = dict(parameters)
     if gains is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -173,6 +173,20 @@ def names_of(names: Any) -> tuple[str, ...]:
     if isinstance(names, str) or not isinstance(names, Iterable):
         raise UserError(f"`names` = {shown(names)}; allowed: a list with a name for each loop")
     return tuple(map(str, names))
+
+
+def patterns_of(joints: Any) -> tuple[str, ...]:
+    """The patterns of joints as a tuple, one or several in a list.
+
+    Raises:
+        UserError: they are no patterns, or none.
+    """
+    several = isinstance(joints, Sequence) and all(isinstance(one, str) for one in joints)
+    if not several:
+        raise UserError(f"joints = {shown(joints)}; allowed: a pattern, or several in a list")
+    if not joints:
+        raise UserError(f"joints = {shown(joints)} drives none; leave it out to drive all of them")
+    return (joints,) if isinstance(joints, str) else tuple(joints)
 
 
 def check_step(step: Any) -> None:

@@ -118,6 +118,21 @@ def test_half_a_torque_speed_line(line, words):
          "stall_force: a torque-speed line needs")  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    "joints, words",
+    [
+        ([], "joints = [] drives none; leave it out to drive all of them"),
+        ("", "joints = '' drives none"),
+        (3, "joints = 3; allowed: a pattern, or several in a list"),
+        ([3], "joints = [3]; allowed: a pattern, or several in a list"),
+        ("(", "joints: '(' is not a regular expression"),
+    ],
+)
+def test_what_are_no_patterns_of_joints(joints, words):
+    said(lambda: environments.playground(Hinge(), joints=joints), words)
+    said(lambda: environments.gymnasium(gym.make("InvertedPendulum-v5"), joints=joints), words)
+
+
 @pytest.mark.parametrize("actuator", ("motor", "velocity"))
 def test_a_stiffness_needs_setpoints(actuator):
     words = "hip: its actuator asks for a"
