@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from jaxact import engines
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import checks, drives
 from jaxact.loops.axes import read_axis
@@ -238,11 +239,10 @@ def _build(document: Mapping[str, Any], folder: Path) -> Specification:
         if key not in (*OPTIONS, *SECTIONS):
             raise UserError(_unknown(key, (*OPTIONS, DRIVE, *SECTIONS)))
     options = {key: document[key] for key in OPTIONS if key in document}
-    for table in TABLES:
-        if table in document:
-            options[table] = TABLE_READERS[table](document[table], folder)
+    options |= {t: TABLE_READERS[t](document[t], folder) for t in TABLES if t in document}
     if "plant" in options:
         options.setdefault("engine", "auto")
+    engines.check_name(options.get("engine"), robot="plant" in options, margins=True)
     drawn = document.get("sampling")
     sampling = None if drawn is None else _filled(Sampling, "sampling", drawn)
     parameters = _parameters(document["parameters"])
