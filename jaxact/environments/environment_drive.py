@@ -266,8 +266,11 @@ def ranges(
     sides: list[dict[str, np.ndarray]] = []
     for name in given:
         short = canonical(name).partition("@")[0]
-        if short not in (*own, "actuator") and short in PARAMETERS:
+        if short in (*own, _given.ACTUATOR):
+            continue
+        if short in PARAMETERS:
             raise UserError(f"`{name}`: {_REFUSED.get(short, _NOT_OF_A_DRIVE)}")
+        raise UserError(_given.unknown(name, own))
     for side in (0, 1):
         ends = {name: np.asarray(value, float) for name, value in own.items()}
         chosen = {name: _end(value, side) for name, value in given.items()}
