@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
+
+from jaxact.errors import UserError, nearest, shown
 
 Name = Literal["mass", "mjx", "mujoco", "warp", "linear"]
 Asked = Literal[Name, "auto"]
@@ -128,6 +130,20 @@ def names(*, robot: bool) -> tuple[Name, ...]:
 def named(name: str) -> Engine | None:
     """An engine of this name, whatever it simulates; None where there is none."""
     return next((one for one in ENGINES if one.name == name), None)
+
+
+def check_name(name: Any, *, robot: bool, margins: bool = False) -> None:
+    """Raise UserError, with the names that there are, for an engine that nobody knows.
+
+    Args:
+        name: of it; None for none.
+        robot: whether a robot is simulated, or a joint.
+        margins: whether the margins of a robot will do.
+    """
+    if name is None or name == AUTO or named(name) is not None:
+        return
+    own = (*names(robot=True), AUTO, *([LINEAR.name] if margins else [])) if robot else ()
+    raise UserError(f"engine = {shown(name)}; {nearest(name, own or names(robot=False))}")
 
 
 def best_precision(name: str | None) -> Literal["float32", "float64"]:

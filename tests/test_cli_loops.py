@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
+from robots import PENDULUM
 
 import jaxact as jx
 from jaxact.cli.main import main
@@ -175,6 +176,7 @@ def test_margins_of_a_sweeps_specification(capsys):
             ["simulate", "--engine", "mjx", "--model", "nothing.xml"],
             "jaxact: --model = 'nothing.xml': no such file\n",
         ),
+        (["simulate", "--engine", "foo"], "engine = 'foo'; allowed: mass, mjx\n"),
         (["simulate", "--joint", "3"], "the driven joints are joint"),
         (["simulate", "--seed", "-1"], "seed = -1"),
         (["simulate", "--velocity", "guessed"], "allowed: sampled, differenced"),
@@ -183,6 +185,25 @@ def test_margins_of_a_sweeps_specification(capsys):
 )
 def test_a_mistake_is_one_line_and_writes_nothing(capsys, arguments, message):
     assert message in _mistake(capsys, *arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("simulate", "--engine", "foo"),
+        ("simulate", "--set", "engine=foo"),
+        ("simulate", "--set", 'engine = "foo"'),
+        ("render", "--engine", "foo"),
+    ],
+)
+def test_an_unknown_engine_is_answered_with_those_that_simulate_a_robot(
+    capsys, tmp_path_factory, arguments
+):
+    verb, *options = arguments
+    model = tmp_path_factory.mktemp("robot") / "arm.xml"
+    model.write_text(PENDULUM)
+    said = _mistake(capsys, verb, "--model", str(model), *options)
+    assert said == "jaxact: engine = 'foo'; allowed: mjx, mujoco, warp, auto\n"
 
 
 @pytest.mark.exhaustive

@@ -170,6 +170,9 @@ def test_a_picture_is_drawn(capsys):
         (("--model", "arm.xml", "--mass", "2"), "--mass"),
         (("--model", "arm.xml", "--joints", "wrist"), "wrist"),
         (("--model", "arm.xml", "--set", "kp@wrist=3"), "wrist"),
+        (("--model", "arm.xml", "--set", "kp@[=3"),
+         r"--set kp@\[: what follows the @ is not a regular expression; write e\.g\. kp@"),
+        (("--model", "arm.xml", "--set", "gain_scale@arm=3"), "one number for all joints"),
         (("--model", "arm.xml", "--set", "kq=3"), "kq"),
         (("--model", "arm.xml", "--delay", "-1"), "--delay"),
         (("--model", "arm.xml", "--csv", "a.csv"), "--csv.*--json"),
@@ -178,7 +181,7 @@ def test_a_picture_is_drawn(capsys):
         (("--keyframe", "bent"), "--keyframe.*--model"),
         (("--set", "kp=3"), "--set.*--model"),
     ],
-)
+)  # fmt: skip
 def test_mistakes_are_told_in_one_line(capsys, arguments, words):
     import re
 

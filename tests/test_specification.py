@@ -93,6 +93,7 @@ REFUSED = {
         "[parameters]\nstall_force = 3\n[axes]\nkp = [1]",
         ["no_load_speed", "stall_force"],
     ),
+    "engine that is a number": ("engine = 3\n[axes]\nkp = [1]", ["engine = 3; allowed: mass, mjx"]),
     "control period": (
         "engine = 'mjx'\nphysics_step = 0.0003\n[axes]\nkp = [1]",
         ["control_rate = 1000", "0.0003 s", "physics_step = 0.00025"],
@@ -160,6 +161,16 @@ def test_a_push_leaves_time_to_see_what_comes_of_it(end, fits, tmp_path):
     else:
         with pytest.raises(UserError, match=r"ends at 0\.6 s; allowed: .* up to 0\.5 s"):
             parse(text, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "plant, allowed",
+    [("", "mass, mjx"), ("[plant]\nmodel = 'leg.xml'", "mjx, mujoco, warp, auto, linear")],
+)
+def test_an_unknown_engine_is_answered_with_those_of_such_a_plant(plant, allowed, tmp_path):
+    (tmp_path / "leg.xml").write_text("<mujoco/>")
+    with pytest.raises(UserError, match=f"^engine = 'foo'; allowed: {allowed}$"):
+        parse(f"engine = 'foo'\n{plant}\n[axes]\nkp = [1.0]", tmp_path)
 
 
 @pytest.mark.parametrize("case", REFUSED)

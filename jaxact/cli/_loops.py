@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jaxact import engines
 from jaxact.cli import _arguments, _warnings
 from jaxact.cli._arguments import typed
 from jaxact.errors import UserError
@@ -194,6 +195,7 @@ def specified(
     fixed = {name: value[0] for name, value in values.items() if len(value) == 1}
     varied = {name: list(value) for name, value in values.items() if len(value) > 1}
     plant = base.pop("plant", {}) | robot.plant
+    _check_engine(static.get("engine"), robot.set, robot=bool(plant))
     document = base | {name: value for name, value in static.items() if value is not None}
     document |= {"plant": plant} if plant else {}
     document |= {} if push is None else {"push": dict(push)}
@@ -214,6 +216,14 @@ def specified(
         if said.startswith("--"):  # relative to where one is
             said = said.replace(" (relative to the specification)", "")
         raise UserError(said) from None
+
+
+def _check_engine(given: Any, changes: Sequence[str], *, robot: bool) -> None:
+    """Raise UserError for an unknown engine of an option or of --set, where loops are simulated."""
+    parts = [change.partition("=") for change in changes]
+    names = [value.strip(" '\"") for key, _, value in parts if key.strip() == "engine"]
+    for name in (given, *names):
+        engines.check_name(name, robot=robot)
 
 
 def of_robot(

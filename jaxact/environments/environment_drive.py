@@ -20,6 +20,7 @@ from jaxact.environments import actuators as _actuators
 from jaxact.environments.actuators import Actuators
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import given as _given
+from jaxact.loops import torque_speed
 from jaxact.loops.conversion import drive_of
 from jaxact.loops.joint_ranges import HIGHEST_FORCE, LOWEST_FORCE
 from jaxact.parameters import (
@@ -183,8 +184,7 @@ def build(
             raise UserError(f"`{name}` = {shown(value)}; {nearest(value, known)}")
     if not isinstance(each_joint, bool):
         raise UserError(f"`each_joint` = {shown(each_joint)}; allowed: True, False")
-    patterns = (joints,) if isinstance(joints, str) else tuple(joints)
-    found = _actuators.find(model, patterns, where)
+    found = _actuators.find(model, _given.patterns_of(joints), where)
     step = float(model.opt.timestep)
     given = dict(parameters)
     if gains is not None:
@@ -266,8 +266,11 @@ def ranges(
     sides: list[dict[str, np.ndarray]] = []
     for name in given:
         short = canonical(name).partition("@")[0]
-        if short not in (*own, "actuator") and short in PARAMETERS:
+        if short in (*own, _given.ACTUATOR):
+            continue
+        if short in PARAMETERS:
             raise UserError(f"`{name}`: {_REFUSED.get(short, _NOT_OF_A_DRIVE)}")
+        raise UserError(_given.unknown(name, own))
     for side in (0, 1):
         ends = {name: np.asarray(value, float) for name, value in own.items()}
         chosen = {name: _end(value, side) for name, value in given.items()}
@@ -295,6 +298,8 @@ def ranges(
                 f"`{name}`: its range has no end, so nothing can be drawn from it; give a finite"
                 " (low, high)"
             )
+    line = [sides[0][name] for name in torque_speed.LINE]
+    torque_speed.check(line, joints if any(map(np.ndim, line)) else ())
     return sides[0], sides[1]
 
 

@@ -185,8 +185,8 @@ def drive_around(
     Raises:
         UserError: the control period is not a multiple of the physics step, or the policy's rate
             does not divide the control rate, shapes do not fit, the loop is neither a loop nor a
-            drive, or a robot's that is a batch, or `longest` has not all that the loop has, or
-            another control rate.
+            drive, or a robot's that is a batch, a joint has half a torque-speed line, or `longest`
+            has not all that the loop has, or another control rate.
         TypeError: the loop is traced, and `longest` is not given, or is traced as well.
     """
     static = loop if longest is None else longest
@@ -198,9 +198,11 @@ def drive_around(
         if not callable(own):
             raise UserError(f"{name}: a value of type {type(own).__name__} is not a function")
     drive, known = _drive_in(loop), _drive_in(static)
-    joints = _number(static) if joints is None else joints
+    names = _names(static)
+    joints = (len(names) or None) if joints is None else joints
     plant = Simulator(jnp.asarray(physics_step), step, measure, joints)
     _checks.demand_shapes(drive, plant.shape)
+    _checks.demand_line(drive, names)
     known = replace(known, control_period=_checks.control_period(drive, known, longest))
     substeps = _checks.substeps_in(known.control_period, physics_step)
     for one in (drive, known):
@@ -248,10 +250,10 @@ def _within_bounds(loop: ControlLoop | Drive) -> jax.Array:
     return within_bounds(loop.values, traced)
 
 
-def _number(loop: ControlLoop | Drive) -> int | None:
-    """Driven joints of a robot's loop; None of a joint's."""
+def _names(loop: ControlLoop | Drive) -> tuple[str, ...]:
+    """The driven joints of a robot's loop; () of a joint's."""
     if isinstance(loop, Drive) or loop.kind.plant is None:
-        return None
+        return ()
     from jaxact.loops import robots  # as above
 
-    return len(robots.read(loop.kind.plant).joints)
+    return tuple(joint.name for joint in robots.read(loop.kind.plant).joints)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -12,7 +13,7 @@ import numpy as np
 from jaxact.drive.controller import Setpoint
 from jaxact.drive.options import Drive
 from jaxact.errors import UserError, shown
-from jaxact.loops import checks
+from jaxact.loops import checks, torque_speed
 from jaxact.loops.control_loop import ControlLoop, demand
 from jaxact.loops.simulator import as_numbers
 from jaxact.parameters import CONTROL_RATE, SETPOINT
@@ -134,6 +135,21 @@ def demand_policy(drive: Drive, period: float) -> None:
     for own in np.unique(np.asarray(drive.policy_period, float)).tolist():
         if own > 0.0:  # 0 is that of a policy that gives setpoints at every tick
             checks.check_policy_rate(1.0 / own, 1.0 / period)
+
+
+def demand_line(drive: Drive, names: Sequence[str]) -> None:
+    """Raise UserError for half a torque-speed line of a joint, unless traced.
+
+    Args:
+        drive: of the joints, with values of shape () or (joints,).
+        names: of the joints; () for a single one, or where they have none.
+    """
+    line = (drive.actuator.stall_force, drive.actuator.no_load_speed)
+    if traced(line):
+        return
+    count = max(map(np.size, line))
+    several = any(map(np.ndim, line))
+    torque_speed.check(line, (names or [f"joint {i}" for i in range(count)]) if several else ())
 
 
 def setpoint_of(value: Any, shape: tuple[int, ...]) -> Setpoint:

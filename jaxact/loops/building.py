@@ -15,7 +15,7 @@ from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import drives, listed
 from jaxact.loops.axes import MOST_SAMPLES, NO_AXIS
 from jaxact.loops.control_loop import ControlLoop, Kind, made, rotary
-from jaxact.loops.given import ACTUATOR, read
+from jaxact.loops.given import ACTUATOR, patterns_of, read
 from jaxact.loops.reading import explained, load
 from jaxact.loops.samples import expand
 from jaxact.loops.specification import Motion, Plant, Push, Specification
@@ -146,11 +146,7 @@ def robot(
     path = Path(model)
     if not path.is_file():
         raise UserError(f"{path}: no such model file; give an MJCF or URDF file")
-    if not isinstance(joints, str | Sequence):
-        raise UserError(f"joints = {shown(joints)}; allowed: a pattern, or several in a list")
-    if not joints:
-        raise UserError(f"joints = {shown(joints)} drives none; leave it out to drive all of them")
-    patterns = (joints,) if isinstance(joints, str) else tuple(joints)
+    patterns = patterns_of(joints)
     try:
         plant = Plant(
             model=path, keyframe=keyframe, posture=posture, joints=patterns,

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from jaxact.errors import UserError
+from jaxact.loops import torque_speed
 from jaxact.loops.axes import MOST_LOOPS, Axis
 from jaxact.loops.specification import Specification
 from jaxact.parameters import (
@@ -16,11 +17,9 @@ from jaxact.parameters import (
     DELAYS,
     JOINT_STIFFNESS,
     MASS,
-    NO_LOAD_SPEED,
     OUTPUT_DELAY,
     POLICY_RATE,
     ROBOT_ONLY,
-    STALL_FORCE,
     VELOCITY_BIAS,
     VELOCITY_BIAS_WALK,
     VELOCITY_FILTER,
@@ -54,7 +53,7 @@ def check(specification: Specification) -> None:
     _check_robot_only(specification, axes)
     _check_axes(specification, axes)
     _check_actuator(specification, axes)
-    _check_torque_speed_line(specification, axes)
+    torque_speed.check_specification(specification, axes)
     _check_velocity(specification, axes)
     rates = _rates(specification, axes)
     _check_policy(specification, axes, rates)
@@ -113,18 +112,6 @@ def _check_actuator(specification: Specification, axes: dict[str, Axis]) -> None
     twice = [name for name in (WN, ZETA) if name in given]
     if "actuator" in given and twice:
         raise UserError(f"{twice[0]}: the actuator preset sets it already; remove one of the two")
-
-
-def _check_torque_speed_line(specification: Specification, axes: dict[str, Axis]) -> None:
-    def off(name: str) -> bool:
-        values = axes[name].ends if name in axes else (specification.nominal[name],) * 2
-        return math.isinf(values[1])
-
-    if off(STALL_FORCE) != off(NO_LOAD_SPEED):
-        missing = STALL_FORCE if off(STALL_FORCE) else NO_LOAD_SPEED
-        raise UserError(
-            f"{missing}: a torque-speed line needs stall_force and no_load_speed, both finite"
-        )
 
 
 def _check_velocity(specification: Specification, axes: dict[str, Axis]) -> None:

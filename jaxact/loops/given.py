@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -77,6 +77,18 @@ def read(given: Mapping[str, Any], *, robot: bool, unit: str | None = None) -> d
     return values
 
 
+def unknown(name: str, taken: Iterable[str]) -> str:
+    """What is said of an unknown parameter.
+
+    Args:
+        name: that was given.
+        taken: short names of the parameters that are taken there, beside `actuator`.
+    """
+    short = tuple(taken)
+    also = (alias for alias, own in ALIASES.items() if own in short)
+    return f"`{name}`: unknown parameter; {nearest(name, (*short, ACTUATOR), also)}"
+
+
 def _check_dimensions(given: Mapping[str, Any]) -> None:
     """Raise UserError where xarray or pandas would pair values otherwise than arrays, by place."""
     named = {name: tuple(value.dims) for name, value in given.items() if getattr(value, "dims", ())}
@@ -130,9 +142,8 @@ def _checked(name: str, value: Any, said: str, *, robot: bool, unit: str | None)
             raise UserError(
                 f"`{name}`: what follows the @ is not a pattern of joints, e.g. kp@.*_knee"
             )
-        raise UserError(
-            f"`{name}`: unknown parameter; {nearest(name, (*PARAMETERS, ACTUATOR), ALIASES)}"
-        )
+        refused = JOINT_ONLY if robot else ROBOT_ONLY
+        raise UserError(unknown(name, (one for one in PARAMETERS if one not in refused)))
     if not robot and ("@" in name or name in ROBOT_ONLY):
         raise UserError(f"`{name}`: only a robot has it; make one with jaxact.robot(model, ...)")
     if robot and base(name) in JOINT_ONLY:
@@ -173,6 +184,20 @@ def names_of(names: Any) -> tuple[str, ...]:
     if isinstance(names, str) or not isinstance(names, Iterable):
         raise UserError(f"`names` = {shown(names)}; allowed: a list with a name for each loop")
     return tuple(map(str, names))
+
+
+def patterns_of(joints: Any) -> tuple[str, ...]:
+    """The patterns of joints as a tuple, one or several in a list.
+
+    Raises:
+        UserError: they are no patterns, or none.
+    """
+    several = isinstance(joints, Sequence) and all(isinstance(one, str) for one in joints)
+    if not several:
+        raise UserError(f"joints = {shown(joints)}; allowed: a pattern, or several in a list")
+    if not joints:
+        raise UserError(f"joints = {shown(joints)} drives none; leave it out to drive all of them")
+    return (joints,) if isinstance(joints, str) else tuple(joints)
 
 
 def check_step(step: Any) -> None:

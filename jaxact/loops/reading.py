@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from jaxact import engines
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import checks, drives
 from jaxact.loops.axes import read_axis
@@ -238,11 +239,10 @@ def _build(document: Mapping[str, Any], folder: Path) -> Specification:
         if key not in (*OPTIONS, *SECTIONS):
             raise UserError(_unknown(key, (*OPTIONS, DRIVE, *SECTIONS)))
     options = {key: document[key] for key in OPTIONS if key in document}
-    for table in TABLES:
-        if table in document:
-            options[table] = TABLE_READERS[table](document[table], folder)
+    options |= {t: TABLE_READERS[t](document[t], folder) for t in TABLES if t in document}
     if "plant" in options:
         options.setdefault("engine", "auto")
+    engines.check_name(options.get("engine"), robot="plant" in options, margins=True)
     drawn = document.get("sampling")
     sampling = None if drawn is None else _filled(Sampling, "sampling", drawn)
     parameters = _parameters(document["parameters"])
@@ -259,8 +259,6 @@ def _build(document: Mapping[str, Any], folder: Path) -> Specification:
 def _known_parameters(section: str, table: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
     for name in table:
         if not known(name) and name != "actuator":
-            if "@" in name and base(name) in PARAMETERS:
-                raise UserError(_wrong_pattern(f"{section}.{name}", base(name)))
             raise UserError(_unknown(name, (*PARAMETERS, "actuator"), f"{section}."))
     return table.items()
 
@@ -365,16 +363,18 @@ def _file(given: Any, folder: Path, key: str, kind: str) -> Path:
     return path
 
 
-def _unknown(key: str, known: Iterable[str], prefix: str = "") -> str:
+def _unknown(key: str, names: Iterable[str], prefix: str = "") -> str:
     """What to say of a key that is not known where it stands."""
     name = canonical(key)
+    if "@" in name and base(name) in PARAMETERS and not known(name):
+        return _wrong_pattern(f"{prefix}{name}", base(name))
     if not prefix and (base(name) in PARAMETERS or name == "actuator"):
         return f"{key}: is a parameter; write it below [parameters], or below [axes] to vary it"
     if not prefix and key in ("model", "keyframe", "joints", "base"):
         return f"{key}: belongs to the robot; write it below [plant]"
     if prefix and key in OPTIONS:
         return f"{prefix}{key}: is an option of the whole sweep; write it above all [sections]"
-    return f"{prefix}{shown(key)[1:-1]}: unknown key; {nearest(key, known)}"
+    return f"{prefix}{shown(key)[1:-1]}: unknown key; {nearest(key, names)}"
 
 
 def explained(error: ValidationError, prefix: str = "") -> str:

@@ -10,16 +10,14 @@ import jax
 
 from jaxact.engines import (
     AUTO,
-    LINEAR,
     MUJOCO,
     ROBOT_IN_MJX,
     WARP,
     Engine,
     Name,
-    named,
     names,
 )
-from jaxact.errors import InexactWarning, UserError, nearest, shown
+from jaxact.errors import InexactWarning, UserError
 from jaxact.loops.specification import Plant, Setting, Specification
 from jaxact.simulation import starts as _starts
 from jaxact.simulation.kernel import Case
@@ -47,20 +45,6 @@ _ITERATIONS = 10
 # Loops of light robots in a tile on a CPU: little enough for the first-level cache, and vector
 # units like it better than the usual one, by a third (six hinges) to two thirds (two).
 _TILE_OF_LIGHT = 128
-
-
-def check_name(name: str | None, *, robot: bool, margins: bool = False) -> None:
-    """Raise UserError, with the names that there are, for an engine that no one knows.
-
-    Args:
-        name: of it; None for none.
-        robot: whether a robot is simulated, or a joint.
-        margins: whether the margins of a robot will do.
-    """
-    if name is None or name == AUTO or named(name) is not None:
-        return
-    own = (*names(robot=True), AUTO, *([LINEAR.name] if margins else [])) if robot else ()
-    raise UserError(f"engine = {shown(name)}; {nearest(name, own or names(robot=False))}")
 
 
 def resolved(specification: Specification) -> Specification:

@@ -18,6 +18,7 @@ import numpy as np
 from jaxact.compilation.filling import filled
 from jaxact.drive import step as _drive
 from jaxact.errors import UserError
+from jaxact.loops import torque_speed
 from jaxact.loops.conversion import drive_of, own_motion
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Motion, Specification
@@ -217,6 +218,7 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
     rates = values[CONTROL_RATE]
     fastest = float(np.max(rates))
     engine = engines.of(specification)
+    torque_speed.check_samples(specification.setting, values)
     options = _drive.options(
         drive_of(kernel.occurring(specification.setting, values)),
         substeps=count,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact.engines import ROBOT_IN_MJX, best_precision
+from jaxact.engines import ROBOT_IN_MJX, best_precision, check_name
 from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop, demand
@@ -81,7 +81,7 @@ def runs(
     Args:
         loop, duration, engine, precision, seed: as for `simulate`.
     """
-    engines.check_name(engine, robot=loop.kind.plant is not None)
+    check_name(engine, robot=loop.kind.plant is not None)
     options: dict[str, Any] = {"duration": duration, "seed": seed}
     if engine is not None:
         options["engine"] = engine

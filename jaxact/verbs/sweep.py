@@ -24,7 +24,7 @@ from jaxact.loops.samples import expand
 from jaxact.loops.specification import Sampling, Specification
 from jaxact.parameters import ALIASES, PARAMETERS, WN, ZETA, canonical, known
 from jaxact.simulation.clamping import tell_clamped
-from jaxact.simulation.engines import check_name, tell_inexact
+from jaxact.simulation.engines import tell_inexact
 from jaxact.sweeping import execution, location
 from jaxact.verbs import showing
 from jaxact.verbs.sweep_options import Say, computed_by, options, settled
@@ -193,7 +193,7 @@ def _of_loop(
     demand(loop)
     if is_traced(loop):
         raise TypeError("a sweep cannot be traced; call it outside jit and grad")
-    check_name(options.get("engine"), robot=loop.kind.plant is not None, margins=True)
+    engines.check_name(options.get("engine"), robot=loop.kind.plant is not None, margins=True)
     named = _read(axes, sampling)
     replaced = {WN, ZETA} if "actuator" in named else set()
     values = {name: v for name, v in loop.values.items() if name not in replaced}

@@ -194,6 +194,13 @@ def test_gains_that_no_file_may_have_are_not_written(model, name):
         jx.export(model, "mjcf", parameters={name: -5.0})
 
 
+@pytest.mark.parametrize("to", ("mjlab", "isaaclab", "toml"))
+def test_half_a_torque_speed_line_of_a_joint_is_not_written(model, to):
+    line = {"stall_force": {"hip": 20.0, "knee": 10.0}, "no_load_speed": {"knee": 9.0}}
+    with pytest.raises(UserError, match="^no_load_speed of hip: a torque-speed line needs"):
+        jx.export(model, to, parameters=line)
+
+
 def test_damping_is_spoken_of_where_there_is_some(tmp_path):
     for damping, words in (("0", ()), ("0.3", ("take that out of the simulated model",))):
         file = tmp_path / "legs.xml"

@@ -12,6 +12,7 @@ from mujoco import mjx
 import jaxact as jx
 from jaxact import environments
 from jaxact.errors import UserError
+from jaxact.parameters import PARAMETERS
 
 pytest.importorskip("gymnasium", reason="needs jaxact[gymnasium]; `make test` has it")
 pytest.importorskip("mujoco_playground", reason="needs jaxact[playground]; `make test` has it")
@@ -33,10 +34,11 @@ class Hinge(mjx_env.MjxEnv):
 
     def __init__(self, actuator="motor"):
         super().__init__(config_dict.create(ctrl_dt=0.004, sim_dt=0.002))
-        self._mj_model = mujoco.MjModel.from_xml_string(
+        self.text = (
             '<mujoco><worldbody><body><joint name="hip"/><geom size="0.1"/></body></worldbody>'
             f"<actuator>{ROWS[actuator]}</actuator></mujoco>"
         )
+        self._mj_model = mujoco.MjModel.from_xml_string(self.text)
         self._mjx_model = mjx.put_model(self._mj_model, impl="jax")
 
     def reset(self, rng):
@@ -102,6 +104,59 @@ def test_a_range_without_an_end_and_a_word_for_yes():
     said(
         lambda: environments.playground(Hinge(), each_joint="yes"), "`each_joint` = 'yes'; allowed"
     )
+
+
+@pytest.mark.parametrize(
+    "line, words",
+    [
+        ({"no_load_speed": 3.0}, "stall_force: a torque-speed line needs"),
+        ({"stall_force": (10.0, 20.0)}, "no_load_speed: a torque-speed line needs"),
+        ({"stall_force": {"hip": 20.0}}, "no_load_speed of hip: a torque-speed line needs"),
+    ],
+)
+def test_half_a_torque_speed_line(line, words):
+    said(lambda: environments.playground(Hinge(), **line), words)
+    said(lambda: environments.gymnasium(gym.make("InvertedPendulum-v5"), no_load_speed=3.0),
+         "stall_force: a torque-speed line needs")  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "joints, words",
+    [
+        ([], "joints = [] drives none; leave it out to drive all of them"),
+        ("", "joints = '' drives none"),
+        (3, "joints = 3; allowed: a pattern, or several in a list"),
+        ([3], "joints = [3]; allowed: a pattern, or several in a list"),
+        ("(", "joints: '(' is not a regular expression"),
+    ],
+)
+def test_what_are_no_patterns_of_joints(joints, words):
+    said(lambda: environments.playground(Hinge(), joints=joints), words)
+    said(lambda: environments.gymnasium(gym.make("InvertedPendulum-v5"), joints=joints), words)
+
+
+@pytest.mark.parametrize("source", ("playground", "gymnasium", "a file for torch"))
+def test_an_unknown_parameter_is_answered_with_those_that_are_taken(source, tmp_path):
+    (tmp_path / "hinge.xml").write_text(Hinge("position").text)
+
+    def given(**parameters):
+        if source == "playground":
+            environments.playground(Hinge("position"), **parameters)
+        elif source == "gymnasium":
+            environments.gymnasium(gym.make("InvertedPendulum-v5"), **parameters)
+        else:
+            jx.export(tmp_path / "hinge.xml", "mjlab", parameters=parameters)
+
+    with pytest.raises(UserError, match="^`bogus`: unknown parameter; allowed: ") as caught:
+        given(bogus=3.0)
+    names = str(caught.value).partition("allowed: ")[2].split(", ")
+    assert {"kp", "delay", "control_rate", "actuator"} <= set(names)
+    refused = set(PARAMETERS) - set(names)
+    assert {"mass", "policy_rate", "setpoint", "payload"} <= refused
+    for name in sorted(refused):
+        with pytest.raises(UserError, match=f"^`{name}`: (is not a parameter|follows from)"):
+            given(**{name: 1.0})
+    said(lambda: given(stiffnes=3.0), "did you mean 'stiffness'?")
 
 
 @pytest.mark.parametrize("actuator", ("motor", "velocity"))

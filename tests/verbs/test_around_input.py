@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
+from robots import PENDULUM
 
 import jaxact as jx
 from jaxact.errors import UserError
@@ -187,3 +188,38 @@ def test_values_of_longest_must_be_known():
 
     with pytest.raises(TypeError, match="values of longest are traced"):
         jax.jit(build)(1e-3)
+
+
+@pytest.mark.parametrize(
+    "joints, line, said",
+    [
+        (None, {"no_load_speed": 3.0}, "^stall_force: a torque-speed line needs"),
+        (None, {"stall_force": 20.0}, "^no_load_speed: a torque-speed line needs"),
+        (2, {"stall_force": 20.0, "no_load_speed": [3.0, np.inf]}, "^no_load_speed of joint 1: "),
+        (2, {"stall_force": [20.0, np.inf], "no_load_speed": [np.inf, 3.0]},
+         "^no_load_speed of joint 0, stall_force of joint 1: a torque-speed line needs"),
+    ],
+)  # fmt: skip
+def test_half_a_torque_speed_line_is_said_in_one_line(joints, line, said):
+    with pytest.raises(UserError, match=said) as raised:
+        around(joints, **line)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_robots_joint_with_half_a_torque_speed_line_is_named(tmp_path):
+    (tmp_path / "arm.xml").write_text(PENDULUM)
+    loop = jx.robot(tmp_path / "arm.xml", stall_force=20.0, no_load_speed={"elbow": 3.0})
+    with pytest.raises(UserError, match="^no_load_speed of shoulder: a torque-speed line needs"):
+        jx.drive_around(step, loop, measure=lambda state: state, physics_step=H)
+
+
+def test_whole_torque_speed_lines_may_be_traced():
+    def force(stall_force):
+        line = {"stall_force": stall_force, "no_load_speed": 3.0}
+        drive = jx.drive_around(
+            step, jx.joint(kp=8.0, kd=0.4, **line), measure=lambda state: state, physics_step=H,
+            longest=jx.joint(stall_force=20.0, no_load_speed=3.0),
+        )  # fmt: skip
+        return drive.step(drive.init((0.0, 0.0)), 1.0)[1].peak_force
+
+    assert jax.jit(force)(0.5) == pytest.approx(0.5)

@@ -1,5 +1,7 @@
 """Loops built by the names that everybody knows: what they hold, and what is refused."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -95,6 +97,17 @@ def test_a_loop_is_a_pytree_of_its_values():
 def test_what_makes_no_sense_is_refused_by_name(given, said):
     with pytest.raises(UserError, match=said):
         jx.joint(**given)
+
+
+def test_an_unknown_parameter_is_answered_with_those_of_such_a_loop():
+    for make, some, none in (
+        (jx.joint, {"mass", "joint_stiffness"}, {"payload", "inertia_scale"}),
+        (partial(jx.robot, QUADRUPED / "quadruped.xml"), {"payload"}, {"mass", "joint_stiffness"}),
+    ):
+        with pytest.raises(UserError, match="^`bogus`: unknown parameter; allowed: ") as raised:
+            make(bogus=3)
+        names = set(str(raised.value).partition("allowed: ")[2].split(", "))
+        assert some | {"kp", "actuator"} <= names and not none & names
 
 
 def test_a_robot_that_is_not_there_is_refused():
