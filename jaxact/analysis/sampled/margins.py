@@ -47,7 +47,8 @@ class SampledMargins(Margins):
     not inside the unit circle. Where |L| > 1 up to the Nyquist frequency there is no gain
     crossover: its frequency and the phase margin are inf. `log_gain_to_boundary` of an unstable
     loop is -inf where no factor on the gains helps. A delay margin is NaN, too, where a loss of
-    stability was found that is not the first, which was missed: it is not known.
+    stability was found that is not the first, which was missed, or none where |L| exceeds 1: it is
+    not known.
 
     Attributes:
         spectral_radius: largest |eigenvalue| over one control period [-].
