@@ -173,14 +173,14 @@ def against_the_command(log: Log) -> bool:
         force = _smooth(log, command)
         own = square.T @ force
         apart = float(force @ force - own @ own)
-        rests = [lsq_linear(triangle, sign * own, (least, np.inf)).cost for sign in (1.0, -1.0)]
-        size = max(len(log) * float(np.var(force)), 1e-300)
-        return [(apart + 2.0 * rest) / size for rest in rests]
+        bounds, size = (least, np.inf), max(len(log) * float(np.var(force)), 1e-300)
+        fits = [lsq_linear(triangle, sign * own, bounds, method="bvls") for sign in (1.0, -1.0)]
+        return [(apart + 2.0 * fit.cost) / size for fit in fits]
 
-    late, longest = list(_LATE), _longest([log])
-    while (later := math.ceil(_LATER * late[-1])) <= longest:
-        late.append(later)
-    along, against = np.min([left(each) for each in late], axis=0)
+    tried, longest = list(_LATE), _longest([log])
+    while (later := math.ceil(_LATER * tried[-1])) <= longest:
+        tried.append(later)
+    along, against = np.min([left(late) for late in tried], axis=0)
     return bool(along > _CONTRADICTS and against < min(_TOLD, _MUCH_BETTER * along))
 
 

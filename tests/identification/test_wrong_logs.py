@@ -112,6 +112,13 @@ def test_a_sine_alone_does_not_tell_the_sign_of_its_command(frequencies, joint):
     assert not starts.against_the_command(_told(frequencies, **joint))
 
 
+def test_what_moves_one_way_at_one_speed_does_not_tell_it_either():
+    time = 1e-3 * np.arange(40)
+    position = time + 1e-6 * np.random.default_rng(0).normal(size=40)
+    one_way = Log("one way", time, {"position": position, "command": time})
+    assert not starts.against_the_command(one_way)  # nor warns, though columns are the same
+
+
 def test_several_sines_tell_the_sign_of_their_command():
     joint = {"inertia": 0.14, "coulomb": 0.1, "gravity": 1.0, "late": 3e-3}
     assert not starts.against_the_command(_told((0.7, 2.9, 6.3), **joint))
