@@ -18,7 +18,7 @@ from jaxact.drive.sensor import Sensor
 from jaxact.loops import reading, robots
 from jaxact.loops.loop import Output
 from jaxact.loops.samples import expand
-from jaxact.simulation import envelope, execute, metrics, scales, verdicts
+from jaxact.simulation import envelope, execute, metrics, scales, starts, verdicts
 from jaxact.simulation.metrics import Metrics
 from jaxact.simulation.scales import Scale
 from jaxact.simulation.verdicts import Judgement, Motion
@@ -354,7 +354,7 @@ def _shaped(**rows):
 
 def _of(
     amplitudes, growth, count=1e-3, farthest=1e-2, frequency=10.0, plant=True, leaving=True,
-    span=1e-2, held=False,
+    span=1e-2, held=False, rubs=None,
 ):  # fmt: skip
     motion = Motion(
         **_shaped(amplitude=amplitudes, frequency=frequency, farthest=farthest, span=span),
@@ -363,6 +363,7 @@ def _of(
         valid=jnp.asarray(True),
     )
     flags = {"bounded": held, "held": held, "plant_linear": plant}
+    flags["rubs"] = not plant if rubs is None else rubs
     flags |= {"linear": False, "unlimited": False}
     flags = {name: jnp.asarray(flag) for name, flag in flags.items()}
     scale = Scale(**_shaped(count=count, rest=0.01 * count, floor=0.0, limit=0.0), **flags)
@@ -409,6 +410,41 @@ def test_what_a_motion_that_remains_means():
     assert verdict(1e-3, 1e-3, 1e-3, growth=np.nan) == Verdict.INVALID
 
 
+def _joints(amplitudes, growth, *, rubs, count=0.0):
+    """What came of one start of a robot's two joints that turn, of which each row is a segment."""
+    loop = {"frequency": np.full(2, 35.0), "span": np.full(2, 0.4), "plant": False, "count": count}
+    return _of(amplitudes, growth, farthest=np.full(2, 1.5), rubs=rubs, **loop)[0]
+
+
+def test_only_friction_ends_what_would_grow_and_only_where_no_joint_keeps_going():
+    ended = [[0.4, 0.2], [0.192, 0.096], [0.177, 0.088], [0.148, 0.074]]
+    assert _joints(ended, 1.0, rubs=True).verdict.tolist() == [Verdict.UNSTABLE] * 2
+    assert not _joints(ended, 1.0, rubs=True).moving.any()
+    # Counts are nothing in a motion so large, but may keep up a small one.
+    assert not _joints(ended, 1.0, rubs=True, count=0.01).moving.any()
+    assert _joints(ended, 1.0, rubs=True, count=0.1).moving.all()
+    going = _joints(ended, 1.0, rubs=False)
+    assert going.verdict.tolist() == [Verdict.LIMIT_CYCLE] * 2
+    assert going.moving.all() and going.narrowing.all()
+    # Down to a cycle of 0.361 and 0.953, by beats: it would take longer than was seen to end.
+    down = [[0.422, 0.907], [0.493, 1.131], [0.464, 1.098], [0.424, 1.043]]
+    for rubs in (True, False):
+        assert _joints(down, 2.8, rubs=rubs).verdict.tolist() == [Verdict.LIMIT_CYCLE] * 2
+    # One joint gets smaller, the other keeps going.
+    one = [[0.4, 0.9], [0.192, 1.0], [0.177, 1.0], [0.148, 1.0]]
+    found = _joints(one, 10.0, rubs=True)
+    assert found.verdict.tolist() == [Verdict.LIMIT_CYCLE] * 2
+    assert found.narrowing.tolist() == [True, False]
+
+
+def test_a_joint_that_rests_in_a_start_that_cycles_does_not_make_it_grow():
+    rows = _joints([[0.4, 1e-3], [0.4, 0.0], [0.4, 0.0], [0.4, 0.0]], 1.0, rubs=True)
+    assert rows.verdict.tolist() == [Verdict.LIMIT_CYCLE, Verdict.UNSTABLE]
+    assert int(starts.of_joints(rows).verdict) == Verdict.LIMIT_CYCLE
+    still = _joints([[1e-3] * 2, [0.0] * 2, [0.0] * 2, [0.0] * 2], 1.0, rubs=True)
+    assert int(starts.of_joints(still).verdict) == Verdict.UNSTABLE
+
+
 def test_the_worst_start_counts():
     rest, scale = _of([1e-2, 1e-4, 1e-5, 1e-6], -1.0)
     small, _ = _of([1e-3] * 4, -1.0)
@@ -435,6 +471,23 @@ def test_the_worst_start_counts():
     assert worst(still, still, still)[0] == Verdict.UNSTABLE
     assert worst(still, cycling, still)[0] == Verdict.LIMIT_CYCLE
     assert worst(still, cycling, cycling) == (Verdict.LIMIT_CYCLE, pytest.approx(5e-3))
+    # What moves within a count does not say what it would become.
+    tremble, _ = _of([1e-3] * 4, 1.0)
+    assert worst(tremble, still, still)[0] == Verdict.UNSTABLE
+
+
+def test_a_start_that_grows_within_a_robots_cycle_is_on_its_way_there():
+    def verdict(own, *other):
+        loop = {"growth": 3.0, "plant": False, "farthest": 0.6}
+        mine, scale = _of(own, **loop)
+        others = jax.tree.map(lambda leaf: leaf[None], _of(other, **loop)[0])
+        return int(verdicts.together(mine, others, scale).verdict)
+
+    grows = 0.15, 0.2, 0.25, 0.3
+    assert verdict([0.29, 0.38, 0.425, 0.445], *grows) == Verdict.LIMIT_CYCLE
+    # That one gets wider itself, as one may that is not bounded; or the other is beyond it.
+    assert verdict([0.30, 0.35, 0.38, 0.416], *grows) == Verdict.UNSTABLE
+    assert verdict([0.28, 0.28, 0.28, 0.28], *grows) == Verdict.UNSTABLE
 
 
 def test_a_start_that_has_diverged_is_unstable_whatever_its_numbers_look_like():

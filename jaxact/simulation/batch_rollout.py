@@ -234,6 +234,7 @@ def evaluate(
     active_ticks: jax.Array,
     masked: bool,
     rest_amplitude: jax.Array,
+    rubs: jax.Array,
     setpoints: Setpoint | None = None,
     observe: Callable[[int, BatchState, jax.Array], None] | None = None,
     others: Judgement | None = None,
@@ -252,9 +253,10 @@ def evaluate(
         keys: of the samples' random numbers, shape (loops,).
         active_ticks: integrals stop after this many ticks where `masked`, shape (loops,).
         rest_amplitude: a motion smaller than this counts as at rest [m or rad], (loops, joints).
+        rubs: whether dry friction acts in the robot, shape (loops,).
         setpoints: one for every tick instead, leaves (loops, ticks, joints).
-        observe: called before each physics step with the number of the step in its period, the
-            state of the loops as NumPy arrays, and the mean force on the joints.
+        observe: called before each physics step with its number in its period, the state of the
+            loops as NumPy arrays, and the mean force on the joints.
         others: what came of other starts, from calls before, shape (loops, starts, joints).
         bases: as for `jaxact.simulation.falling.fall`.
 
@@ -265,7 +267,6 @@ def evaluate(
     static = {"options": options, "masked": masked}
     aims = None if setpoints is None else _rows(setpoints)
     dtype = np.dtype(jnp.result_type(float))
-    places = np.arange(1, options.substeps, dtype=np.int32)
     with silenced():
         simulations.start(*start)
         begun = simulations.configuration()
@@ -274,7 +275,7 @@ def evaluate(
         held = _packed(_before(state, setpoint, seen))
         held, force = _stage(fixed, held, seen, name="first", **static)
         if options.substeps > 1:
-            middle = _stage.compiled(fixed, held, seen, places[0], name="middle", **static)
+            middle = _stage.compiled(fixed, held, seen, np.int32(1), name="middle", **static)
         turn = _stage.compiled(fixed, held, seen, name="turn", **static)
         envelopes = []
         for number in range(1, ticks + 1):
@@ -285,7 +286,7 @@ def evaluate(
                 aim = None if aims is None else aims[min(number, ticks - 1)]
                 seen = _seen(simulations, dtype, aim)
                 if place + 1 < options.substeps:
-                    held, force = middle(fixed, held, seen, places[place])
+                    held, force = middle(fixed, held, seen, np.int32(place + 1))
             if number < ticks:
                 held, force = turn(fixed, held, seen)
             else:
@@ -300,8 +301,8 @@ def evaluate(
     counted = active_ticks if masked else jnp.full(period.shape, float(ticks), dtype)
     reference, running = _unpacked(fixed).reference, _unpacked(held).running
     end = (seen[:, 0], seen[:, 1]) if aims is None else None
-    loops = running, end, envelopes, reference, growth_rate, period, counted, rest_amplitude
     fell = fall(bases, begun, simulations.configuration(), told=setpoints is not None)
+    loops = running, end, envelopes, reference, growth_rate, period, counted, rest_amplitude, rubs
     return _finish(np.int32(ticks), *loops, coefficients.drive, others, fell)
 
 
@@ -341,12 +342,12 @@ def _before(drive: DriveState, setpoint: Setpoint, seen: np.ndarray) -> BatchSta
 
 @Program
 def _finish(ticks: jax.Array, *loops: Any) -> tuple[Metrics, Judgement]:
-    return jax.vmap(_finished, (None, *(0,) * 11))(ticks, *loops)
+    return jax.vmap(_finished, (None, *(0,) * 12))(ticks, *loops)
 
 
 def _finished(
-    ticks, running, end, envelopes, reference, growth_rate, period, counted, rest, drive, others,
-    fell,
+    ticks, running, end, envelopes, reference, growth_rate, period, counted, rest, rubs, drive,
+    others, fell,
 ) -> tuple[Metrics, Judgement]:  # fmt: skip
     """The end of a rollout of so many control periods."""
     if end is not None:
@@ -360,7 +361,7 @@ def _finished(
         period=period,
         ticks=ticks,
         counted=counted,
-        scale=_scales.scale(drive, size, rest, linear_plant=False),
+        scale=_scales.scale(drive, size, rest, linear_plant=False, rubs=rubs),
         others=others,
         fell=fell,
     )

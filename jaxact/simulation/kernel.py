@@ -51,8 +51,7 @@ from jaxact.simulation.verdicts import Judgement
 
 Values = Mapping[str, Any]
 
-# The parameter that `split_push` makes of a push.
-PUSH = "push"
+PUSH = "push"  # the parameter that `split_push` makes of one
 
 
 @dataclass(frozen=True)
@@ -343,7 +342,7 @@ def metrics(
     key = jax.random.fold_in(jax.random.key(seed), number)
     prepared, state, setpoint = start(case, template, values)
     growth_rate = growth_rate.astype(prepared.drive.step.dtype)
-    others, rest = other_starts(case, template, values, growth_rate, key)
+    others, rest, rubs = other_starts(case, template, values, growth_rate, key)
     result = _rollout.evaluate(
         prepared,
         case.drive,
@@ -355,6 +354,7 @@ def metrics(
         active_ticks=active_ticks(case, values),
         setpoints=setpoints(template, values, case.rollout.ticks),
         rest_amplitude=rest,
+        rubs=rubs,
         others=others,
         bases=template.bases,
     )
@@ -363,11 +363,12 @@ def metrics(
 
 def other_starts(
     case: Case, template: Template, values: Values, growth_rate: jax.Array, key: jax.Array
-) -> tuple[Judgement | None, jax.Array]:
-    """What comes of a sample's other starts, and the half range that counts as at rest.
+) -> tuple[Judgement | None, jax.Array, jax.Array]:
+    """What comes of a sample's other starts, and what it and its own are judged with.
 
     Returns:
-        Leaves of shape (starts, joints), None where there are none; and [m or rad], (joints,).
+        Leaves of shape (starts, joints), None where there are none; half ranges that count as rest
+        [m or rad], (joints,); and whether dry friction acts, shape ().
     """
     values = resolved(template, values)
     drive = drive_of(values)
@@ -376,10 +377,10 @@ def other_starts(
     def judged(given: Values, drive: Drive, rest: jax.Array) -> Judgement:
         prepared, state, setpoint = begun(case, template, {**values, **given}, drive)
         loop = prepared, case.drive, case.rollout, state, setpoint, key
-        told = {"growth_rate": growth_rate, "rest_amplitude": rest}
+        told = {"growth_rate": growth_rate, "rest_amplitude": rest, "rubs": rubs}
         return _rollout.judged(*loop, **told, bases=template.bases)
 
-    friction = _starts.friction(template)
+    friction, rubs = _starts.friction(template), _starts.rubs(template, values)
     if _starts.LINEAR in case.starts:
         given = _starts.given(("between",), values, drive, friction)
         first = jax.tree.map(lambda leaf: leaf[0], given)
@@ -387,9 +388,9 @@ def other_starts(
         rest = _starts.above_noise(rest, sustained, growth_rate)
     names = tuple(name for name in case.starts if name != _starts.LINEAR)
     if not names:
-        return None, rest
+        return None, rest, rubs
     given = _starts.given(names, values, drive, friction)
-    return jax.vmap(lambda given: judged(given, drive, rest))(given), rest
+    return jax.vmap(lambda given: judged(given, drive, rest))(given), rest, rubs
 
 
 def active_ticks(case: Case, values: Values) -> jax.Array | None:

@@ -329,10 +329,8 @@ def finish(
     # A loop that is stable, and whose numbers overflow all the same, was not simulated.
     overflows = (each.verdict == Verdict.STABLE) & ~finite
     each = replace(each, verdict=jnp.where(overflows, Verdict.INVALID, each.verdict))
-    if scale is not None:
-        # Joints at rest in a robot of which others shake: nothing is known of them but that.
-        idle = ~scale.plant_linear & ~each.moving & (each.verdict == Verdict.UNSTABLE)
-        idle &= jnp.any(each.moving)
+    if scale is not None and each.verdict.ndim:
+        idle = ~scale.plant_linear & verdicts.idle(each)
         each = replace(each, verdict=jnp.where(idle, Verdict.STABLE, each.verdict))
     verdict = verdicts.worst(jnp.atleast_1d(each.verdict), axis=-1).astype(jnp.int8)
     finite &= verdict != Verdict.INVALID

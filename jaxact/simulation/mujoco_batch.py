@@ -200,7 +200,7 @@ def _rolled(
         push=push,
         corrected=setting.corrected,
     )
-    coefficients, state, begun, setpoint, setpoints, keys, rest = prepared
+    coefficients, state, begun, setpoint, setpoints, keys, rest, rubs = prepared
     active = np.ceil(case.duration * np.asarray(values[CONTROL_RATE], float) - 1e-4)
     return batch_rollout.evaluate(
         simulations,
@@ -215,6 +215,7 @@ def _rolled(
         active_ticks=jnp.asarray(active, dtype),
         masked=case.masked,
         rest_amplitude=rest,
+        rubs=rubs,
         setpoints=setpoints,
         observe=None if watch is None else watch(simulations, coefficients),
         others=others,
@@ -269,6 +270,7 @@ def _prepare(*, case: Case, setting: Setting) -> Callable:
             kernel.setpoints(made, values, case.rollout.ticks),
             jax.random.fold_in(jax.random.key(seed), number),
             jnp.broadcast_to(trembling, rest.shape),
+            _starts.rubs(made, resolved),
         )
 
     return jax.vmap(one, in_axes=(0, None, 0))

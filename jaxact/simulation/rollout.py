@@ -166,6 +166,7 @@ def evaluate(
     growth: GrowthOptions | None = None,
     setpoints: Setpoint | None = None,
     rest_amplitude: jax.Array | float = 0.0,
+    rubs: jax.Array | bool = False,
     others: Judgement | None = None,
     bases: tuple[Base, ...] = (),
 ) -> Metrics:
@@ -174,6 +175,7 @@ def evaluate(
     Args:
         prepared, options, rollout, state, setpoint, key, active_ticks, setpoints: as for `run`.
         rest_amplitude: a motion smaller than this counts as at rest [m or rad], shape (joints,).
+        rubs: whether dry friction acts in the robot, shape ().
         others: from `judged`, of other starts of the same loop, shape (starts, joints).
         growth_rate: [1/s] if it is known already (in float64, say), else it is measured here.
         growth: static; how it is measured; None for the usual way.
@@ -202,7 +204,7 @@ def evaluate(
         period=period,
         ticks=rollout.ticks,
         counted=rollout.ticks if active_ticks is None else active_ticks,
-        scale=scale_of(prepared, options, rollout.linear_plant, reference, rest_amplitude),
+        scale=scale_of(prepared, options, rollout.linear_plant, reference, rest_amplitude, rubs),
         others=others,
         fell=fall(bases, state.plant, end.plant, told=setpoints is not None),
     )
@@ -215,13 +217,16 @@ def scale_of(
     linear_plant: bool,
     reference: Reference,
     rest_amplitude: jax.Array | float,
+    rubs: jax.Array | bool,
 ) -> Scale | None:
     """What the motions of a loop are measured with; None of one that is linear, but for noise."""
     if options.additive and linear_plant:
         return None
     size = jnp.maximum(jnp.abs(reference.start), jnp.abs(reference.target))
     drive, joint = prepared.drive.drive, prepared.joint
-    return _scales.scale(drive, size, rest_amplitude, linear_plant=linear_plant, joint=joint)
+    return _scales.scale(
+        drive, size, rest_amplitude, linear_plant=linear_plant, rubs=rubs, joint=joint
+    )
 
 
 def judged(
@@ -234,6 +239,7 @@ def judged(
     *,
     growth_rate: jax.Array,
     rest_amplitude: jax.Array | float = 0.0,
+    rubs: jax.Array | bool = False,
     bases: tuple[Base, ...] = (),
 ) -> Judgement:
     """What comes of one start, for `others` of `evaluate`; arguments as there, (joints,)."""
@@ -247,6 +253,6 @@ def judged(
         growth_rate,
         period=prepared.drive.drive.control_period,
         ticks=rollout.ticks,
-        scale=scale_of(prepared, options, rollout.linear_plant, reference, rest_amplitude),
+        scale=scale_of(prepared, options, rollout.linear_plant, reference, rest_amplitude, rubs),
         fell=fall(bases, state.plant, end.plant),
     )

@@ -37,8 +37,9 @@ class Scale:
         linear: whether the loop is linear, but for noise: its growth rate tells all.
         unlimited: whether it is linear in a motion so large that counts are nothing in it; then
             what grows, grows for ever.
-        plant_linear: whether the plant is; dry friction, which ends motions that would grow if
-            they were larger, is only in others.
+        plant_linear: whether the plant is.
+        rubs: whether dry friction acts in it, which ends motions that would grow if they were
+            larger.
     """
 
     count: jax.Array
@@ -50,6 +51,7 @@ class Scale:
     linear: jax.Array
     unlimited: jax.Array
     plant_linear: jax.Array
+    rubs: jax.Array
 
 
 def _felt(value: jax.Array, kp: jax.Array) -> jax.Array:
@@ -136,6 +138,7 @@ def scale(
     floor: jax.Array | float = 0.0,
     *,
     linear_plant: bool,
+    rubs: bool | jax.Array = False,
     joint: Joint | None = None,
 ) -> Scale:
     """What the motions of a loop are measured with.
@@ -145,6 +148,7 @@ def scale(
         size: largest position in sight [m or rad], which sets the rounding.
         floor: half range that counts as at rest in any case [m or rad]: what noise sustains.
         linear_plant: static.
+        rubs: whether dry friction may act in the plant.
         joint: where it has damping or stiffness of its own. Beyond what its limited force can hold,
             one that topples falls for ever.
 
@@ -172,4 +176,5 @@ def scale(
         linear=exact & unlimited & linear_plant,
         unlimited=unlimited & linear_plant,
         plant_linear=jnp.full_like(unlimited, linear_plant),
+        rubs=jnp.full_like(unlimited, rubs),
     )

@@ -55,6 +55,7 @@ class Start:
         moving: it still moved at the end, and went on.
         resting: it had come to rest; what neither moves nor rests decays.
         amplitude, frequency: of that motion [m or rad], [rad/s].
+        narrowing, widening: it was still getting smaller, or wider.
     """
 
     name: str
@@ -63,6 +64,8 @@ class Start:
     resting: bool
     amplitude: float
     frequency: float
+    narrowing: bool = False
+    widening: bool = False
 
 
 @dataclass(frozen=True)
@@ -183,6 +186,8 @@ def _started(case: Case, judged: Judgement, place: int) -> tuple[Start, ...]:
             resting=bool(judged.resting[place, row]),
             amplitude=float(judged.amplitude[place, row]),
             frequency=float(judged.frequency[place, row]),
+            narrowing=bool(judged.narrowing[place, row]),
+            widening=bool(judged.widening[place, row]),
         )
         for row, name in enumerate(names)
     )
@@ -268,7 +273,7 @@ def _one(
     moving = kernel.setpoints(template, values, case.rollout.ticks)
     begin, _ = prepared.plant.measure(state.plant)
     growth_rate = growth_rate.astype(begin.dtype)
-    others, rest = kernel.other_starts(case, template, values, growth_rate, key)
+    others, rest, rubs = kernel.other_starts(case, template, values, growth_rate, key)
     trajectory, outputs, end = _trajectory.follow(
         prepared,
         case.drive,
@@ -290,6 +295,7 @@ def _one(
         active_ticks=kernel.active_ticks(case, values),
         setpoints=moving,
         rest_amplitude=rest,
+        rubs=rubs,
         others=others,
         fell=fall(template.bases, state.plant, end.plant, told=moving is not None),
     )

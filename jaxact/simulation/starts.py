@@ -40,6 +40,7 @@ from jaxact.parameters import (
 )
 from jaxact.simulation import scales, verdicts
 from jaxact.simulation.verdicts import Judgement
+from jaxact.status import Verdict
 
 if TYPE_CHECKING:
     from jaxact.loops.template import Template
@@ -203,6 +204,15 @@ def friction(template: Template) -> np.ndarray | None:
     return robot.model.dof_frictionloss[[joint.dof for joint in robot.joints]].copy()
 
 
+def rubs(template: Template, values: Mapping[str, Any]) -> jax.Array:
+    """Whether a robot has dry friction, of its model or of its joints' parameters, shape ()."""
+    if template.scene is None:
+        return jnp.asarray(False)
+    model = template.scene.robot.model
+    own = np.any(model.dof_frictionloss > 0.0) | np.any(model.tendon_frictionloss > 0.0)
+    return jnp.asarray(own) | jnp.any(jnp.asarray(values[JOINT_FRICTION]) > 0.0)
+
+
 def above_noise(rest: jax.Array, sustained: jax.Array, growth_rate: jax.Array) -> jax.Array:
     """Half range that counts as at rest where noise sustains this much in the linear loop."""
     return jnp.where(growth_rate < 0.0, jnp.maximum(rest, _ABOVE_NOISE * sustained), rest)
@@ -224,10 +234,13 @@ def of_joints(rows: Judgement) -> Judgement:
     def its(leaf: jax.Array) -> jax.Array:
         return jnp.take_along_axis(leaf, most, axis=-1)[..., 0]
 
+    known = jnp.where(verdicts.idle(rows), Verdict.STABLE, rows.verdict)
     return Judgement(
-        verdict=verdicts.worst(rows.verdict, axis=-1),
+        verdict=verdicts.worst(known, axis=-1),
         moving=jnp.any(rows.moving, axis=-1),
         resting=jnp.all(rows.resting, axis=-1),
+        narrowing=its(rows.narrowing),
+        widening=its(rows.widening),
         amplitude=its(rows.amplitude),
         frequency=its(rows.frequency),
     )

@@ -144,6 +144,7 @@ def metrics_of(
     active_ticks: jax.Array | None = None,
     setpoints: Setpoint | None = None,
     rest_amplitude: jax.Array | float = 0.0,
+    rubs: jax.Array | bool = False,
     others: Judgement | None = None,
     fell: Fall | None = None,
 ) -> tuple[Metrics, Judgement]:
@@ -152,8 +153,8 @@ def metrics_of(
     Args:
         outputs: from `follow`, a multiple of `jaxact.simulation.metrics.SEGMENTS` of them.
         start: joint positions before the first tick [m or rad], shape (joints,).
-        setpoint, active_ticks, setpoints, prepared, options, growth_rate, rest_amplitude, others:
-            as for `jaxact.simulation.rollout.evaluate`.
+        setpoint, active_ticks, setpoints, prepared, options, growth_rate, rest_amplitude, rubs,
+            others: as for `jaxact.simulation.rollout.evaluate`.
         linear_plant: static; whether the plant is linear.
         fell: from `jaxact.simulation.falling.fall`.
     """
@@ -184,7 +185,7 @@ def metrics_of(
         period=period,
         ticks=ticks,
         counted=ticks if active_ticks is None else active_ticks,
-        scale=rollout.scale_of(prepared, options, linear_plant, reference, rest_amplitude),
+        scale=rollout.scale_of(prepared, options, linear_plant, reference, rest_amplitude, rubs),
         others=others,
         fell=fell,
     )

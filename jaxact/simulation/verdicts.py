@@ -26,8 +26,10 @@ _DIVERGED = 1e3
 _FIRST = 10.0
 # An envelope that grows by this factor from segment to segment, twice, is not bounded.
 _GROWING = 1.1
-# What friction ends is at most this part of what it was a segment ago.
+# What friction ends is, in every joint, at most this part of what it was a segment ago.
 _FALLING = 0.98
+# A motion that is wider by this factor than a segment ago is getting wider.
+_WIDER = 1.05
 # What is no larger than so many counts, or so many times what noise sustains, does not grow.
 _FEW = 3.0
 
@@ -65,6 +67,8 @@ class Judgement:
         verdict: code of `jaxact.status.Verdict`.
         moving: it still moved in the last segment, beyond rest, and not just about to end.
         resting: it has come to rest, or needs not to: the loop is linear.
+        narrowing: it was smaller in each of the last two segments than in the one before.
+        widening: it was wider in the last segment than in the one before.
         amplitude: half range of the last segment [m or rad].
         frequency: of it [rad/s]; NaN where it does not pass its middle twice.
     """
@@ -72,6 +76,8 @@ class Judgement:
     verdict: jax.Array
     moving: jax.Array
     resting: jax.Array
+    narrowing: jax.Array
+    widening: jax.Array
     amplitude: jax.Array
     frequency: jax.Array
 
@@ -85,6 +91,8 @@ def of_growth(growth_rate: jax.Array, like: jax.Array) -> Judgement:
         verdict=verdict + none.astype(verdict.dtype),
         moving=none > 0.0,
         resting=none == 0.0,
+        narrowing=none > 0.0,
+        widening=none > 0.0,
         amplitude=none,
         frequency=none + jnp.nan,
     )
@@ -98,6 +106,73 @@ def _diverged(motion: Motion, scale: Scale) -> jax.Array:
     size = jnp.where(motion.span > 0.0, motion.span, first)
     size = jnp.maximum(size, jnp.maximum(scale.limit, jnp.maximum(scale.count, scale.floor)))
     return motion.farthest > _DIVERGED * jnp.where(size > 0.0, size, 1.0)
+
+
+def _calmer(motion: Motion) -> jax.Array:
+    """Whether a motion gets smaller from segment to segment, shape (joints,)."""
+    before, previous, last = motion.amplitude[-3], motion.amplitude[-2], motion.amplitude[-1]
+    return (last <= _FALLING * previous) & (previous <= _FALLING * before)
+
+
+def _falling(motion: Motion, resting: jax.Array) -> jax.Array:
+    """Whether dry friction, where there is any, is ending a motion that would grow without it.
+
+    The smaller such a motion is, the more it loses from segment to segment,
+
+        before - previous <= previous - last,   last <= n (previous - last) + n (n + 1) / 2 change
+
+    so that at this pace it is over within n more segments, as many as were seen; farther than that
+    nothing can be foretold. What comes down to a cycle from a larger motion loses less and less,
+    but for beats of several joints. These share a motion: while one of them keeps going, friction
+    has not ended the others'.
+
+    Args:
+        resting: whether it has come to rest, shape (joints,).
+    """
+    before, previous, last = motion.amplitude[-3], motion.amplitude[-2], motion.amplitude[-1]
+    segments = motion.amplitude.shape[0]
+    calmer = (last <= _FALLING * previous) & (previous <= before)
+    lost, change = previous - last, (previous - last) - (before - previous)
+    ahead = segments * lost + 0.5 * segments * (segments + 1.0) * change
+    return calmer & (change >= 0.0) & (last <= ahead) & jnp.all(calmer | resting)
+
+
+def _growing(motion: Motion, scale: Scale, growth_rate: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Whether a motion grows, and whether it is a slow one on its way home, shapes (joints,)."""
+    before, previous, last = motion.amplitude[-3], motion.amplitude[-2], motion.amplitude[-1]
+    growing = (last > _GROWING * previous) & (previous > _GROWING * before)
+    # Counts and noise make irregular motions, but none without bound.
+    growing &= (last > _FEW * jnp.maximum(scale.count, scale.rest)) | (growth_rate >= 0.0)
+    growing &= ~scale.unlimited | (growth_rate >= 0.0)
+    # A robot's slow motion is first sped up by what brings it back, where small motions decay.
+    growing &= scale.plant_linear | motion.turning | motion.leaving | (growth_rate >= 0.0)
+    # A limit makes large motions of a mass so slow that a segment holds no whole turn. Halves of
+    # the rollout tell then, and whether the motion went further than it began, away or on its way.
+    slow = scale.plant_linear & ~scale.unlimited & ~motion.turning
+    slow &= (growth_rate < 0.0) & (last > _FEW * jnp.maximum(scale.count, scale.rest))
+    wider = jnp.maximum(last, previous) > _GROWING * jnp.maximum(before, motion.amplitude[0])
+    beyond = motion.farthest > motion.span
+    # A joint that is held is on its way to a cycle, however long that takes.
+    growing = jnp.where(slow, wider & beyond, growing) & ~scale.held
+    return growing, slow & ~beyond
+
+
+def _ending(
+    motion: Motion, scale: Scale, growth_rate: jax.Array, growing: jax.Array, resting: jax.Array
+) -> jax.Array:
+    """Whether a robot's motion is about to end, shape (joints,)."""
+    previous, last = motion.amplitude[-2], motion.amplitude[-1]
+    # What does not turn, and shrinks, is no cycle, nor is what neither turns nor grows where small
+    # motions decay: it takes longer than was seen.
+    shrinking = (last < previous) | ((growth_rate < 0.0) & ~growing)
+    shrinking &= ~motion.turning
+    # Counts may keep up a motion, but it turns then: what does not creeps, or sways slowly, home.
+    ending = shrinking & ((scale.count == 0.0) | (growth_rate < 0.0))
+    # One of many counts hardly feels them.
+    falling = _falling(motion, resting) & (last > _FEW * scale.count)
+    ending |= falling & (growth_rate >= 0.0) & scale.rubs
+    ending |= ~motion.turning & (last <= 0.5 * previous)
+    return ending & ~scale.plant_linear
 
 
 def of_motion(
@@ -116,38 +191,13 @@ def of_motion(
     neutral = ~scale.plant_linear & (growth_rate == 0.0)
     growth_rate = jnp.where(neutral, -jnp.finfo(last.dtype).tiny, growth_rate)
     diverged = _diverged(motion, scale)
-    growing = (last > _GROWING * previous) & (previous > _GROWING * before)
-    # Counts and noise make irregular motions, but none without bound.
-    growing &= (last > _FEW * jnp.maximum(scale.count, scale.rest)) | (growth_rate >= 0.0)
-    growing &= ~scale.unlimited | (growth_rate >= 0.0)
-    # A robot's slow motion is first sped up by what brings it back, where small motions decay.
-    growing &= scale.plant_linear | motion.turning | motion.leaving | (growth_rate >= 0.0)
-    # A limit makes large motions of a mass so slow that a segment holds no whole turn. Halves of
-    # the rollout tell then, and whether the motion went further than it began, away or on its way.
-    slow = scale.plant_linear & ~scale.unlimited & ~motion.turning
-    slow &= (growth_rate < 0.0) & (last > _FEW * jnp.maximum(scale.count, scale.rest))
-    wider = jnp.maximum(last, previous) > _GROWING * jnp.maximum(before, motion.amplitude[0])
-    beyond = motion.farthest > motion.span
-    # A joint that is held is on its way to a cycle, however long that takes.
-    growing = jnp.where(slow, wider & beyond, growing) & ~scale.held
+    growing, arriving = _growing(motion, scale, growth_rate)
     # Half the decay that the linear loop would show is decay; less is a motion that keeps going.
     kept = 1.0 + 0.5 * jnp.expm1(jnp.minimum(growth_rate, 0.0) * segment)
     # An irregular limit cycle is smaller than before now and then, but rarely twice in a row.
     decaying = (last <= kept * previous) & ((scale.count == 0.0) | (previous <= kept * before))
     resting = last <= scale.rest
-    # Friction ends a motion that would grow if it were larger: the smaller it is, the sooner. What
-    # approaches a cycle slows down instead. What does not turn, and shrinks, is not a cycle either.
-    falling = (last <= _FALLING * previous) & (previous - last >= before - previous)
-    falling &= (previous <= before) & (growth_rate >= 0.0)
-    # Nor is what neither turns nor grows where small motions decay: it takes longer than was seen.
-    shrinking = (last < previous) | ((growth_rate < 0.0) & ~growing)
-    shrinking &= ~motion.turning
-    # Counts may keep up a motion, but it turns then: what does not creeps, or sways slowly, home.
-    ending = (falling | shrinking) & (scale.count == 0.0)
-    ending |= shrinking & (growth_rate < 0.0)
-    ending |= ~motion.turning & (last <= 0.5 * previous)
-    ending &= ~scale.plant_linear
-    ending |= slow & ~beyond
+    ending = arriving | _ending(motion, scale, growth_rate, growing, resting)
     moving = ~(resting | ending | ((growth_rate < 0.0) & decaying))
     # Beyond all bounds numbers are arbitrary, and may look like rest.
     moving |= diverged
@@ -165,9 +215,20 @@ def of_motion(
         verdict=jnp.where(scale.linear, linear.verdict, verdict),
         moving=moving & ~scale.linear,
         resting=resting | scale.linear,
+        narrowing=_calmer(motion) & ~scale.linear,
+        widening=(last > _WIDER * previous) & ~scale.linear,
         amplitude=last,
         frequency=motion.frequency,
     )
+
+
+def idle(each: Judgement) -> jax.Array:
+    """Which of a robot's joints, along the last axis, rest though unstable while others move.
+
+    Nothing is known of them but that: they are stable as far as was seen.
+    """
+    still = ~each.moving & (each.verdict == Verdict.UNSTABLE)
+    return still & jnp.any(each.moving, axis=-1, keepdims=True)
 
 
 def of_fallen(judgement: Judgement, fallen: jax.Array, growth_rate: jax.Array) -> Judgement:
@@ -208,7 +269,7 @@ def together(own: Judgement, others: Judgement, scale: Scale) -> Judgement:
     one that still moves shows is more. What remains of the own start counts where it is more than a
     count: within one, it depends on where between two counts the setpoint happens to be, and the
     others stand for all such places. A start that grows within the cycle that another one shows is
-    on its way there, where a limit makes the cycle.
+    on its way there, where a limit makes the cycle, or where a robot's does not get wider itself.
 
     Args:
         own: of the setpoint's step, shape (joints,).
@@ -224,17 +285,21 @@ def together(own: Judgement, others: Judgement, scale: Scale) -> Judgement:
     largest = jnp.argmax(amplitudes, axis=0)[None]
     amplitude = jnp.take_along_axis(others.amplitude, largest, axis=0)[0]
     frequency = jnp.take_along_axis(others.frequency, largest, axis=0)[0]
-    shown = own.moving | jnp.any(others.moving, axis=0)
     cycle = own.moving & (own.verdict == Verdict.LIMIT_CYCLE)
-    widest = jnp.maximum(jnp.where(cycle, own.amplitude, -1.0), jnp.max(amplitudes, axis=0))
+    minor = cycle & (own.amplitude <= scale.count)
+    shown = (own.moving & ~minor) | jnp.any(others.moving, axis=0)
+    sure = scale.bounded | ~own.widening
+    widest = jnp.where(cycle & sure, own.amplitude, -1.0)
+    sure = scale.bounded | ~others.widening
+    widest = jnp.maximum(widest, jnp.max(jnp.where(sure, amplitudes, -1.0), axis=0))
+    kept = scale.bounded | ~scale.plant_linear
 
     def proven(start: Judgement) -> jax.Array:
         unproven = ~start.moving & (start.verdict == Verdict.UNSTABLE) & shown
         verdict = jnp.where(unproven, Verdict.STABLE, start.verdict)
         within = start.moving & (start.verdict == Verdict.UNSTABLE) & (start.amplitude <= widest)
-        return jnp.where(within & scale.bounded, Verdict.LIMIT_CYCLE, verdict)
+        return jnp.where(within & kept, Verdict.LIMIT_CYCLE, verdict)
 
-    minor = own.moving & (own.verdict == Verdict.LIMIT_CYCLE) & (own.amplitude <= scale.count)
     mine = jnp.where(minor, Verdict.STABLE, proven(own))
     theirs = jax.vmap(proven)(others)
     theirs = jnp.where(theirs == Verdict.TOPPLES, Verdict.STABLE, theirs)
@@ -245,6 +310,8 @@ def together(own: Judgement, others: Judgement, scale: Scale) -> Judgement:
         verdict=verdict,
         moving=shown,
         resting=own.resting & jnp.all(others.resting, axis=0),
+        narrowing=own.narrowing,
+        widening=own.widening,
         amplitude=jnp.where(itself, own.amplitude, amplitude),
         frequency=jnp.where(itself, own.frequency, frequency),
     )

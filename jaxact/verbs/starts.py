@@ -38,8 +38,6 @@ _NAMES = {
 
 # By how much small motions should have decayed before what grows is said to be lost.
 _MOSTLY = 0.5
-# A motion that is wider by this factor than a quarter of the duration ago is getting wider.
-_WIDER = 1.05
 # Farther from the posture [rad or m] its growth rate says little.
 _ELSEWHERE = 0.05
 _ON_ITS_WAY = (
@@ -165,23 +163,32 @@ def _of_limit_cycle(run: Single) -> str:
         helps = ["lower the gains", "shorten the delay", *more]
         return (
             f"The motion stays bounded but goes on, as {_listed(causes)} can make it; "
-            f"{', '.join(helps[:-1])} or {helps[-1]}.{_widening(run)}"
+            f"{', '.join(helps[:-1])} or {helps[-1]}.{_widening(run) or _narrowing(run)}"
         )
     size = "The motion keeps going at this amplitude"
     if run.trajectory.configuration is not None:  # of a robot
         size += ", of a robot far from its posture"
-    return f"{size}; lower gains or a shorter delay help."
+    return f"{size}; lower gains or a shorter delay help.{_narrowing(run)}"
 
 
 def _widening(run: Single) -> str:
     """That the own motion of a joint was still getting wider when the duration was over."""
-    if run.trajectory.configuration is not None or not run.starts[0].moving:
-        return ""
-    position = run.trajectory.position[:, 0]
-    last, before = (np.ptp(part) for part in reversed(np.array_split(position, 4)[-2:]))
-    if last <= _WIDER * before:
+    own = run.starts[0]
+    if run.trajectory.configuration is not None or not (own.moving and own.widening):
         return ""
     return " It was still getting wider when the duration was over: a longer one tells how wide."
+
+
+def _narrowing(run: Single) -> str:
+    """That no motion that goes on had stopped getting smaller when the duration was over."""
+    going = [start for start in run.starts if start.moving]
+    if not going or not all(start.narrowing for start in going):
+        return ""
+    ends = ", and whether it ends" if _rubs(run) or run.results["growth_rate"] < 0.0 else ""
+    return (
+        " It was still getting smaller when the duration was over: a longer one tells how small"
+        f"{ends}."
+    )
 
 
 def _values(run: Single, names: Collection[str]) -> np.ndarray:
@@ -270,7 +277,7 @@ def _end(start: Start, rotary: bool, rubs: bool, stable: bool) -> str:
     if stable:  # as the other starts show
         return f"moving by {size}, within a count,"
     at = f" at {start.frequency:.3g} rad/s" if np.isfinite(start.frequency) else ""
-    return f"limit cycle of {size}{at}"
+    return f"limit cycle of {size}{at}{', still getting smaller,' * start.narrowing}"
 
 
 def _listed(names: list[str]) -> str:

@@ -89,6 +89,18 @@ def test_of_a_limit_cycle_only_causes_that_the_loop_has_are_said(values, slides,
     assert ("counts" in found) == ("command_resolution" in values)
 
 
+@pytest.mark.parametrize(("slides", "ends"), [(False, "small."), (True, "small, and whether")])
+def test_a_cycle_that_still_got_smaller_is_said_to(slides, ends):
+    names = ["", "slide"] if slides else [""]
+    run = _run(Verdict.LIMIT_CYCLE, 1.0, *((name, Verdict.LIMIT_CYCLE, True) for name in names))
+    assert "smaller" not in starts.advice(run)
+    run = replace(run, starts=tuple(replace(start, narrowing=True) for start in run.starts))
+    assert f"still getting smaller when the duration was over: a longer one tells how {ends}" in (
+        starts.advice(run)
+    )
+    assert ("still getting smaller, after" in " ".join(starts.lines(run))) == slides
+
+
 @pytest.mark.parametrize("limits", ["", ' forcerange="-9 9"'])
 def test_of_a_robot_limits_are_a_cause_where_its_model_has_some(tmp_path, limits):
     """Its verdict is set: which limits there are is what the simulation tells."""
