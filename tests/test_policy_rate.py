@@ -7,6 +7,7 @@ import pytest
 import scipy.linalg
 from quickly import compiled_quickly as compiled_quickly
 
+import jaxact as jx
 from jaxact.errors import UserError
 from jaxact.loops import reading
 from jaxact.simulation import single
@@ -86,6 +87,21 @@ def test_a_robots_moving_setpoint_is_held_as_in_a_plain_loop(tmp_path, late):
         scale = np.abs(positions).max()
         assert np.abs(run.position[every, 0] - positions).max() < 0.05 * scale
         assert np.abs(run.command[every, 0] - commands).max() < 0.05 * np.abs(commands).max()
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "mjx"])
+def test_a_robot_whose_setpoints_arrive_late_is_held_before_they_do(tmp_path, engine):
+    """Its weight, 0.5 kg at 0.2 m, was held before the start: nothing moves."""
+    path = tmp_path / "pendulum.xml"
+    path.write_text(
+        '<mujoco><option timestep="0.001"/><worldbody><body><joint name="j" axis="0 1 0"/>'
+        '<inertial pos="0.2 0 0" mass="0.5" diaginertia="0.01 0.01 0.01"/></body></worldbody>'
+        '<actuator><motor joint="j"/></actuator></mujoco>'
+    )
+    loop = jx.robot(path, kp=20.0, kd=0.5, wn=300.0, zeta=0.7, setpoint_delay=0.0043)
+    run = jx.simulate(loop, setpoint=0.0, duration=0.2, engine=engine, precision="float64")
+    np.testing.assert_allclose(run.command.values, -0.5 * 9.81 * 0.2, rtol=1e-9)
+    assert np.abs(run.position.values).max() < 1e-9
 
 
 @pytest.mark.exhaustive

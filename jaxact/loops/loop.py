@@ -125,7 +125,8 @@ def init(
         options: static.
         position: [m or rad], shape (joints,).
         velocity: [m/s or rad/s], shape (joints,); the sensors have seen it before time 0, too.
-        command: past command [N or N m], shape (joints,) or a number.
+        command: past command [N or N m], shape (joints,) or a number: the force that the setpoint
+            so far, where the joints are, came with.
     """
     dtype = prepared.drive.step.dtype
     like = jnp.zeros_like(prepared.drive.drive.controller.kp)
@@ -133,7 +134,14 @@ def init(
     velocity = jnp.asarray(velocity, dtype) + like
     return LoopState(
         plant=prepared.plant.init(position, velocity),
-        drive=_drive.init(prepared.drive, options, position, velocity, command=command),
+        drive=_drive.init(
+            prepared.drive,
+            options,
+            position,
+            velocity,
+            command=command,
+            setpoint=Setpoint(position, like, command),
+        ),  # fmt: skip
     )
 
 

@@ -258,8 +258,11 @@ def _prepare(*, case: Case, setting: Setting) -> Callable:
         coefficients = _drive.prepare(drive, case.drive, rest.shape)
         position = rest + resolved[INITIAL_POSITION]
         velocity = jnp.broadcast_to(resolved[INITIAL_VELOCITY], rest.shape)
-        state = _drive.init(coefficients, case.drive, position, velocity, command=force)
         zero = jnp.zeros_like(rest)
+        state = _drive.init(
+            coefficients, case.drive, position, velocity, command=force,
+            setpoint=Setpoint(position, zero, force),
+        )  # fmt: skip
         asked = joint_ranges.within(resolved, rest + resolved[SETPOINT])
         setpoint = Setpoint(asked, zero, force)
         return (

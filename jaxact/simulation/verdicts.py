@@ -290,7 +290,7 @@ def together(own: Judgement, others: Judgement, scale: Scale) -> Judgement:
     shown = (own.moving & ~minor) | jnp.any(others.moving, axis=0)
     sure = scale.bounded | ~own.widening
     widest = jnp.where(cycle & sure, own.amplitude, -1.0)
-    sure = scale.bounded | ~others.widening
+    sure = scale.bounded[None] | ~others.widening
     widest = jnp.maximum(widest, jnp.max(jnp.where(sure, amplitudes, -1.0), axis=0))
     kept = scale.bounded | ~scale.plant_linear
 
