@@ -15,7 +15,7 @@ ones whatever its own setpoint:
     linear    as `between`, without counts and limits: what noise alone sustains
 
 A count is that of the coarsest quantiser, as `jaxact.simulation.scales.count` has it; where that
-is not the encoder's, the small steps are two counts longer, so that something comes of them.
+is not the encoder's, the small steps are one or two counts longer, so that something comes of them.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 A rollout is cut into segments, of which each has an envelope. With the half ranges a of the last
 three and the growth rate g of a small perturbation, a loop is at rest, or on the way there, if
 
-    a_last <= rest   or   a falls from segment to segment by half of what exp(g t) predicts at least
+    a_last <= rest   or   a loses at least half of what exp(g t) predicts, from segment to segment
 
 Else it cycles. What counts as rest is measured with the loop's own scales, never with the height of
 the setpoint's step: see `rest`.
