@@ -76,7 +76,7 @@ def main(
     delay at which it begins or ceases to shake or topple); all (null if unstable) with gain_margin,
     gain_reduction_margin, delay_margin, sensitivity_peak, complementary_peak, disk_margin and the
     frequency of each, modulus_margin, unscaled_disk_margin; joints with name, kp, kd and the
-    margins above; ranking (names, the one that shakes first at the top); critical_mode,
+    margins above; ranking (names, by their share in what shakes first); critical_mode,
     slowest_mode, response_at_peak with growth_rate, frequency, damping_ratio, participation by
     joint.
 

@@ -198,7 +198,8 @@ class ControlLoop:
         unit = self.kind.unit
         parts = [_described(name, value, unit, units=units) for name, value in self.values.items()]
         parts += [f"velocity {self.kind.velocity}"] * (self.kind.velocity != "sampled")
-        head = "joint" if plant is None else _mounted(plant)
+        own = "rotary joint" if unit == "rad" else "joint"
+        head = own if plant is None else _mounted(plant)
         number = math.prod(self.shape)
         several = f"; {number:,} loops of shape {self.shape}" if self.shape else ""
         return f"<{head}: {', '.join(parts) or 'all parameters at their defaults'}{several}>"

@@ -38,7 +38,7 @@ def on_axes(picture: Callable[_P, _R]) -> Callable[_P, _R]:
 
 def _demand(name: str, given: Any) -> None:
     if not isinstance(given, Axes):
-        what = "one of them" if name == "ax" else "a list of them"
+        what = "one of them (several as `axes`)" if name == "ax" else "a list of them"
         raise UserError(
             f"{name}: a value of type {type(given).__name__} is not Matplotlib's axes; give "
             f"{what}, e.g. of matplotlib.pyplot.subplots()"

@@ -265,11 +265,18 @@ def _axes(arrangement: Arrangement, ax: Axes | None, axes: Sequence[Axes] | None
                                squeeze=False, layout="constrained")[1]  # fmt: skip
         given = [grid[panel.row, panel.column] for panel in arrangement.panels]
     if len(given) != len(arrangement.panels):
-        raise UserError(
-            f"there are {len(arrangement.panels)} maps, and {len(given)} axes; give as many, or "
-            "select, e.g. select={'delay': 0.001}"
-        )
+        several = f"there are {len(arrangement.panels)} maps, and {len(given)} axes; give as many"
+        raise UserError(several + _or_select(arrangement, len(given)))
     return given
+
+
+def _or_select(arrangement: Arrangement, given: int) -> str:
+    """What else to do where there are more maps than axes: one that was swept picks a map."""
+    shown, across = arrangement.data, {arrangement.x.name, arrangement.y and arrangement.y.name}
+    apart = [name for name in shown.dims if name not in across and shown.sizes[name] > 1]
+    if given >= len(arrangement.panels) or not apart:
+        return ""
+    return f", or select, e.g. select={{{str(apart[0])!r}: {shown[apart[0]].values[-1].item()!r}}}"
 
 
 def _dress(one: Axes, arrangement: Arrangement, panel: _panels.Panel) -> None:
@@ -279,8 +286,8 @@ def _dress(one: Axes, arrangement: Arrangement, panel: _panels.Panel) -> None:
     if arrangement.y is not None and arrangement.kind != "lines":
         _map.dress_axis(one, "y", arrangement.y)
         one.set_ylabel(arrangement.y.label)
-    words = ", ".join(word for word in (panel.caption, panel.row_caption) if word)
-    if words:
+    captions = (panel.caption, panel.row_caption, *arrangement.selected)
+    if words := ", ".join(word for word in captions if word):
         one.set_title(words)
 
 

@@ -111,7 +111,7 @@ def as_text(label: str, found: WholeRobot, stiction: Stiction | None) -> str:
     parts = [_head(label, found), _rendered(_whole_table(found))]
     if found.margins.stable:
         parts.append(
-            "Each joint with all others closed, the one that shakes first at the top:\n"
+            "Each joint with all others closed, by its share in what shakes first:\n"
             + _rendered(_joint_table(found))
             + f"\n{_units(found)}; shakes, sways: shares in what shakes first, and in the least "
             "damped mode"

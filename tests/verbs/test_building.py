@@ -61,6 +61,7 @@ def test_replacing_keeps_the_rest():
 def test_a_loop_says_what_it_is():
     said = repr(jx.joint(kp=400, delay=[0, 1e-3]))
     assert "kp 400 N/m" in said and "delay [0, 0.001] s" in said and "2 loops" in said
+    assert repr(jx.joint(unit="rad")).startswith("<rotary joint: ")
     robot = jx.robot(QUADRUPED / "quadruped.xml", keyframe="stand", base="fixed", kp=600, kd=30)
     assert "quadruped.xml, keyframe stand, base fixed" in repr(robot)
 

@@ -71,14 +71,19 @@ def test_a_map_of_the_nearest_value_within_the_axis(maps):
     nearest = jx.plot.stability_map(maps, select={"delay": 0.005}, exact=False)
     shown = [np.asarray(ax.collections[0].get_array()) for ax in (drawn, nearest)]
     np.testing.assert_array_equal(*shown)
+    # What is drawn is said, not what was asked for.
+    assert drawn.get_title() == nearest.get_title() == "delay 5 ms"
     with pytest.raises(UserError, match="delay: 7 s is outside its axis"):
         jx.plot.stability_map(maps, select={"delay": 7})
 
 
 def test_several_maps_need_as_many_axes(maps):
     assert len(jx.plot.stability_map(maps)) == 2
-    with pytest.raises(UserError, match="there are 2 maps, and 1 axes"):
+    swept = maps.delay.values[-1].item()
+    with pytest.raises(UserError, match=f"there are 2 maps, and 1 axes; .*'delay': {swept}"):
         jx.plot.stability_map(maps, ax=pyplot.subplots()[1])
+    with pytest.raises(UserError, match="there are 1 maps, and 2 axes; give as many$"):
+        jx.plot.stability_map(maps.isel(delay=0), axes=pyplot.subplots(1, 2)[1])
 
 
 @pytest.mark.parametrize(
