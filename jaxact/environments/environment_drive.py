@@ -66,6 +66,8 @@ class EnvironmentDrive:
         actuators: that it drives.
         low, high: ends of each parameter's range by short name, shape () or (joints,); alike where
             it does not vary; kp and kd NaN where the model's own count.
+        within: lowest and highest force of a file of gains where they differ by direction, beside
+            the model's, +-inf for none, shape (joints,) each; None of no joint.
         options: static side, for the longest delays.
         physics_step: of the environment [s].
         damping: the joints' own damping is part of kd.
@@ -75,6 +77,7 @@ class EnvironmentDrive:
     actuators: Actuators
     low: Mapping[str, np.ndarray]
     high: Mapping[str, np.ndarray]
+    within: tuple[np.ndarray, np.ndarray] | None
     options: DriveOptions
     physics_step: float
     damping: bool
@@ -109,13 +112,13 @@ class EnvironmentDrive:
         joints = len(self.actuators.names) if self.each_joint else 1
         shares = draws.reshape(len(self.varied), joints)
         found: dict[str, Any] = {}
-        for name, low in self.low.items():
+        for name, end in self.low.items():
             if name in self.varied:
                 share = shares[self.varied.index(name)]
                 share = share if self.each_joint else share[0]
-                found[name] = low + share * (self.high[name] - low)
+                found[name] = end + share * (self.high[name] - end)
             else:
-                found[name] = low
+                found[name] = end
         kp, kd = self.actuators.gains(model)
         if self.damping:
             kd = kd + model.dof_damping[self.actuators.velocities]
@@ -123,9 +126,11 @@ class EnvironmentDrive:
         for name, own in ((KP, kp), (KD, kd)):
             found[name] = scale * jnp.where(jnp.isnan(found[name]), own, found[name])
         low, high = self.actuators.forces(model, jnp)
+        if self.within is not None:
+            low, high = jnp.maximum(low, self.within[0]), jnp.minimum(high, self.within[1])
         limit = jnp.minimum(found[FORCE_LIMIT], jnp.maximum(-low, high))
-        of_model = {LOWEST_FORCE: low, HIGHEST_FORCE: high}
-        return {POLICY_RATE: np.inf, **found, FORCE_LIMIT: limit, **of_model}
+        by_direction = {LOWEST_FORCE: low, HIGHEST_FORCE: high}
+        return {POLICY_RATE: np.inf, **found, FORCE_LIMIT: limit, **by_direction}
 
     def drive(self, draws: jax.Array, model: Any) -> Drive:
         """The drive that was drawn; arguments as for `values`."""
@@ -187,13 +192,15 @@ def build(
     found = _actuators.find(model, _given.patterns_of(joints), where)
     step = float(model.opt.timestep)
     given = dict(parameters)
+    within = None
     if gains is not None:
-        given = _of_file(gains, model, found) | given
+        of_file, within = _of_file(gains, model, found)
+        given = of_file | given
     defaults = {name: np.asarray(PARAMETERS[name].default, float) for name in _TAKEN}
     defaults |= dict.fromkeys(_OWN, np.asarray(np.nan)) | {CONTROL_RATE: np.asarray(1.0 / step)}
     low, high = ranges(given, found.names, defaults)
     _demand_setpoints(found, np.fmax(abs(low[KP]), abs(high[KP])), where)
-    substeps = _substeps(float(low[CONTROL_RATE]), float(high[CONTROL_RATE]), step)
+    substeps = _substeps(low[CONTROL_RATE], high[CONTROL_RATE], step)
     own = np.zeros(len(found.names))
     longest = {name: np.fmax(low[name], high[name]) for name in low}
     # a part that may occur at either end exists, the longest delays first
@@ -207,7 +214,8 @@ def build(
     options = _options.options(
         drive_of(static), substeps=substeps, differenced=velocity == "differenced"
     )
-    return EnvironmentDrive(found, low, high, options, step, damping == "drive", each_joint)
+    apart = damping == "drive"
+    return EnvironmentDrive(found, low, high, within, options, step, apart, each_joint)
 
 
 def _demand_setpoints(found: Actuators, kp: np.ndarray, where: str) -> None:
@@ -221,25 +229,33 @@ def _demand_setpoints(found: Actuators, kp: np.ndarray, where: str) -> None:
             )
 
 
-def _of_file(gains: str | Path, model: mujoco.MjModel, found: Actuators) -> dict[str, Any]:
-    """Tables of the parameters that a file of gains has."""
+def _of_file(
+    gains: str | Path, model: mujoco.MjModel, found: Actuators
+) -> tuple[dict[str, Any], tuple[np.ndarray, np.ndarray] | None]:
+    """Tables of the parameters that a file of gains has, and its limits by direction."""
     from jaxact.gains import applying, reading
-    from jaxact.gains.table import READ, matched
+    from jaxact.gains.table import FORCE_HIGH, FORCE_LOW, READ, matched
 
     names = [(name, model.actuator(int(index)).name)
              for name, index in zip(found.names, found.indices, strict=True)]  # fmt: skip
     file = reading.read(gains)
     own = matched(file, names)
     applying.warn_of_unmatched(file.path, own)
-    # limits that differ by direction are the model's own here, which says them at every step
-    return {name: {re.escape(joint): value for joint, value in rows.items()}
-            for name, rows in own.parameters.items() if name in READ}  # fmt: skip
+    tables = {name: {re.escape(joint): value for joint, value in rows.items()}
+              for name, rows in own.parameters.items() if name in READ}  # fmt: skip
+    low, high = (
+        np.array([own.parameters.get(name, {}).get(joint, far) for joint in found.names])
+        for name, far in ((FORCE_LOW, -np.inf), (FORCE_HIGH, np.inf))
+    )
+    return tables, (low, high) if np.isfinite([low, high]).any() else None
 
 
-def _substeps(low: float, high: float, step: float) -> int:
+def _substeps(low: np.ndarray, high: np.ndarray, step: float) -> int:
+    if low.ndim or high.ndim:
+        raise UserError("`control_rate`: give one number; the ticks are the same for all joints")
     if low != high:
         raise UserError("`control_rate`: cannot have a range; the ticks are the same for all")
-    ratio = 1.0 / (low * step)
+    ratio = 1.0 / (float(low) * step)
     substeps = round(ratio)
     if substeps < 1 or abs(ratio - substeps) > _ROUNDING * ratio:
         raise UserError(

@@ -70,6 +70,7 @@ class DrivenEnvironment(gymnasium.Wrapper):
         self._carry: Carry | None = None
         self._draws, self._key, self._calls = jnp.zeros(drive.draws), jax.random.PRNGKey(0), 0
         self._known: tuple[bytes, ...] = ()
+        self._time = -np.inf  # at the end of the last step
 
     def reset(self, **options: Any) -> Any:
         """As the environment does, with drives that have not begun, and parameters drawn anew."""
@@ -77,6 +78,7 @@ class DrivenEnvironment(gymnasium.Wrapper):
         seed = int(self.unwrapped.np_random.integers(2**31))
         drawing, self._key = jax.random.split(jax.random.PRNGKey(seed))
         self._draws, self._carry, self._known, self._calls = self.drive.draw(drawing), None, (), 0
+        self._time = -np.inf
         self._look(self.unwrapped.model)
         return found
 
@@ -94,6 +96,12 @@ class DrivenEnvironment(gymnasium.Wrapper):
 
     def _look(self, model: mujoco.MjModel) -> None:
         """The drive's parameters, again where the model's gains are others than before."""
+        step = float(model.opt.timestep)
+        if step != self.drive.physics_step:
+            raise UserError(
+                f"{type(self.unwrapped).__name__}: its physics step is {step:g} s, and was"
+                f" {self.drive.physics_step:g} s when its drive was made; change it before that"
+            )
         known = tuple(getattr(model, name).tobytes() for name in _FIELDS)
         known = (*known, b"%d" % model.opt.disableflags)
         if known != self._known:
@@ -111,7 +119,9 @@ class DrivenEnvironment(gymnasium.Wrapper):
         self._look(model)
         self._calls += 1
         moments = own.moments(model)
-        setpoint = own.setpoint(model, np.asarray(control, float), np)
+        setpoint = _asked(own, model, np.asarray(control, float))
+        if data.time < self._time:  # begun anew beneath, as copies of some environments are
+            self._carry = None
         if self._carry is None:
             begun = _begun(self.drive.options, self._coefficients, setpoint, *_joints(data, own))
             self._carry = begun
@@ -126,7 +136,18 @@ class DrivenEnvironment(gymnasium.Wrapper):
                 data.ctrl[own.controls] = np.asarray(force, float) / moments
                 mujoco.mj_step(model, data)
         data.ctrl[:] = control
+        self._time = data.time
         mujoco.mj_rnePostConstraint(model, data)  # as the environment's own step does
+
+
+def _asked(own: Actuators, model: mujoco.MjModel, control: np.ndarray) -> Setpoint:
+    """What controls ask for: zeros where one is not a number, as MuJoCo takes them; a drive would
+    keep it for ever."""
+    found = own.setpoint(model, control, np)
+    parts = found.position, found.velocity, found.force
+    if all(np.isfinite(part).all() for part in parts):
+        return found
+    return own.setpoint(model, np.zeros_like(control), np)
 
 
 def _joints(data: mujoco.MjData, own: Actuators) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from jaxact.errors import UserError, shown
 from jaxact.gains.deployment import number
 from jaxact.gains.table import FORCE_HIGH, FORCE_LOW, READ, Entry, GainFile
-from jaxact.parameters import FORCE_LIMIT, KD, KP
+from jaxact.parameters import FORCE_LIMIT, KD, KP, PARAMETERS, canonical
 
 
 def toml(path: Path, text: str) -> GainFile:
@@ -38,7 +38,10 @@ def toml(path: Path, text: str) -> GainFile:
         for name, table in tables.items()
         for key, value in table.items()
     )
-    return GainFile(path, "toml", entries, "pattern")
+    others = {name: canonical(name) for name, table in document.items() if isinstance(table, dict)}
+    left = [name for name, own in others.items() if own in PARAMETERS and own not in READ]
+    notes = (f"its {', '.join(left)} are not taken: give them as parameters",) if left else ()
+    return GainFile(path, "toml", entries, "pattern", notes)
 
 
 def mjcf(path: Path, text: str) -> GainFile:

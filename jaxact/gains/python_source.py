@@ -27,6 +27,12 @@ from jaxact.gains.source_statements import Statements
 from jaxact.gains.source_values import WORKED_OUT, Thing, Unknown, UnknownError
 from jaxact.gains.table import GainFile
 
+# What `jaxact.export` writes for a framework beside the gains.
+_DRIVE = "DriveParameters("
+_OF_DRIVE = (
+    "its drive (delays, actuator, limits by direction, ...) is not taken: give it as parameters"
+)
+
 
 def read(path: Path, text: str, name: str | None) -> GainFile:
     """The gains of a source.
@@ -48,14 +54,13 @@ def read(path: Path, text: str, name: str | None) -> GainFile:
         raise UserError(f"{path}{line}: is not Python that can be read") from None
     if not found and single:
         found = {"actuators": _together(single)}  # others of the robot stand beside each
-    if name is not None:
-        return _named(path, name, found | single, source)
-    if not found:
+    if name is None and not found:
         raise UserError(
             f"{path}: has neither actuator configurations (joint_names_expr, target_names_expr)"
             " nor a class with stiffness = {...} and damping = {...}"
         )
-    return _only(path, found)
+    file = _only(path, found) if name is None else _named(path, name, found | single, source)
+    return replace(file, notes=(*file.notes, _OF_DRIVE)) if _DRIVE in text else file
 
 
 def _named(path: Path, name: str, known: dict[str, Robot], source: Statements) -> GainFile:

@@ -27,6 +27,8 @@ from jaxact.loops.reading import TABLE_READERS
 from jaxact.loops.specification import Motion, Plant, Push, Specification
 from jaxact.parameters import (
     INERTIA,
+    KD,
+    KP,
     MASS,
     PARAMETERS,
     base,
@@ -188,6 +190,11 @@ class ControlLoop:
         short = canonical(name)
         if name.startswith("_") or short not in PARAMETERS:
             raise AttributeError(f"a loop has no {name!r}; parameters: {', '.join(PARAMETERS)}")
+        if short in (KP, KD) and self.kind.plant is not None and short not in self.values:
+            raise AttributeError(
+                f"{name}: not one number for all joints of this robot, but by pattern, or as its"
+                f' model has it: jaxact.export(loop, "toml").joints.{short} has each joint\'s'
+            )
         return self.parameters[short]
 
     def __repr__(self) -> str:

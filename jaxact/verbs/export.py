@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -94,6 +95,11 @@ def export(
         raise UserError(f"`to` = {shown(to)}; {nearest(to, FORMATS)}")
     if out is not None:
         files.check_output(Path(out), overwrite=overwrite)
+    if not isinstance(parameters, Mapping | None):
+        raise UserError(
+            f"`parameters`: a value of type {type(parameters).__name__}; give a table, e.g. "
+            '{"delay": (0.002, 0.008)}'
+        )
     given = dict(parameters or {})
     found, name = sources.found(source, to, given, model, robot_options)
     gains, own = _ranged(found, given)
@@ -144,6 +150,9 @@ def _written(
 ) -> tuple[str, tuple[str, ...]]:
     """The content of the file, and what is lost in it."""
     lost = own.left_out
+    if to in FRAMEWORKS and math.isfinite(gains.period):
+        rate = f"policy_rate {1.0 / gains.period:g} Hz"
+        lost = (*lost, f"Left out, as the environment's own step holds an action: {rate}")
     if to in FRAMEWORKS and (own.one_sided or not own.bare):
         comments = [f"The drive of {len(gains.names)} joints, from {name}, written by jaxact"]
         comments[0] = (

@@ -83,6 +83,10 @@ def found(
             raise UserError(nameless(to))
         return _of_loop(loop, given, more)
 
+    if isinstance(source, Tuned | ControlLoop):
+        beside = [name for name, value in {"model": model, **options}.items() if value is not None]
+        if beside:
+            raise UserError(f"`{beside[0]}`: is for a file, and this is a loop; leave it out")
     if isinstance(source, Tuned):
         if source.loop is None:
             raise UserError("source: a result without its loop; tune a loop with jaxact.tune")
@@ -106,13 +110,15 @@ def found(
         loop = robot(model, drive=drive, **options)
         return of_loop(loop, drive.left_out(robot=True)), path.name
     if model is not None:
-        return of_loop(robot(model, gains=text, **options)), path.name
+        placed = of_loop(robot(model, gains=text, **options))
+        return replace(
+            placed, left_out=(*placed.left_out, *_said(path, reading.read(text)))
+        ), path.name
     if any(section in document for section in _SECTIONS):
         return of_loop(loop_of(path)), path.name
     if path.suffix == ".xml" and _is_model(path):
         return of_loop(robot(path, **options)), path.name
     read = reading.read(text)
-    left_out = tuple(f"Of {path.name}: {note}" for note in read.notes)
     if options:
         raise UserError(f"`{next(iter(options))}`: is for a robot; give its `model`")
     gains = _alone(read)
@@ -121,7 +127,12 @@ def found(
     forces = np.array(gains.force_range).T
     ranges = dict(zip((LOWEST_FORCE, HIGHEST_FORCE), forces, strict=False))
     own |= {FORCE_LIMIT: np.array(gains.force_limit)}
-    return Found(gains, own, ranges, left_out=left_out), path.name
+    return Found(gains, own, ranges, left_out=_said(path, read)), path.name
+
+
+def _said(path: Path, read: GainFile) -> tuple[str, ...]:
+    """What a file of gains says besides, and gains do not carry."""
+    return tuple(f"Of {path.name}: {note}" for note in read.notes)
 
 
 def nameless(to: str) -> str:

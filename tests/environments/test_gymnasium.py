@@ -70,6 +70,61 @@ def controls(count):
     return 0.4 * np.sin(np.arange(count)[:, None] * np.array([0.3, 0.5]))
 
 
+def _torques(env, steps=12):
+    """Of the actuators at the joints, after each step under large commands."""
+    env.reset(seed=1)
+    found = []
+    for number in range(steps):
+        env.step(np.array([0.0, 2.0 * (-1.0) ** (number // 4)]))
+        found.append(env.unwrapped.data.qfrc_actuator[1])
+    return np.array(found)
+
+
+def test_limits_by_direction_of_a_file_of_gains_hold(path, tmp_path):
+    file = tmp_path / "gains.xml"
+    servo = '<position joint="knee" kp="60" kv="1" forcerange="-3 2"/>'
+    file.write_text(f"<mujoco><actuator>{servo}</actuator></mujoco>")
+    torques = _torques(environments.gymnasium(Leg(path), gains=file))
+    assert (torques.min(), torques.max()) == (pytest.approx(-3.0), pytest.approx(2.0))
+    # The model's own, 9 N m, hold beside those of a file that has none.
+    file.write_text(file.read_text().replace(' forcerange="-3 2"', ""))
+    assert np.abs(_torques(environments.gymnasium(Leg(path), gains=file))).max() > 8.0
+
+
+def test_a_command_that_is_not_a_number_is_forgotten(path):
+    """MuJoCo takes all controls as 0 in a step with one that is not a number."""
+    env, plain = (environments.gymnasium(Leg(path), delay=4e-3, wn=200.0) for _ in range(2))
+    for one in (env, plain):
+        one.reset(seed=1)
+        one.step(np.array([0.1, 0.2]))
+    env.step(np.array([0.1, np.nan]))
+    plain.step(np.zeros(2))
+    for _ in range(3):
+        observed, expected = (one.step(np.array([0.1, 0.2]))[0] for one in (env, plain))
+        np.testing.assert_array_equal(observed, expected)
+
+
+def test_another_physics_step_than_the_drives_is_refused(path):
+    env = environments.gymnasium(Leg(path), delay=4e-3)
+    env.reset(seed=1)
+    env.unwrapped.model.opt.timestep = STEP / 2
+    with pytest.raises(UserError, match="physics step is 0.001 s, and was 0.002 s"):
+        env.step(np.zeros(2))
+
+
+def test_a_plant_that_began_anew_beneath_has_a_fresh_drive(path):
+    """As the copy of an environment that gymnasium makes again from its arguments."""
+    env = environments.gymnasium(Leg(path), delay=10e-3)
+    fresh = []
+    for disturbed in (False, True):
+        env.reset(seed=1)
+        for _ in range(5 * disturbed):
+            env.step(np.array([0.5, -0.5]))
+        env.unwrapped.reset(seed=2)
+        fresh.append(env.step(np.array([0.1, 0.2]))[0])
+    np.testing.assert_array_equal(*fresh)
+
+
 @pytest.mark.parametrize("feedforward", [0.0, np.array([1.5, -0.5])], ids=str)
 def test_without_delay_it_is_an_explicit_pd(path, feedforward):
     with jax.enable_x64(True):

@@ -16,6 +16,7 @@ from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
 from jaxact.errors import UserError
+from jaxact.gains import reading
 
 ROOT = Path(__file__).resolve().parents[2]
 PYTHON = ROOT / ".torch" / "bin" / "python"
@@ -209,6 +210,10 @@ def test_a_file_is_self_contained_and_its_gains_are_read_back(tmp_path, framewor
     again = jx.export(jx.robot(tmp_path / "legs.xml", gains=file), "toml").joints
     assert (again.kp, again.kd) == (KP, KD)
     assert again.force_limit == (9.0, 12.0, math.inf, 9.0)
+    # Its drive is not, which is said.
+    assert any("its drive (delays" in note for note in reading.read(file).notes)
+    lost = jx.export(file, "mjlab", model=tmp_path / "legs.xml").lost
+    assert any("its drive (delays" in one for one in lost)
 
 
 def test_gains_alone_stay_a_configuration(tmp_path):
@@ -236,6 +241,18 @@ def test_the_command_line_exports_drives(tmp_path):
     ):
         ran = jaxact("export", "joint.toml", "--to", "mjlab", *words, cwd=tmp_path)
         assert ran.returncode == 2 and said in ran.stderr and ran.stderr.count("\n") == 1
+
+
+def test_what_is_for_files_is_refused_beside_a_loop(tmp_path):
+    (tmp_path / "legs.xml").write_text(MODEL)
+    loop = jx.robot(tmp_path / "legs.xml", kp=KP[0], kd=KD[0])
+    for options in ({"model": tmp_path / "legs.xml"}, {"joints": "hip"}, {"keyfram": "home"}):
+        with pytest.raises(UserError, match=f"`{next(iter(options))}`: is for a file, and this is"):
+            jx.export(loop, "toml", **options)
+    (lost,) = jx.export(loop.replace(policy_rate=50.0), "mjlab").lost
+    assert lost.endswith("holds an action: policy_rate 50 Hz")
+    with pytest.raises(UserError, match="`parameters`: a value of type int; give a table"):
+        jx.export(loop, "mjlab", parameters=3)
 
 
 def test_an_identified_drive_is_exported_with_gains_that_it_has_not(tmp_path):

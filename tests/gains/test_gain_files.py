@@ -277,6 +277,13 @@ def test_what_does_not_match_is_listed(model, tmp_path):
     assert robot.joints[0].kp == 5.0 and robot.joints[3].kp == 40.0  # the model's own
 
 
+def test_parameters_of_the_drive_in_a_file_of_gains_are_said_not_to_be_taken(model, tmp_path):
+    file = tmp_path / "gains.toml"
+    file.write_text("[kp]\n'.*' = 5\n[kd]\n'.*' = 1\n[delay]\n'.*' = 0.003\n[about]\nby = 'me'\n")
+    words = robots.read(jx.robot(model, gains=file).kind.plant).findings[-1].advice
+    assert words.endswith("its delay are not taken: give them as parameters")
+
+
 def test_damping_that_stood_for_kd_is_said(tmp_path):
     text = model_text(damping=1.5).replace('kv="1"', "")
     path = tmp_path / "legs.xml"

@@ -58,6 +58,13 @@ def test_replacing_keeps_the_rest():
     )
 
 
+def test_gains_that_are_not_one_number_are_not_told_as_one():
+    robot = jx.robot(QUADRUPED / "quadruped.xml", keyframe="stand", kp={".*KFE": 500, ".*": 600})
+    with pytest.raises(AttributeError, match=r"kp: not one number .*joints\.kp has each joint's"):
+        _ = robot.kp
+    assert jx.robot(QUADRUPED / "quadruped.xml", keyframe="stand", kp=600, kd=3).kp == 600
+
+
 def test_a_loop_says_what_it_is():
     said = repr(jx.joint(kp=400, delay=[0, 1e-3]))
     assert "kp 400 N/m" in said and "delay [0, 0.001] s" in said and "2 loops" in said

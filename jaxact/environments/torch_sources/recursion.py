@@ -32,8 +32,8 @@ class Drive:
         device: of all tensors.
 
     Raises:
-        ValueError: a parameter is not what it may be, or the control period is not a multiple of
-            the physics step.
+        ValueError: a parameter is not what it may be, the control period is not a multiple of the
+            physics step, or torch's default is half precision.
     """
 
     def __init__(
@@ -57,6 +57,8 @@ class Drive:
         self._drawn = self._varied if parameters.each_joint else list(self._ends)
         self._columns = num_joints if parameters.each_joint else 1
         self._like = torch.zeros(num_envs, num_joints, device=device)
+        if self._like.dtype not in (torch.float32, torch.float64):
+            raise ValueError(f"a drive needs float32 or float64; torch has {self._like.dtype} set")
         # of what is computed once: float64 where the device has it
         self._exact = torch.float32 if self._like.device.type == "mps" else torch.float64
         low_rank = (num_envs, self._columns)
@@ -98,7 +100,8 @@ class Drive:
         """
         which = slice(None) if env_ids is None else env_ids
         if isinstance(which, list | tuple):
-            which = torch.as_tensor(which, device=self._like.device)
+            none = torch.empty(0, dtype=torch.long)
+            which = torch.as_tensor(which if which else none, device=self._like.device)
         # nothing is changed in place: what was made in inference mode could not be, outside it
         mask = torch.zeros_like(self._fresh)
         mask[which] = True

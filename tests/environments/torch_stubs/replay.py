@@ -56,6 +56,21 @@ def force_of(actuator, framework, signals):
     return action.joint_efforts
 
 
+def demand_full_precision(drive):
+    """Drives are refused where all that torch makes has half precision."""
+    own = torch.get_default_dtype()
+    torch.set_default_dtype(torch.bfloat16)
+    try:
+        module = sys.modules[type(drive).__module__]
+        type(drive)(module.DriveParameters(), 1e-3, 1, 1, "cpu")
+    except ValueError as error:
+        assert "needs float32 or float64" in str(error)
+    else:
+        raise AssertionError("half precision was taken")
+    finally:
+        torch.set_default_dtype(own)
+
+
 def run(case):
     framework = case["framework"]
     torch.set_default_dtype(getattr(torch, case["dtype"]))
@@ -65,6 +80,7 @@ def run(case):
     steps, environments = signals.shape[1:3]
     own = list(actuators(Path(case["file"]), framework, case["names"], environments,
                          case["physics_step"], "cpu"))  # fmt: skip
+    demand_full_precision(own[0][0]._drive)
     resets = {int(step): ids for step, ids in case["resets"]}
     found = np.zeros(signals.shape[1:])
     drawn = {}
@@ -72,6 +88,7 @@ def run(case):
         if step in resets:  # outside inference mode, as frameworks do
             for actuator, _ in own:
                 actuator.reset(torch.tensor(resets[step]))
+                actuator.reset([])  # of none
         with torch.inference_mode():
             for actuator, columns in own:
                 force = force_of(actuator, framework, signals[:, step][..., columns])
