@@ -21,6 +21,7 @@ from jaxact.environments.actuators import Actuators
 from jaxact.errors import UserError, nearest, shown
 from jaxact.loops import given as _given
 from jaxact.loops import torque_speed
+from jaxact.loops.checks import OF_VELOCITY, check_velocity
 from jaxact.loops.conversion import drive_of
 from jaxact.loops.joint_ranges import HIGHEST_FORCE, LOWEST_FORCE
 from jaxact.parameters import (
@@ -199,6 +200,7 @@ def build(
     defaults = {name: np.asarray(PARAMETERS[name].default, float) for name in _TAKEN}
     defaults |= dict.fromkeys(_OWN, np.asarray(np.nan)) | {CONTROL_RATE: np.asarray(1.0 / step)}
     low, high = ranges(given, found.names, defaults)
+    demand_fitting(low, high, velocity)
     _demand_setpoints(found, np.fmax(abs(low[KP]), abs(high[KP])), where)
     substeps = _substeps(low[CONTROL_RATE], high[CONTROL_RATE], step)
     own = np.zeros(len(found.names))
@@ -216,6 +218,15 @@ def build(
     )
     apart = damping == "drive"
     return EnvironmentDrive(found, low, high, within, options, step, apart, each_joint)
+
+
+def demand_fitting(
+    low: Mapping[str, np.ndarray], high: Mapping[str, np.ndarray], velocity: str
+) -> None:
+    """Raise UserError for what the velocity's sensor of the other kind has."""
+    for name in OF_VELOCITY:
+        ends = [*np.ravel(low[name]).tolist(), *np.ravel(high[name]).tolist()]
+        check_velocity(name, ends, f"`{name}`", differenced=velocity == "differenced")
 
 
 def _demand_setpoints(found: Actuators, kp: np.ndarray, where: str) -> None:

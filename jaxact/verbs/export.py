@@ -114,6 +114,7 @@ def _ranged(found: Found, given: Mapping[str, Any]) -> tuple[JointGains, JointDr
     """The gains, and the drives with what was given instead of the source's."""
     names, count = found.joints.names, len(found.joints.names)
     ends = environment_drive.ranges(given, names, found.own)
+    environment_drive.demand_fitting(*ends, found.velocity)
     low, high = ({n: np.broadcast_to(v, count) for n, v in side.items()} for side in ends)
     for name in (KP, KD, CONTROL_RATE):
         if np.any(low[name] != high[name]):

@@ -251,6 +251,8 @@ def test_what_is_for_files_is_refused_beside_a_loop(tmp_path):
             jx.export(loop, "toml", **options)
     (lost,) = jx.export(loop.replace(policy_rate=50.0), "mjlab").lost
     assert lost.endswith("holds an action: policy_rate 50 Hz")
+    with pytest.raises(UserError, match="`velocity_filter`: filters differenced positions"):
+        jx.export(loop, "mjlab", parameters={"velocity_filter": 100.0})
     with pytest.raises(UserError, match="`parameters`: a value of type int; give a table"):
         jx.export(loop, "mjlab", parameters=3)
 

@@ -107,6 +107,19 @@ def test_a_range_without_an_end_and_a_word_for_yes():
 
 
 @pytest.mark.parametrize(
+    "given, words",
+    [
+        ({"control_rate": np.full(1, 500.0)}, "`control_rate`: give one number"),
+        ({"velocity_filter": 100.0}, "`velocity_filter`: filters differenced positions"),
+        ({"velocity_noise": 0.1, "velocity": "differenced"}, "is of the velocity's own sensor"),
+    ],
+)
+def test_what_does_not_fit_the_drive(given, words):
+    said(lambda: environments.playground(Hinge(), **given), words)
+    said(lambda: environments.gymnasium(gym.make("InvertedPendulum-v5"), **given), words)
+
+
+@pytest.mark.parametrize(
     "line, words",
     [
         ({"no_load_speed": 3.0}, "stall_force: a torque-speed line needs"),
