@@ -40,7 +40,7 @@ def toml(path: Path, text: str) -> GainFile:
     )
     others = {name: canonical(name) for name, table in document.items() if isinstance(table, dict)}
     left = [name for name, own in others.items() if own in PARAMETERS and own not in READ]
-    notes = (f"its {', '.join(left)} are not taken: give them as parameters",) if left else ()
+    notes = (f"not taken, to be given as parameters: {', '.join(left)}",) if left else ()
     return GainFile(path, "toml", entries, "pattern", notes)
 
 

@@ -276,7 +276,8 @@ def _or_select(arrangement: Arrangement, given: int) -> str:
     apart = [name for name in shown.dims if name not in across and shown.sizes[name] > 1]
     if given >= len(arrangement.panels) or not apart:
         return ""
-    return f", or select, e.g. select={{{str(apart[0])!r}: {shown[apart[0]].values[-1].item()!r}}}"
+    swept = shown[apart[0]].values.tolist()  # names of actuators, too
+    return f", or select, e.g. select={{{str(apart[0])!r}: {swept[-1]!r}}}"
 
 
 def _dress(one: Axes, arrangement: Arrangement, panel: _panels.Panel) -> None:

@@ -281,7 +281,7 @@ def test_parameters_of_the_drive_in_a_file_of_gains_are_said_not_to_be_taken(mod
     file = tmp_path / "gains.toml"
     file.write_text("[kp]\n'.*' = 5\n[kd]\n'.*' = 1\n[delay]\n'.*' = 0.003\n[about]\nby = 'me'\n")
     words = robots.read(jx.robot(model, gains=file).kind.plant).findings[-1].advice
-    assert words.endswith("its delay are not taken: give them as parameters")
+    assert words.endswith("not taken, to be given as parameters: delay")
 
 
 def test_damping_that_stood_for_kd_is_said(tmp_path):

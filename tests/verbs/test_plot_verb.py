@@ -86,6 +86,13 @@ def test_several_maps_need_as_many_axes(maps):
         jx.plot.stability_map(maps.isel(delay=0), axes=pyplot.subplots(1, 2)[1])
 
 
+def test_a_map_to_select_may_have_a_name(loop):
+    ends = {"kp": jx.log(100, 1000, 3), "kd": jx.log(1, 10, 3)}
+    maps = jx.sweep(loop[1], actuator=["hyq", "starleth"], duration=0.1, **ends)
+    with pytest.raises(UserError, match="select={'actuator': 'starleth'}"):
+        jx.plot.stability_map(maps, ax=pyplot.subplots()[1])
+
+
 @pytest.mark.parametrize(
     "given, said",
     [
