@@ -41,7 +41,7 @@ from jaxact.parameters import (
     base,
     canonical,
 )
-from jaxact.robots.findings import ASKED
+from jaxact.robots.findings import ASKED, HARMLESS
 from jaxact.robots.robot import Robot
 from jaxact.tuning.result import Tuned
 
@@ -84,9 +84,7 @@ def found(
         return _of_loop(loop, given, more)
 
     if isinstance(source, Tuned | ControlLoop):
-        beside = [name for name, value in {"model": model, **options}.items() if value is not None]
-        if beside:
-            raise UserError(f"`{beside[0]}`: is for a file, and this is a loop; leave it out")
+        _demand_none({"model": model, **options}, "a file, and this is a loop; leave it out")
     if isinstance(source, Tuned):
         if source.loop is None:
             raise UserError("source: a result without its loop; tune a loop with jaxact.tune")
@@ -115,6 +113,7 @@ def found(
             placed, left_out=(*placed.left_out, *_said(path, reading.read(text)))
         ), path.name
     if any(section in document for section in _SECTIONS):
+        _demand_none(options, f"a model, and {path.name} is a specification: write it there")
         return of_loop(loop_of(path)), path.name
     if path.suffix == ".xml" and _is_model(path):
         return of_loop(robot(path, **options)), path.name
@@ -128,6 +127,13 @@ def found(
     ranges = dict(zip((LOWEST_FORCE, HIGHEST_FORCE), forces, strict=False))
     own |= {FORCE_LIMIT: np.array(gains.force_limit)}
     return Found(gains, own, ranges, left_out=_said(path, read)), path.name
+
+
+def _demand_none(options: Mapping[str, Any], what: str) -> None:
+    """None of these options is given, which are for something else, in words."""
+    for name, value in options.items():
+        if value is not None:
+            raise UserError(f"`{name}`: is for {what}")
 
 
 def _said(path: Path, read: GainFile) -> tuple[str, ...]:
@@ -193,11 +199,21 @@ def _of_loop(loop: ControlLoop, given: Mapping[str, Any], more: Any = ()) -> Fou
     left = [*left, *more]
     said = [f"Left out, as the joint's and not the drive's: {', '.join(left)}"] if left else []
     if plant is not None:
-        asked = [one for one in robots.scene(plant).robot.findings if one.action == ASKED]
-        if any(one.field == "damping" for one in asked):
-            words = "kd stands for the joints' own damping as well"
-            said.append(f"{words}: take that out of the simulated model")
+        said += _of_model(robots.scene(plant).robot)
     return Found(gains, own, ranges, loop.kind.velocity, tuple(said))
+
+
+def _of_model(robot: Robot) -> list[str]:
+    """What of a robot's model the gains stand for, or lack, in sentences."""
+    said = []
+    if any(one.action == ASKED and one.field == "damping" for one in robot.findings):
+        words = "kd stands for the joints' own damping as well"
+        said.append(f"{words}: take that out of the simulated model")
+    smoothed = [one for one in robot.findings if one.action == HARMLESS and one.field == "dyntype"]
+    if smoothed:
+        more = f" and of {len(smoothed) - 1} more" if smoothed[1:] else ""
+        said.append(f"Left out: what smooths the setpoint of {smoothed[0].where}{more}")
+    return said
 
 
 def _of_robot(

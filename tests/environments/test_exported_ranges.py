@@ -209,6 +209,26 @@ def test_damping_is_spoken_of_where_there_is_some(tmp_path):
         assert len(lost) == len(words) and all(one in lost[0] for one in words)
 
 
+def test_what_smooths_setpoints_is_left_out_aloud(tmp_path):
+    file = tmp_path / "legs.xml"
+    file.write_text(model_of(actuators=ACTUATORS.replace('kv="1"', 'kv="1" timeconst="0.05"')))
+    for to in ("mjcf", "isaaclab"):
+        found = jx.export(file, to)
+        assert found.lost == ("Left out: what smooths the setpoint of actuator 1",)
+        assert found.lost[0] in found.text
+
+
+def test_options_of_a_model_are_refused_beside_a_specification(model):
+    file = model.with_name("sweep.toml")
+    file.write_text(f'[plant]\nmodel = "{model.name}"\n[axes]\nkd = [2.0]\n')
+    assert len(jx.export(file, "toml", keyframe=None).joints.names) == 2
+    done = jaxact("export", file.name, "--to", "toml", "--joints", "hip", cwd=model.parent)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == (
+        "jaxact: --joints: is for a model, and sweep.toml is a specification: write it there\n"
+    )
+
+
 def test_a_file_may_have_one_gain_of_a_joint(model):
     file = model.with_name("gains.toml")
     for text, words in (
