@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from jaxact.cli import _arguments, _loops, _options, _warnings
+from jaxact.cli import _arguments, _loops, _options
 from jaxact.parameters import CONTROL_RATE
 
 REFUSED = 1
@@ -53,12 +53,12 @@ def main(
     it (warp where it is installed); on_stand with control_rate [Hz], drive, outside (joints beyond
     their ranges), edges (what is said of joints on a limit), overloaded (joints too weak for the
     posture), hidden_gains (joints), friction, falls (why), and as_it_is, in_drive, stuck, free, of
-    each joint, participation (shares of all), stable, shakes, topples, growth_rate [1/s], delay [s]
-    and frequency [rad/s]; on_stand_not_known (why); joints with name, actuator, kind,
-    kp, kd, force_limits, setpoint_limits, setpoint, setpoint_velocity, delay and setpoint_delay
-    [s], natural_frequency [rad/s], damping_ratio, inertia, inertia_others_held, joint_damping,
-    joint_friction, armature (what the joint itself has), bandwidth [rad/s]; findings with where,
-    field, value, mjx, action, advice, engines. SI units; null: none.
+    each joint, participation (shares of all), stable, shakes, topples, growth_rate, shaking_rate
+    and toppling_rate [1/s], delay [s] and frequency [rad/s]; on_stand_not_known (why); joints with
+    name, actuator, kind, kp, kd, force_limits, setpoint_limits, setpoint, setpoint_velocity, delay
+    and setpoint_delay [s], natural_frequency [rad/s], damping_ratio, inertia, inertia_others_held,
+    joint_damping, joint_friction, armature (what the joint itself has), bandwidth [rad/s]; findings
+    with where, field, value, mjx, action, advice, engines. SI units; null: none.
 
     examples:
       jaxact check robot.xml --keyframe home
@@ -75,11 +75,6 @@ def main(
     if control_rate is not None:
         mounted[CONTROL_RATE] = control_rate
     identified = _loops.identified(drive, (), robot=True)
-    if identified is not None and identified.velocity is not None:
-        _warnings.warn(
-            f"{identified.name}: its controller differenced positions; the delay that gains bear is"
-            " that with a sensed velocity here, and margins have it with differences"
-        )
     found = check(
         robot(model, keyframe=keyframe, joints=joints, gains=gains, drive=identified, **mounted)  # type: ignore[arg-type]
     )

@@ -266,7 +266,7 @@ def main(
 
         def reported() -> tuple[Any, dict[str, Any]]:
             phase("reporting")
-            of_joint = tuning_tables.Joint(best, loops[0], joint)
+            of_joint = tuning_tables.Joint(best, best.loop, joint)
             result = tuning_tables.Robot(best, rollouts) if whole else of_joint
             document = result.report()
             if search.pareto:

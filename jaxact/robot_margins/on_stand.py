@@ -8,8 +8,9 @@ has positions half a physics step ahead of velocities, which margins take for th
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -105,12 +106,13 @@ def brings_gains(robot: Robot) -> bool:
     )
 
 
-def loop(plant: Plant, drive: Mapping[str, float]) -> Loop:
+def loop(plant: Plant, drive: Mapping[str, float], velocity: str = "sampled") -> Loop:
     """The loop of the gains that the model brings.
 
     Args:
         plant: the robot.
         drive: parameters of the drives beside the gains, by short name.
+        velocity: that the controllers see, "sampled" or "differenced".
 
     Raises:
         UserError: as `jaxact.robot_margins.whole_robot.evaluate`.
@@ -119,6 +121,7 @@ def loop(plant: Plant, drive: Mapping[str, float]) -> Loop:
     specification = Specification(
         engine="mujoco",
         plant=plant,
+        velocity=velocity,
         parameters={name: parameters.check(name, value) for name, value in drive.items()},
         integrator_correction=model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4,
     )
@@ -128,13 +131,16 @@ def loop(plant: Plant, drive: Mapping[str, float]) -> Loop:
     return Loop(found.delay_borne, found.robot.names)
 
 
-def on_stand(plant: Plant, robot: Robot, drive: Mapping[str, float]) -> OnStand:
+def on_stand(
+    plant: Plant, robot: Robot, drive: Mapping[str, float], velocity: str = "sampled"
+) -> OnStand:
     """What the gains that the model brings bear.
 
     Args:
         plant: the robot.
         robot: the same, read.
         drive: parameters of the drives beside the gains, the control rate among them.
+        velocity: that the controllers see, "sampled" or "differenced".
 
     Raises:
         UserError: as `jaxact.robot_margins.whole_robot.evaluate`, of the robot on a stand; or the
@@ -144,15 +150,16 @@ def on_stand(plant: Plant, robot: Robot, drive: Mapping[str, float]) -> OnStand:
     outside = _outside(stand)
     hidden = hidden_gains(robot)
     rubs = plant.friction == "moving" and friction.rubs(robot.model)
-    free, falls = _free(plant, drive) if mounting.floats(robot) else (None, "")
+    of = functools.partial(loop, drive=drive, velocity=velocity)
+    free, falls = _free(plant, of) if mounting.floats(robot) else (None, "")
     # What its joints carry is less on a stand than where it stands.
     scenes = [robots.scene(each) for each in ([stand] if free is None else [stand, plant])]
     return OnStand(
         drive=dict(drive),
-        as_it_is=loop(stand, drive),
-        in_drive=loop(replace(stand, damping="drive"), drive) if hidden else None,
+        as_it_is=of(stand),
+        in_drive=of(replace(stand, damping="drive")) if hidden else None,
         hidden=hidden,
-        stuck=loop(replace(stand, friction="stuck"), drive) if rubs else None,
+        stuck=of(replace(stand, friction="stuck")) if rubs else None,
         friction=friction.largest(robot.model),
         friction_unit=friction_unit(robot.model),
         outside=outside,
@@ -181,8 +188,8 @@ def friction_unit(model: mujoco.MjModel) -> str:
     return " or ".join(sorted(units, reverse=True))
 
 
-def _free(plant: Plant, drive: Mapping[str, float]) -> tuple[Loop | None, str]:
+def _free(plant: Plant, of: Callable[[Plant], Loop]) -> tuple[Loop | None, str]:
     try:
-        return loop(plant, drive), ""
+        return of(plant), ""
     except UserError as error:
         return None, str(error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from jaxact.analysis.boundary.boundary import (
@@ -12,7 +13,17 @@ from jaxact.analysis.boundary.boundary import (
 from jaxact.errors import UserError, shown
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop, demand
-from jaxact.parameters import CONTROL_RATE, KD, KP, MASS, OF_JOINT, VELOCITY_FILTER, WN, ZETA
+from jaxact.parameters import (
+    CONTROL_RATE,
+    GAIN_SCALE,
+    KD,
+    KP,
+    MASS,
+    OF_JOINT,
+    VELOCITY_FILTER,
+    WN,
+    ZETA,
+)
 
 Window = tuple[float, float]
 
@@ -30,8 +41,9 @@ def boundary(
 
     Args:
         loop: a single joint's; what its gains are matters for the default window only.
-        kp, kd: (low, high) of the window of gains [N/m], [N s/m]; where low > 0 it is sampled
-            evenly in its logarithm. None: a hundredth to a hundred times the loop's own.
+        kp, kd: (low, high) of the window of gains, without `gain_scale` [N/m], [N s/m]; where
+            low > 0 it is sampled evenly in its logarithm. None: a hundredth to a hundred times the
+            loop's own.
         sampled: of the loop as its controller samples it, else of the one in continuous time.
 
     Returns:
@@ -45,15 +57,22 @@ def boundary(
         raise UserError("the boundary in closed form is that of a joint; sweep a robot's gains")
     conversion.linear_specification(loop)  # what does not fit is said here
     own = conversion.one(loop)
+    scale = own[GAIN_SCALE]
+    if not scale:
+        raise UserError(f"`{GAIN_SCALE}` = 0: no gains arrive at the joint; give another one")
+    # The curves are of the gains that arrive at the joint.
+    windows = {KP: _window(KP, kp, own[KP]), KD: _window(KD, kd, own[KD])}
     ranges: dict[str, Any] = {
-        "kp_range": _window(KP, kp, own[KP]),
-        "kd_range": _window(KD, kd, own[KD]),
+        f"{name}_range": (scale * low, scale * high) for name, (low, high) in windows.items()
     }
     ranges |= {name: own[name] for name in (VELOCITY_FILTER, *OF_JOINT)}
     plant = own[MASS], own[WN], own[ZETA], conversion.total_delay(own)
-    if not sampled:
-        return continuous_boundary(*plant, **ranges)
-    return sampled_boundary(*plant, 1.0 / own[CONTROL_RATE], velocity=loop.kind.velocity, **ranges)
+    if sampled:
+        how = {"velocity": loop.kind.velocity, **ranges}
+        curves = sampled_boundary(*plant, 1.0 / own[CONTROL_RATE], **how)
+    else:
+        curves = continuous_boundary(*plant, **ranges)
+    return [replace(one, kp=one.kp / scale, kd=one.kd / scale) for one in curves]
 
 
 def _window(name: str, given: Window | None, own: float) -> Window:

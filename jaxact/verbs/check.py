@@ -157,7 +157,8 @@ def check(loop: ControlLoop) -> RobotCheck:
     robot = robots.read(plant)
     own = conversion.one(loop)
     asked = {name: own[name] for name in loop.values if base(name) not in (KP, KD)}
-    known = check_gains.found(plant, robot, {CONTROL_RATE: own[CONTROL_RATE], **asked})
+    drive = {CONTROL_RATE: own[CONTROL_RATE], **asked}
+    known = check_gains.found(plant, robot, drive, loop.kind.velocity)
     more = (*mjx_refusals.find(robot.model), *_of_warp(robot))
     return RobotCheck(loop, replace(robot, findings=(*robot.findings, *more)), known)
 

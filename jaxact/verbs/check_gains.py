@@ -22,13 +22,14 @@ if TYPE_CHECKING:
     from jaxact.robots.robot import Robot
 
 
-def found(plant: Plant, robot: Robot, drive: Mapping[str, float]) -> OnStand | str:
+def found(plant: Plant, robot: Robot, drive: Mapping[str, float], velocity: str) -> OnStand | str:
     """What the gains bear, or why that is not known; "" where the model brings none.
 
     Args:
         plant: the robot.
         robot: the same, read.
         drive: parameters of the drives beside the gains, the control rate among them.
+        velocity: that the controllers see, "sampled" or "differenced".
     """
     import mujoco
     import numpy as np
@@ -39,7 +40,7 @@ def found(plant: Plant, robot: Robot, drive: Mapping[str, float]) -> OnStand | s
     if not on_stand.brings_gains(robot) or any(MUJOCO in item.engines for item in robot.findings):
         return ""
     try:
-        return on_stand.on_stand(plant, robot, drive)
+        return on_stand.on_stand(plant, robot, drive, velocity)
     except (UserError, mujoco.FatalError, np.linalg.LinAlgError) as error:
         return str(error)
 
@@ -86,12 +87,10 @@ def _bears(loop: Loop, *, would: bool = False) -> str:
     from jaxact.plotting.wording import quantity
 
     borne = loop.borne
-    where = f" at {quantity(borne.frequency, 'rad/s')}"
+    leaves = f"do not stop what leaves the posture, by {borne.toppling_rate:.3g} 1/s"
     if borne.shakes:
-        return (
-            f"shake even without more delay: {_who(loop)[0]}{where}, growing by "
-            f"{borne.growth_rate:.3g} 1/s"
-        )
+        return f"{_shake(loop)}, and {leaves}" if borne.topples else _shake(loop)
+    where = f" at {quantity(borne.frequency, 'rad/s')}"
     who, several = _who(loop)
     shakes = "would shake" if would else "shake" if several else "shakes"
     then = ", when" if would else "; then"
@@ -99,8 +98,18 @@ def _bears(loop: Loop, *, would: bool = False) -> str:
     if math.isinf(borne.delay):
         bears = "bear any delay"
     if borne.topples:
-        return f"do not stop what leaves the posture, by {borne.growth_rate:.3g} 1/s; they {bears}"
+        return f"{leaves}; they {bears}"
     return bears
+
+
+def _shake(loop: Loop) -> str:
+    from jaxact.plotting.wording import quantity
+
+    borne = loop.borne
+    return (
+        f"shake even without more delay: {_who(loop)[0]} at "
+        f"{quantity(borne.frequency, 'rad/s')}, growing by {borne.shaking_rate:.3g} 1/s"
+    )
 
 
 def _who(loop: Loop) -> tuple[str, bool]:
@@ -175,8 +184,9 @@ def _of_base(known: OnStand) -> list[str]:
         return [f"With its base free, at this posture, the gains {_bears(known.free)}."]
     if not borne.topples:
         return [f"With its base free the gains {_bears(known.free)}."]
-    return [
-        f"With its base free the robot topples, by {borne.growth_rate:.3g} 1/s, because it has no "
-        'balance controller, whatever the drives do in time: `base="fixed"` leaves only its '
+    topples = (
+        f"With its base free the robot topples, by {borne.toppling_rate:.3g} 1/s, because it has "
+        'no balance controller, whatever the drives do in time: `base="fixed"` leaves only its '
         "joints and drives."
-    ]
+    )
+    return [f"{topples} The gains {_shake(known.free)}." if borne.shakes else topples]

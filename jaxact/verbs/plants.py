@@ -14,6 +14,7 @@ from jaxact.parameters import (
     MEASUREMENT_DELAY,
     OF_JOINT,
     OUTPUT_DELAY,
+    SETPOINT_DELAY,
     VELOCITY_FILTER,
     WN,
     ZETA,
@@ -34,6 +35,19 @@ def nominal_of(loop: ControlLoop, sampled: bool) -> Ensemble:
                     measurement_delay=own[MEASUREMENT_DELAY])  # fmt: skip
 
 
+def demand_prompt(loops: ControlLoop) -> None:
+    """Setpoints that arrive at once, of loops whose time is simulated.
+
+    Raises:
+        UserError: otherwise.
+    """
+    if np.any(loops.parameters[SETPOINT_DELAY]):
+        raise UserError(
+            "`setpoint_delay`: settling and tracking are of setpoints that arrive at once; leave it"
+            " out"
+        )
+
+
 def drawn_of(loops: ControlLoop, loop: ControlLoop, sampling: Sampling, *, timed: bool) -> Ensemble:
     """Other plants for the gains of a loop: one whose gains count more is a lighter one.
 
@@ -48,7 +62,11 @@ def drawn_of(loops: ControlLoop, loop: ControlLoop, sampling: Sampling, *, timed
     """
     if loops.kind.plant is not None:
         raise UserError("`uncertainty`: loops of a robot; give ranges, or an identified drive")
-    own = {name: np.ravel(np.asarray(v, float)) for name, v in loops.parameters.items()}
+    every = loops.broadcast().parameters
+    own = {name: np.ravel(np.asarray(value, float)) for name, value in every.items()}
+    if timed:
+        demand_prompt(loops)
+    _demand_alike(loops, loop, sampling)
     if timed and np.any(own[MEASUREMENT_DELAY] != float(loop.parameters[MEASUREMENT_DELAY])):
         raise UserError(
             "`uncertainty`: loops whose measurement_delay is not that of the loop itself; give all"
@@ -57,5 +75,27 @@ def drawn_of(loops: ControlLoop, loop: ControlLoop, sampling: Sampling, *, timed
     share = own[GAIN_SCALE] / float(loop.parameters[GAIN_SCALE])
     joint = (own[name] / share for name in OF_JOINT)
     number = len(np.broadcast_arrays(*own.values())[0])
-    return ensemble(own[MASS] / share, own[WN], own[ZETA], conversion.total_delay(own), *joint,
+    mass = np.broadcast_to(own[MASS] / share, number)
+    return ensemble(mass, own[WN], own[ZETA], conversion.total_delay(own), *joint,
                     sampling=sampling, names=tuple(f"draw {i}" for i in range(number)))  # fmt: skip
+
+
+def _demand_alike(loops: ControlLoop, loop: ControlLoop, sampling: Sampling) -> None:
+    """Loops that say how they are sampled are sampled as the loop itself is.
+
+    Raises:
+        UserError: otherwise.
+    """
+    names = [VELOCITY_FILTER, *([] if sampling.control_period is None else [CONTROL_RATE])]
+    differ = [
+        name
+        for name in names
+        if name in loops.values and np.any(loops.values[name] != float(loop.parameters[name]))
+    ]
+    if loops.kind.velocity not in ("sampled", sampling.velocity):
+        differ.append("velocity")
+    if differ:
+        raise UserError(
+            f"`uncertainty`: loops whose {differ[0]} is not that of the loop itself; give all the"
+            " same one, and tune for each by itself"
+        )

@@ -36,7 +36,7 @@ from jaxact.tuning.optimise import Descent
 from jaxact.tuning.result import Tuned
 from jaxact.verbs import notebook, showing
 from jaxact.verbs.goals import check_options, check_uncertain, goal_of, ranges_of
-from jaxact.verbs.plants import drawn_of, nominal_of
+from jaxact.verbs.plants import demand_prompt, drawn_of, nominal_of
 
 if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
@@ -148,9 +148,8 @@ def tune(
         told = ahead(shown_to, _phases(whole, boxed, verify, bool(tracking_weight), bool(front)))
         if not whole:
             return _of_joint(loops[0], asked, sampled, told=told, **common)
-        tuned = _of_robot(_named(loops), asked, groups=groups, tracking_weight=tracking_weight,
+        return _of_robot(loops, asked, groups=groups, tracking_weight=tracking_weight,
                          derivative=derivative, told=told, **common)  # fmt: skip
-        return dataclasses.replace(tuned, loop=_with_gains(loops[0], tuned))
 
 
 def _phases(whole: bool, boxed: bool, verify: bool, weighed: bool, front: bool) -> list[str]:
@@ -215,6 +214,8 @@ def _of_joint(
     told: Told,
 ) -> Tuned:
     conversion.linear_specification(loop)  # what does not fit is said here
+    if goal.metric in TIMED:
+        demand_prompt(loop)
     sampled = CONTROL_RATE in loop.values if sampled is None else sampled
     nominal = nominal_of(loop, sampled)
     start = _start_of_joint(loop)
@@ -288,7 +289,7 @@ def _named(loops: Sequence[ControlLoop]) -> list[tuple[str, Specification]]:
 
 
 def _of_robot(
-    named: Sequence[tuple[str, Specification]],
+    loops: Sequence[ControlLoop],
     goal: Goal,
     *,
     uncertainty: str | ControlLoop = "",
@@ -306,30 +307,37 @@ def _of_robot(
     """Find the best gains of a robot, and certify them.
 
     Args:
-        named: a name and a specification for every posture.
+        loops: one for every posture.
         uncertainty: as the command line writes it; the others as for `tune`.
     """
     from jaxact.tuning.robot import front as _front
     from jaxact.tuning.robot import search
+    from jaxact.tuning.robot.amid import amid
     from jaxact.tuning.robot.loops import VARIED, situation
+
+    named = _named(loops)
 
     if isinstance(uncertainty, ControlLoop):
         raise UserError("`uncertainty`: of a robot give ranges, or an identified drive")
     box = read_box(uncertainty, VARIED, patterns=True)
     for _, one in named:
-        inside(box, one.parameters, {})
         if tracking_weight:  # simulated in MJX
             tell_inexact(one.plant)
     situations: list[Situation] = []
+    middles: list[dict[str, float]] = []
     for place, (name, one) in enumerate(named):
         told(f"settling and linearising {name}", place, len(named))
-        situations.append(situation(one, name, box))
+        middles.append(amid(one, box))
+        own = dataclasses.replace(one, parameters={**one.parameters, **middles[-1]})
+        situations.append(situation(own, name, box))
     chosen = group(tuple(groups), situations[0].names)
     tuned = search.tune(
         situations, goal, chosen, number=samples or search.SAMPLES, seed=seed,
         start=_start(situations[0], named[0][1]), starts=starts, steps=steps or search.STEPS,
         verify=verify, tracking_weight=tracking_weight, derivative=derivative, told=told,
     )  # fmt: skip
+    there = dataclasses.replace(loops[0], values={**loops[0].values, **middles[0]})
+    tuned = dataclasses.replace(tuned, loop=_with_gains(there, tuned))
     return _with_front(tuned, front, told, lambda: _front.front(tuned, front, seed=seed, told=told))
 
 

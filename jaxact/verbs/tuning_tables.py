@@ -37,7 +37,7 @@ class Joint:
 
     Attributes:
         tuned: the result.
-        nominal: the loop that was given.
+        nominal: the loop of the result, whose values lie within the ranges.
         name: of the joint in the MJCF snippet.
     """
 

@@ -112,3 +112,45 @@ def test_a_group_that_is_switched_off_is_named_where_nothing_can_be_driven(writt
     said = r"can be driven, as <option actuatorgroupdisable> switches off actuator 0 \(group 2\)"
     with pytest.raises(UserError, match=said):
         jx.margins(loop)
+
+
+def test_shaking_and_toppling_have_each_their_own_rate(tmp_path):
+    """An upright pendulum held too weakly, and a hanging one with too little kd."""
+    file = tmp_path / "two.xml"
+    body = (
+        '<body pos="{0} 0 1"><joint name="{1}" axis="0 1 0"/><geom type="capsule" size=".02"'
+        ' fromto="0 0 0 0 0 {2}" mass="1"/></body>'
+    )
+    servo = '<position name="{0}" joint="{0}" kp="{1}" kv="{2}"/>'
+    bodies = body.format(0, "weak", 0.3) + body.format(1, "shaky", -0.3)
+    servos = servo.format("weak", 0.5, 0.01) + servo.format("shaky", 60, 0.06)
+    file.write_text(
+        '<mujoco><option timestep="0.001"/><worldbody>'
+        f"{bodies}</worldbody><actuator>{servos}</actuator></mujoco>"
+    )
+    loop = jx.robot(file, control_rate=1000, delay=6e-4, integrator_correction=True)
+    found = jx.check(loop)
+    borne = found.on_stand.as_it_is.borne
+    # The upright one without delay: I s^2 + kd s + kp - m g l = 0, and a delay changes little.
+    model = mujoco.MjModel.from_xml_path(str(file))
+    held = mujoco.MjData(model)
+    mujoco.mj_forward(model, held)
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, held, inertia)
+    falls = np.roots([inertia[0, 0], 0.01, 0.5 - 1.0 * 9.81 * 0.15]).max()
+    assert borne.toppling_rate == pytest.approx(falls, rel=0.02)
+    alone = jx.margins(loop)
+    assert borne.shaking_rate == pytest.approx(float(alone.shaking_rate), rel=1e-6)
+    assert 0.0 < borne.shaking_rate < 0.1 * borne.toppling_rate
+    said = " ".join(repr(found).split())
+    assert f"growing by {borne.shaking_rate:.3g} 1/s, and do not stop what leaves" in said
+    assert f"the posture, by {borne.toppling_rate:.3g} 1/s" in said
+
+
+def test_a_differenced_velocity_is_looked_at_as_such(path):
+    given = {"keyframe": "home", "control_rate": 500, "velocity": "differenced"}
+    filtered = {"velocity_filter": 300.0, **given}
+    loop = jx.robot(path, base="fixed", integrator_correction=True, **filtered)
+    changes = jx.margins(loop).details[0].margins.changes
+    borne = jx.check(jx.robot(path, **filtered)).on_stand.as_it_is.borne
+    assert borne.delay == pytest.approx(changes.more_delay.value, rel=1e-6)

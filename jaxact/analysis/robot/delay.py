@@ -24,6 +24,8 @@ class DelayBorne:
         stable: whether the loop is stable as it is.
         shakes, topples: whether a growing motion swings, and whether one does not, as it is.
         growth_rate: as it is [1/s].
+        shaking_rate, toppling_rate: of the fastest motion that swings, and of the one that does
+            not, as it is [1/s]; -inf where there is none.
         delay: smallest delay of all commands, on top of what they have, at which it begins to shake
             [s]; inf if there is none, NaN of a loop that shakes as it is.
         frequency: of the motion that then grows; of a loop that shakes, of the fastest growing mode
@@ -35,6 +37,8 @@ class DelayBorne:
     shakes: bool
     topples: bool
     growth_rate: float
+    shaking_rate: float
+    toppling_rate: float
     delay: float
     frequency: float
     participation: np.ndarray
@@ -51,11 +55,15 @@ def delay_borne(robot: Robot) -> DelayBorne:
     topples = bool(np.any(growing & ~swinging))
     radius = float(np.max(np.abs(loop.roots), initial=0.0))
     growth = math.log(radius) / robot.period if radius > 0.0 else -math.inf
+    rates = (
+        growth,
+        *(_modes.fastest(loop.roots, robot.period, swing=one) for one in (True, False)),
+    )
     shaking = _modes.largest(loop, growing & swinging)
     if shaking is not None:
         mode = _modes.mode(robot, loop, shaking)
         shares = mode.participation
-        return DelayBorne(False, True, topples, growth, math.nan, mode.frequency, shares)
+        return DelayBorne(False, True, topples, *rates, math.nan, mode.frequency, shares)
     grid = _multiloop.grid(loop)
     S = _multiloop.sensitivity(loop, grid)
     S[[0, -1]] = S[[0, -1]].real
@@ -63,7 +71,7 @@ def delay_borne(robot: Robot) -> DelayBorne:
     frequency, shares = math.inf, np.full(len(robot.names), 1.0 / len(robot.names))
     if math.isfinite(delay):
         frequency, shares = angle / robot.period, marginal(robot, angle, delay)
-    return DelayBorne(not topples, False, topples, growth, delay, frequency, shares)
+    return DelayBorne(not topples, False, topples, *rates, delay, frequency, shares)
 
 
 def limit(robot: Robot, grid: np.ndarray, followed: np.ndarray) -> tuple[float, float]:
