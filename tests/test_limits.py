@@ -309,3 +309,64 @@ def test_no_joint_is_faster_than_its_no_load_speed_by_default():
         run = jx.simulate(one, setpoint=1.0, duration=0.3)
         assert float(run.velocity.max()) == pytest.approx(most, rel=1e-3)
         assert float(run.velocity.max()) <= 1.01 * most
+
+
+def by_hand(drive, mass, ticks, damping=0.0):
+    """A mass under an ideal drive, each command limited by itself; exact. (ticks, 2), forces."""
+    from scipy.linalg import expm
+
+    gains, own, T = drive.controller, drive.actuator, float(drive.control_period)
+    late = own.delay % T
+    whole, low, high = int(own.delay // T), own.lowest_force, own.highest_force
+    low, high = (-own.force_limit, own.force_limit) if low is None else (low, high)
+    state, rows, forces = np.zeros(2), [], []
+    commands = [0.0] * (whole + 2)
+
+    def moved(state, force, time):
+        A = np.array([[0.0, 1.0, 0.0], [0.0, -damping / mass, 1.0 / mass], [0.0, 0.0, 0.0]])
+        return (expm(A * time) @ [*state, force])[:2]
+
+    for _ in range(ticks):
+        rows.append(state)
+        commands = [gains.kp * (0.1 - state[0]) - gains.kd * state[1], *commands[:-1]]
+        older, newer = np.clip(commands[whole + 1], low, high), np.clip(commands[whole], low, high)
+        forces.append((late * older + (T - late) * newer) / T)
+        state = moved(moved(state, older, late), newer, T - late)
+    return np.array(rows), np.array(forces)
+
+
+@pytest.mark.parametrize(
+    "limits",
+    ({"force_limit": 10.0}, {"force_limit": 20.0, "lowest_force": -4.0, "highest_force": 15.0}),
+)
+@pytest.mark.parametrize("delay", (0.3e-3, 1.4e-3))
+def test_each_command_of_an_ideal_actuator_is_limited_by_itself(limits, delay):
+    """Gains that turn the command round from tick to tick; the mean of both is no measure."""
+    drive = Drive(Controller(400.0, 3000.0), Actuator(delay=delay, **limits))
+    expected, forces = by_hand(drive, 0.7, 25)
+    assert np.abs(np.diff(forces)).max() > 3.0
+    with jax.enable_x64(True):
+        for substeps in (1, 3):
+            found = simulate(drive, Mass(0.7), 25, substeps)
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
+
+
+@pytest.mark.exhaustive
+def test_so_it_is_of_a_joint_with_damping_and_in_every_result():
+    drive = Drive(Controller(400.0, 3000.0), Actuator(delay=0.3e-3, force_limit=10.0))
+    expected, forces = by_hand(drive, 0.7, 1000, damping=5.0)
+    with jax.enable_x64(True):
+        found = simulate(drive, Mass(0.7, damping=jnp.float64(5.0)), 1000)
+        np.testing.assert_allclose(found[:100], expected[:100], rtol=0, atol=1e-10)
+    loop = jx.joint(
+        mass=0.7,
+        joint_damping=5.0,
+        kp=400,
+        kd=3000,
+        delay=0.3e-3,
+        force_limit=10,
+        control_rate=1000,
+    )
+    run = jx.simulate(loop, setpoint=0.1, duration=1.0)
+    rms = float(np.sqrt(np.mean(forces**2)))
+    assert float(run.rms_force) == pytest.approx(rms, rel=1e-2)  # it is chaotic

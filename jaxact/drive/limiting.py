@@ -22,6 +22,7 @@ at the beginning of the step.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import factorial
 
 import jax
@@ -89,6 +90,34 @@ def span(
         first, second, third = _phi(falls + body.damping / body.mass * step)
         sag = falls * first, falls * second, 2.0 * falls * third
     return Span(older_for, newer_for, before, after, sag)
+
+
+def limited(
+    options: DriveOptions,
+    actuator: Actuator,
+    older: jax.Array,
+    newer: jax.Array,
+    velocity: jax.Array | None,
+) -> Pair:
+    """Both commands of a period as far as an ideal actuator follows them; others as they are.
+
+    Its force is the one command and then the other: each is limited, and not their mean.
+
+    Args:
+        options: static.
+        actuator: fields of shape (joints,).
+        older, newer: commands [N or N m], shape (joints,).
+        velocity: of the joint, for the force-speed line [m/s or rad/s], shape (joints,); None where
+            the line falls within a step, which `held` knows.
+    """
+    if not options.ideal:
+        return older, newer
+    if velocity is None:
+        none = jnp.full_like(actuator.stall_force, jnp.inf)
+        actuator, velocity = replace(actuator, stall_force=none), jnp.zeros_like(none)
+    bounds, ideal = limits(actuator, velocity), jnp.isinf(actuator.natural_frequency)
+    older, newer = (jnp.where(ideal, jnp.clip(one, *bounds), one) for one in (older, newer))
+    return older, newer
 
 
 def held(

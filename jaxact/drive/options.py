@@ -53,6 +53,7 @@ class DriveOptions:
         sensor: static side of the sensor.
         quantised_command: the D/A converter has a resolution.
         limited: a force limit or a force-speed line exists.
+        ideal: behind a delay, with a limit, an actuator without dynamics exists.
         rate_limited: a force rate limit exists.
         speed_limited: a force-speed line exists.
         held_setpoint: a policy gives setpoints more slowly than the controller ticks.
@@ -68,6 +69,7 @@ class DriveOptions:
     sensor: SensorOptions = field(default_factory=SensorOptions)
     quantised_command: bool = False
     limited: bool = False
+    ideal: bool = False
     rate_limited: bool = False
     speed_limited: bool = False
     held_setpoint: bool = False
@@ -106,6 +108,7 @@ class DriveOptions:
             sensor=SensorOptions(differenced=self.sensor.differenced),
             quantised_command=False,
             limited=False,
+            ideal=False,
             rate_limited=False,
             speed_limited=False,
             held_setpoint=False,
@@ -141,6 +144,9 @@ def options(drive: Drive, *, substeps: int = 1, differenced: bool = False) -> Dr
     total = np.asarray(actuator.delay, float) + np.asarray(drive.output_delay, float)
     setpoint_delay = drive.controller.setpoint_delay
     measured_late, commanded_late = used(sensor.delay), used(setpoint_delay)
+    limited = finite(actuator.force_limit, actuator.stall_force)
+    limited |= actuator.lowest_force is not None
+    ideal = bool(np.any(np.isinf(np.asarray(actuator.natural_frequency))))
     return DriveOptions(
         substeps=substeps,
         command_slots=_delay.slots(total, period),
@@ -153,8 +159,8 @@ def options(drive: Drive, *, substeps: int = 1, differenced: bool = False) -> Dr
             quantise=used(sensor.position_resolution, sensor.velocity_resolution),
         ),
         quantised_command=used(drive.controller.command_resolution),
-        limited=finite(actuator.force_limit, actuator.stall_force)
-        or actuator.lowest_force is not None,
+        limited=limited,
+        ideal=ideal and limited and used(total),
         rate_limited=finite(actuator.force_rate_limit),
         clamped_setpoint=drive.controller.lowest_setpoint is not None,
         speed_limited=finite(actuator.stall_force),

@@ -360,7 +360,9 @@ def actuate(
         second order in the step, and exact in some cases, see `jaxact.drive.limiting`; but the
         force-speed line of a plant whose inertia the drive does not know is of first order.
     """
-    inputs = state.force, state.rate, state.older, state.newer
+    actuator, line = coefficients.drive.actuator, velocity if coefficients.body is None else None
+    commands = _limiting.limited(options, actuator, state.older, state.newer, line)
+    inputs = state.force, state.rate, *commands
     resistance: jax.Array | float = 0.0
     if coefficients.body is not None and position is not None:
         resistance = coefficients.body.damping * velocity + coefficients.body.stiffness * position
@@ -371,10 +373,8 @@ def actuate(
         motion = None if span.joint is None else _joint.motion(span.joint, *inputs)
         if options.unlimited:
             return pair, motion, None
-        actuator, applied = coefficients.drive.actuator, state.applied
-        return _limiting.held(
-            options, actuator, span, inputs, applied, velocity, resistance, motion
-        )
+        held = options, actuator, span, inputs, state.applied, velocity, resistance, motion
+        return _limiting.held(*held)
 
     (mean, moment), motion, end = over(response)
     partial = partial_motion = None

@@ -104,6 +104,7 @@ def _lacking(own: DriveOptions, given: DriveOptions) -> list[str]:
         "resolution of the sensor": sensor.quantise > other.quantise,
         "resolution of the command": own.quantised_command > given.quantised_command,
         "force limit": own.limited > given.limited,
+        "ideal actuator behind a force limit": own.ideal > given.ideal,
         "force rate limit": own.rate_limited > given.rate_limited,
         "torque-speed line": own.speed_limited > given.speed_limited,
         "policy rate": own.held_setpoint > given.held_setpoint,

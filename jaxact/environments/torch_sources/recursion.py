@@ -195,7 +195,10 @@ class Drive:
         force_e, force_g, rate_e, rate_g, mean_e, mean_g = known["response"]
         force_d, rate_d, mean_d = known["switching"][:, self._place, self._environments]
         free = state["newer"] + mean_e * e + mean_g * g + mean_d * d
-        mean = self._limited(free, low, high)
+        # Of an ideal actuator each command is limited, and not their mean.
+        older, newer = (_within(state[name], low, high) for name in ("older", "newer"))
+        ideal = newer + mean_d * (older - newer)
+        mean = self._limited(torch.where(torch.isinf(known["wn"]), ideal, free), low, high)
         state["force"] = state["newer"] + force_e * e + force_g * g + force_d * d
         state["rate"] = rate_e * e + rate_g * g + rate_d * d
         self._place = torch.remainder(self._place + 1, self.substeps)
