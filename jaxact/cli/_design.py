@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
 from jaxact.cli._arguments import option
 from jaxact.errors import UserError, shown
-from jaxact.parameters import DELAY, WN, ZETA
+from jaxact.parameters import DELAY, KD, KP, MASS, WN, ZETA
 
 
 @dataclass(frozen=True)
@@ -42,13 +43,15 @@ def run(bench: Bench, plant: str, out: Path) -> None:
         out: the CSV.
 
     Raises:
-        UserError: ranges or numbers that make no sense.
+        UserError: ranges or numbers that make no sense, or that this plant has not.
     """
     import numpy as np
 
     from jaxact import files
     from jaxact.identification import design
 
+    if plant == "none":
+        _demand_usual(bench, (MASS, KP, KD), 'is of `plant="mass"`; leave it out, or give that')
     asked = design.Bench(
         plant=plant, wn=_range(WN, bench.wn), zeta=_range(ZETA, bench.zeta),
         delay=_range(DELAY, bench.delay), duration=bench.duration, rate=bench.rate,
@@ -77,10 +80,16 @@ def run(bench: Bench, plant: str, out: Path) -> None:
 
 def refuse(bench: Bench) -> None:
     """Raise UserError where an option of a bench is given without `--design`."""
+    names = [item.name for item in fields(bench)]
+    _demand_usual(bench, names, "is for `design`; logs say it themselves")
+
+
+def _demand_usual(bench: Bench, names: Sequence[str], why: str) -> None:
+    """Raise UserError where one of these options is not as by default."""
     usual = Bench()
-    for item in fields(bench):
-        if getattr(bench, item.name) != getattr(usual, item.name):
-            raise UserError(f"`{item.name}` is for --design; logs say it themselves")
+    for name in names:
+        if getattr(bench, name) != getattr(usual, name):
+            raise UserError(f"`{name}` {why}")
 
 
 def _range(name: str, text: str) -> tuple[float, float]:

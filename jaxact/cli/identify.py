@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
@@ -22,7 +24,7 @@ Logs = Annotated[
 ]
 Map = Annotated[
     Path | None,
-    arg(name="map", metavar="TOML", help="What the columns are; see the documentation."),
+    arg(metavar="TOML", help="What the columns are; see the documentation."),
 ]
 Plant = Annotated[
     str,
@@ -81,7 +83,7 @@ def main(
     bench: Annotated[Bench, OmitArgPrefixes] = Bench(),  # noqa: B008
     *,
     design: Design = False,
-    columns: Map = None,
+    map: Map = None,
     plant: Plant = "none",
     validate: Validate = (),
     joint: JointName = "",
@@ -115,11 +117,12 @@ def main(
     out = out or Path("excitation.csv" if design else "drive.toml")
     picture = out.with_suffix(".png")
     _check_outputs([out] if design else [out, picture], overwrite=overwrite)
+    told: dict[str, Any] = {
+        "validate": validate, "joint": joint, "groups": groups,
+        "control_rate": control_rate, "loss": loss, "method": method, "bootstrap": bootstrap,
+    }  # fmt: skip
     if design:
-        if report is not None:
-            raise UserError(
-                f"--report {report}: is of logs, not of --design; leave one of them out"
-            )
+        _demand_no_logs({"map": map, "report": report, **told})
         if logs:
             raise UserError(f"--design needs no logs; leave {logs[0]} out, or --design")
         _design.run(bench, plant, out)
@@ -133,19 +136,25 @@ def main(
     from jaxact.cli import _progress
     from jaxact.verbs.identify import identify
 
+    told["groups"] = groups.split(",") if groups else ()
     with _progress.phases(quiet=quiet) as progress:
         found = identify(
-            logs, plant, validate=validate, columns=columns, joint=joint,
-            groups=groups.split(",") if groups else (),
-            control_rate=control_rate, loss=loss, method=method, bootstrap=bootstrap,
-            progress=lambda name: progress(f"fitting: {name}"),
-        )  # fmt: skip
+            logs, plant, columns=map, **told, progress=lambda name: progress(f"fitting: {name}")
+        )
     _write(found, out, picture)
     print(found)
     print(f"wrote {out}")
     print(f"wrote {picture}")
     if report is not None:
         _reports.write(found, report)
+
+
+def _demand_no_logs(given: Mapping[str, Any]) -> None:
+    """Raise UserError where one of these options, which are of logs, is not as by default."""
+    usual = inspect.signature(main).parameters
+    for name, value in given.items():
+        if value != usual[name].default:
+            raise UserError(f"`{name}` is of logs, not of `design`; leave one of them out")
 
 
 def _check_outputs(paths: list[Path], *, overwrite: bool) -> None:

@@ -3,23 +3,26 @@
     (M_ii(q) + armature) q_i'' = f_i - friction_i - l_i,
     l_i = sum_{j != i} M_ij(q) q_j'' + (gravity, Coriolis and centrifugal force)_i
 
-M and the forces are MuJoCo's, for the motion that was measured, smoothed. Joints that were not
-recorded stay at the model's posture; the base is fixed, and nothing touches the robot. The joints'
-own armature, damping and friction are left out: those are what is identified.
+M and the forces are MuJoCo's, for the motion that was measured, smoothed between the gaps of its
+log, through the rows in which the position is new. Joints that were not recorded stay at the
+model's posture; the base is fixed, and nothing touches the robot. The joints' own armature, damping
+and friction are left out: those are what is identified.
 """
 
 from __future__ import annotations
 
 import copy
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 from scipy import signal as _signal
+from scipy.interpolate import CubicSpline
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.identification.log import LINKS, Log
+from jaxact.identification.log import LINKS, Log, between_gaps, missing, new_rows, stretches
 from jaxact.parameters import SETPOINT
 from jaxact.robots.robot import Joint, Robot
 
@@ -53,6 +56,8 @@ def bare(robot: Robot) -> mujoco.MjModel:
 def with_links(logs: Sequence[Log], robot: Robot) -> list[Log]:
     """The logs of a robot's joints, recorded together, with what its links do to each.
 
+    Where too little lies between two gaps to be used (`stretches`), they are computed as at rest.
+
     Args:
         logs: of the joints in one file.
         robot: with its base fixed.
@@ -64,7 +69,7 @@ def with_links(logs: Sequence[Log], robot: Robot) -> list[Log]:
         if "position" not in log:
             raise UserError(f"{log.title}: has no position; every joint of a robot needs one")
     joints = [joint_of(robot, log.joint) for log in logs]
-    motion = {joint.dof: _smoothed(log) for joint, log in zip(joints, logs, strict=True)}
+    motion = {joint.dof: _motion(log) for joint, log in zip(joints, logs, strict=True)}
     places = {joint.dof: joint.qpos for joint in joints}
     found = _along(bare(robot), robot, motion, places, len(logs[0]))
     return [
@@ -97,7 +102,7 @@ def constant_forces(logs: Sequence[Log]) -> dict[str, float]:
         logs: from `with_links`, with a command, or with setpoint and gains.
     """
     rows: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
-    for log in logs:
+    for log in itertools.chain.from_iterable(map(stretches, logs)):
         position, velocity, acceleration = _smoothed(log)
         kp, kd = log.gains
         closed = SETPOINT in log and kp is not None
@@ -114,20 +119,47 @@ def constant_forces(logs: Sequence[Log]) -> dict[str, float]:
     return found
 
 
-def _smoothed(log: Log) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position, velocity and acceleration of a log, by cubics through some rows."""
-    window = max(2 * round(0.5 * _SMOOTHED / log.period) + 1, _FEWEST)
-    given = {"window_length": window, "polyorder": 3, "delta": log.period}
-    position, velocity, acceleration = (
-        _signal.savgol_filter(log["position"], deriv=order, **given) for order in range(3)
-    )
-    return position, velocity, acceleration
+def _motion(log: Log) -> np.ndarray:
+    """Position, velocity and acceleration at each row, shape (3, rows).
+
+    No cubic goes across a gap: the way that was made in it would be one of a single row.
+    """
+    found = np.stack([log["position"], np.zeros(len(log)), np.zeros(len(log))])
+    for first, end in between_gaps(log):
+        found[:, first:end] = _smoothed(log.part(first, end))
+    return found
+
+
+def _smoothed(log: Log) -> np.ndarray:
+    """Position, velocity and acceleration of a log without gaps, shape (3, rows).
+
+    By cubics through some of the rows in which the position is new; single rows that are missing
+    lie on a spline through the others.
+    """
+    fresh, number = new_rows(log["position"])
+    ticks = _ticks(log)
+    even = np.arange(ticks[fresh[0]], ticks[fresh[-1]] + 1, number)
+    position = CubicSpline(ticks[fresh], log["position"][fresh])(even)
+    period = number * log.period
+    window = max(2 * round(0.5 * _SMOOTHED / period) + 1, _FEWEST)
+    window = min(window, (len(even) - 1) // 2 * 2 + 1)
+    given = {"window_length": window, "polyorder": 3, "delta": period}
+    each = [_signal.savgol_filter(position, deriv=order, **given) for order in range(3)]
+    return np.stack([np.interp(ticks, even, values) for values in each])
+
+
+def _ticks(log: Log) -> np.ndarray:
+    """Number of each row among those that were written and those that are missing."""
+    late = missing(log)
+    steps = np.ones(len(log), int)
+    steps[late] = np.rint(np.diff(log.time)[late - 1] / log.period)
+    return np.cumsum(steps) - 1
 
 
 def _along(
     model: mujoco.MjModel,
     robot: Robot,
-    motion: Mapping[int, tuple[np.ndarray, np.ndarray, np.ndarray]],
+    motion: Mapping[int, np.ndarray],
     places: Mapping[int, int],
     rows: int,
 ) -> dict[int, np.ndarray]:
@@ -141,7 +173,7 @@ def _along(
     data.qpos[:] = robot.qpos
     for row in range(rows):
         for dof, at in zip(dofs, addresses, strict=True):
-            data.qpos[at], data.qvel[dof], acceleration[dof] = (part[row] for part in motion[dof])
+            data.qpos[at], data.qvel[dof], acceleration[dof] = motion[dof][:, row]
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fullM(model, data, whole)

@@ -209,12 +209,22 @@ def stretches(log: Log) -> list[Log]:
     ]
 
 
+def between_gaps(log: Log) -> list[tuple[int, int]]:
+    """First row and end (exclusive) of what is long enough and misses no time, by number."""
+    both = itertools.pairwise([0, *_gaps(log).tolist(), len(log)])
+    return [each for each in both if each[1] - each[0] >= FEWEST_ROWS]
+
+
+def _gaps(log: Log) -> np.ndarray:
+    """Rows before which time is missing, by their numbers in this log."""
+    return np.flatnonzero(np.diff(log.time) > _GAP * log.period) + 1
+
+
 def _parts(log: Log) -> list[Log]:
-    ends = np.flatnonzero(np.diff(log.time) > _GAP * log.period) + 1
+    ends = _gaps(log)
     if not ends.size:
         return [log]
-    both = itertools.pairwise([0, *ends.tolist(), len(log)])
-    parts = [log.part(*each) for each in both if each[1] - each[0] >= FEWEST_ROWS]
+    parts = [log.part(*each) for each in between_gaps(log)]
     found = [
         replace(part, name=f"{log.name}, rows {part.row} to {part.row + len(part) - 1}")
         for part in parts
@@ -232,12 +242,21 @@ def renewed(log: Log) -> Log:
     """A log in which what was measured less often than once a row lies on lines between."""
     signals, notes = dict(log.signals), []
     for name in ("position", "velocity", "force"):
-        number, first = _renewals(log[name]) if name in log else (1, 0)
+        fresh, number = new_rows(log[name]) if name in log else (np.empty(0), 1)
         if number > 1:
-            fresh = np.arange(first, len(log), number)
             signals[name] = np.interp(log.time, log.time[fresh], log[name][fresh])
             notes.append(f"{name} is new once in {number} rows; it is interpolated between them")
     return replace(log, signals=signals, notes=(*log.notes, *notes)) if notes else log
+
+
+def new_rows(values: np.ndarray) -> tuple[np.ndarray, int]:
+    """Rows in which a signal is new, by number, and once in how many rows that is.
+
+    Args:
+        values: shape (rows,).
+    """
+    number, first = _renewals(values)
+    return np.arange(first, len(values), number), number
 
 
 def _renewals(values: np.ndarray) -> tuple[int, int]:

@@ -102,3 +102,28 @@ def test_without_logs_or_design_it_says_what_is_missing(capsys, tmp_path, monkey
     monkeypatch.chdir(tmp_path)
     assert main(["identify"]) == 2
     assert "no logs; give the CSV or NPZ files to fit, or --design" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--map", "map.toml"], "--map is of logs, not of --design; leave one of them out"),
+        (["--validate", "other.csv"], "--validate is of logs"),
+        (["--joint", "elbow"], "--joint is of logs"),
+        (["--groups", "hip,knee"], "--groups is of logs"),
+        (["--control-rate", "77"], "--control-rate is of logs"),
+        (["--loss", "huber"], "--loss is of logs"),
+        (["--method", "adam"], "--method is of logs"),
+        (["--bootstrap"], "--bootstrap is of logs"),
+        (["--report", "drive.html"], "--report is of logs"),
+        (["--mass", "2"], "--mass is of --plant mass; leave it out, or give that"),
+        (["--kp", "9"], "--kp is of --plant mass"),
+        (["--kd", "9"], "--kd is of --plant mass"),
+    ],
+)
+def test_options_that_a_design_has_not_are_refused(tmp_path, monkeypatch, capsys, options, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(["identify", "--design", *options]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())

@@ -262,6 +262,12 @@ def test_what_does_not_fit_is_one_line_and_writes_nothing(files, tmp_path, capsy
     assert not list(tmp_path.iterdir())
 
 
+def test_columns_that_are_not_known_point_to_the_option_for_them(tmp_path, capsys):
+    (tmp_path / "log.csv").write_text("a,b\n1,2\n")
+    assert main(["identify", str(tmp_path / "log.csv"), "--out", str(tmp_path / "d.toml")]) == 2
+    assert "give --map, a TOML file that says which is which" in capsys.readouterr().err
+
+
 def test_pictures_on_the_callers_axes(starleth):
     axes = jaxact.plot.profile_likelihood(starleth, "wn")
     line = axes.get_lines()[1]

@@ -11,7 +11,7 @@ import pytest
 import jaxact as jx
 from jaxact.cli.main import main
 from jaxact.identification import links
-from jaxact.identification.log import LINKS, Log
+from jaxact.identification.log import LINKS, Log, stretches
 from jaxact.loops import toml
 from jaxact.robots.model import read
 
@@ -85,25 +85,66 @@ def found(folder):
     )  # fmt: skip
 
 
-def test_the_links_do_what_inverse_dynamics_says(folder):
-    """With M, the forces and the accelerations of MuJoCo along a motion that is a formula."""
-    robot = read(folder / "arm.xml", base="fixed")
-    time = np.arange(400) * PERIOD
-    q = np.column_stack([0.5 * np.sin(3.0 * time), 0.4 * np.cos(4.0 * time)])
-    logs = [
-        Log("air", time, {"position": q[:, at]}, name) for at, name in enumerate(("shoulder", "m2"))
-    ]
-    done = links.with_links(logs, robot)
+def _in_the_air(time):
+    """Positions, velocities, accelerations of both joints and what forces they take, by MuJoCo."""
     model = mujoco.MjModel.from_xml_string(ARM.format(armature=0.0, damping=0.0, friction=0.0))
     data = mujoco.MjData(model)
-    row = 137
-    data.qpos[:] = q[row]
-    data.qvel[:] = 1.5 * np.cos(3.0 * time[row]), -1.6 * np.sin(4.0 * time[row])
-    data.qacc[:] = -4.5 * np.sin(3.0 * time[row]), -6.4 * np.cos(4.0 * time[row])
-    mujoco.mj_inverse(model, data)
-    for at, log in enumerate(done):
-        inertia, force, _ = (log[name][row] for name in LINKS)
-        assert inertia * data.qacc[at] + force == pytest.approx(data.qfrc_inverse[at], rel=1e-3)
+    wide, fast = np.array([0.5, 0.4]), np.array([6.0, 8.0])
+    phase = fast * time[:, None] + np.array([0.0, 1.0])
+    motion = wide * np.sin(phase), wide * fast * np.cos(phase), -wide * fast**2 * np.sin(phase)
+    forces = np.empty((len(time), 2))
+    for row, (data.qpos[:], data.qvel[:], data.qacc[:]) in enumerate(zip(*motion, strict=True)):
+        mujoco.mj_inverse(model, data)
+        forces[row] = data.qfrc_inverse
+    return *motion, forces
+
+
+def _logs(time, positions, commands):
+    each = enumerate(("shoulder", "m2"))
+    return [
+        Log("air", time, {"position": positions[:, at], "command": commands[:, at]}, name)
+        for at, name in each
+    ]
+
+
+@pytest.mark.parametrize(
+    ("kept", "held"),
+    [
+        (np.arange(1500), 1),
+        (np.r_[0:600, 700:750, 1100:1500], 1),  # too little to be used between two gaps
+        (np.delete(np.arange(1500), [400, 900, 901]), 1),
+        (np.arange(1500), 5),
+    ],
+    ids=["whole", "gaps", "single rows missing", "held over five rows"],
+)
+def test_the_links_do_what_inverse_dynamics_says(folder, kept, held):
+    """With M, the forces and the accelerations of MuJoCo along a motion that is a formula."""
+    robot = read(folder / "arm.xml", base="fixed")
+    time = np.arange(1500) * 1e-3
+    q, _, accelerations, forces = _in_the_air(time)
+    written = q[np.arange(1500) // held * held]
+    logs = _logs(time[kept], written[kept], forces[kept])
+    done = [part for log in links.with_links(logs, robot) for part in stretches(log)]
+    assert len(done) == (4 if len(kept) < 1400 else 2)
+    for log in done:
+        end = len(log) - held + 1  # what follows the last new row is as in it
+        rows = np.rint(1e3 * log.time[:end]).astype(int)
+        at = ["shoulder", "m2"].index(log.joint)
+        inertia, force, _ = (log[name][:end] for name in LINKS)
+        found, most = inertia * accelerations[rows, at] + force, np.max(np.abs(forces[:, at]))
+        np.testing.assert_allclose(found, forces[rows, at], atol=0.01 * most)
+
+
+def test_constant_forces_are_found_in_logs_with_gaps(folder):
+    robot = read(folder / "arm.xml", base="fixed")
+    kept = np.r_[0:600, 700:750, 1100:1500]
+    q, velocities, accelerations, forces = (
+        rows[kept] for rows in _in_the_air(np.arange(1500) * 1e-3)
+    )
+    commands = forces + 0.03 * accelerations + 0.4 * velocities - np.array([0.2, -0.1])
+    done = links.with_links(_logs(kept * 1e-3, q, commands), robot)
+    found = links.constant_forces(done)
+    assert found == {"shoulder": pytest.approx(0.2, abs=0.01), "m2": pytest.approx(-0.1, abs=0.01)}
 
 
 @pytest.mark.exhaustive
