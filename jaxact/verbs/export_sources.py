@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -50,6 +51,8 @@ Source = ControlLoop | Tuned | str | os.PathLike[str]
 ANY = (".*",)  # the joints that the drive of a single one is for
 # What of a loop is the joint's, and not its drive's.
 _OF_JOINTS = (JOINT_DAMPING, JOINT_FRICTION, JOINT_ARMATURE)
+# What patterns of joints' names have, and names seldom.
+_PATTERN = re.compile(r"[][(){}.*+?|^$\\]")
 _SECTIONS = ("plant", "parameters", "axes", "loop", "drive")
 
 
@@ -271,6 +274,12 @@ def _alone(read: GainFile) -> JointGains:
     if read.keys in ("place", "motor", "part") or patterns:
         raise UserError(
             f"{read.path}: does not name every joint of the robot; give its `model` as well"
+        )
+    wide = [name for name in names if read.keys == "pattern" and _PATTERN.search(name)]
+    if wide:
+        raise UserError(
+            f"{read.path}: {shown(wide[0])} is a pattern, and does not name every joint of the"
+            " robot; give its `model` as well"
         )
     found = matched(read, [(name, name) for name in names])
     lacking = [name for one in found.partly.values() for name in one] + [*found.without]

@@ -1,0 +1,59 @@
+"""What exported files cannot say of a robot's drives and joints is refused or said, never lost."""
+
+import re
+import tomllib
+
+import pytest
+from command_line import jaxact
+
+import jaxact as jx
+from jaxact.errors import UserError
+
+BODY = '<body><joint name="{0}" axis="0 1 0"/><geom size="0.05" pos="0 0 -0.2"/></body>'
+ACTUATORS = (
+    '<position joint="left_hip" kp="60" kv="2" forcerange="-20 20"/>'
+    '<position joint="left-knee" kp="40" kv="1"/>'
+)
+PATTERNS = '[kp]\n".*_hip" = 40.0\n".*-knee" = 60.0\n[kd]\n".*_hip" = 1.0\n".*-knee" = 2.0\n'
+FORMATS = ("isaaclab", "mjlab", "mjcf", "toml", "deploy-yaml", "rl-gym", "legged-gym")
+
+
+@pytest.fixture
+def model(tmp_path):
+    bodies = "".join(BODY.format(name) for name in ("left_hip", "left-knee"))
+    file = tmp_path / "legs.xml"
+    file.write_text(
+        f"<mujoco><worldbody>{bodies}</worldbody><actuator>{ACTUATORS}</actuator></mujoco>"
+    )
+    return file
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_patterns_need_the_joints_that_they_match(model, to):
+    file = model.with_name("patterns.toml")
+    file.write_text(PATTERNS)
+    words = r"'\.\*_hip' is a pattern, and does not name every joint.*give its `model`"
+    with pytest.raises(UserError, match=words):
+        jx.export(file, to)
+    placed = jx.export(file, to, model=model).joints
+    assert (placed.names, placed.kp, placed.kd) == (
+        ("left_hip", "left-knee"), (40.0, 60.0), (1.0, 2.0)
+    )  # fmt: skip
+
+
+def test_the_command_line_says_which_option_patterns_need(model):
+    model.with_name("patterns.toml").write_text(PATTERNS)
+    done = jaxact("export", "patterns.toml", "--to", "isaaclab", cwd=model.parent)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert done.stderr.endswith("the robot; give its --model as well\n")
+
+
+def test_names_in_full_need_no_model(model):
+    """Also of a file that was exported; where they are taken they match the joints of the robot."""
+    file = model.with_name("names.toml")
+    jx.export(model, "toml", file)
+    assert jx.export(file, "toml").joints.names == ("left_hip", "left-knee")
+    table = eval(re.search(r"joint_names_expr=(\[.*\])", jx.export(file, "isaaclab").text)[1])
+    matched = [bool(re.fullmatch(one, name)) for one in table for name in ("left_hip", "left-knee")]
+    assert matched == [True, False, False, True]
+    assert tomllib.loads(file.read_text())["kp"] == {"left_hip": 60.0, "left-knee": 40.0}
