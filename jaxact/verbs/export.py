@@ -129,6 +129,7 @@ def _ranged(found: Found, given: Mapping[str, Any]) -> tuple[JointGains, JointDr
     gains = replace(
         found.joints, kp=tuple(low[KP].tolist()), kd=tuple(low[KD].tolist()),
         force_limit=tuple(high[FORCE_LIMIT].tolist()),
+        least_limit=tuple(low[FORCE_LIMIT].tolist()),
         force_range=_pairs(found.ranges, LOWEST_FORCE, HIGHEST_FORCE),
         setpoint_range=_pairs(found.ranges, LOWEST_SETPOINT, HIGHEST_SETPOINT),
     )  # fmt: skip
@@ -154,7 +155,7 @@ def _written(
     if to in FRAMEWORKS and math.isfinite(gains.period):
         rate = f"policy_rate {1.0 / gains.period:g} Hz"
         lost = (*lost, f"Left out, as the environment's own step holds an action: {rate}")
-    if to in FRAMEWORKS and (own.one_sided or not own.bare):
+    if to in FRAMEWORKS and (own.one_sided or gains.limits_drawn or not own.bare):
         comments = [f"The drive of {len(gains.names)} joints, from {name}, written by jaxact"]
         comments[0] = (
             comments[0]

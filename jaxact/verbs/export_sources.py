@@ -292,4 +292,4 @@ def _alone(read: GainFile) -> JointGains:
     }
     ranges = tuple(zip(rows[FORCE_LOW], rows[FORCE_HIGH], strict=True))
     own = ranges if FORCE_LOW in found.parameters else ()
-    return JointGains(tuple(names), rows[KP], rows[KD], rows[FORCE_LIMIT], own)
+    return JointGains(tuple(names), rows[KP], rows[KD], rows[FORCE_LIMIT], force_range=own)

@@ -57,3 +57,25 @@ def test_names_in_full_need_no_model(model):
     matched = [bool(re.fullmatch(one, name)) for one in table for name in ("left_hip", "left-knee")]
     assert matched == [True, False, False, True]
     assert tomllib.loads(file.read_text())["kp"] == {"left_hip": 60.0, "left-knee": 40.0}
+
+
+@pytest.mark.parametrize("to", ("isaaclab", "mjlab"))
+def test_a_range_of_the_force_limit_is_a_drive_in_torch(model, to):
+    """Of the joint that has one; the other, and a limit that is fixed, stay as they are."""
+    found = jx.export(model, to, parameters={"force_limit": {"left-knee": (5.0, 10.0)}})
+    hip, knee = found.text[found.text.index("\nACTUATORS") :].split("left\\\\-knee")
+    assert "effort_limit=20.0" in hip and "force_limit" not in hip
+    assert "force_limit=(5.0, 10.0)" in knee and "effort_limit" not in knee
+    assert found.lost == ()
+    fixed = jx.export(model, to, parameters={"force_limit": 10.0})
+    assert "class DriveActuator" not in fixed.text and fixed.lost == ()
+
+
+@pytest.mark.parametrize("to", FORMATS[2:])
+def test_where_a_range_of_the_force_limit_has_no_place_it_is_said(model, to):
+    found = jx.export(model, to, parameters={"force_limit": {"left-knee": (5.0, 10.0)}})
+    (lost,) = [one for one in found.lost if "force limits" in one]
+    assert "force limits, 20, 5 to 10" in lost.replace("limits 20", "limits, 20")
+    assert lost in found.text
+    written = found.text.replace(lost, "")
+    assert ("their upper ends are written" in lost) == ("10.0" in written)
