@@ -28,6 +28,7 @@ from jaxact.parameters import (
     GAIN_SCALE,
     KD,
     KP,
+    canonical,
 )
 from jaxact.verbs import export_sources as sources
 from jaxact.verbs.export_sources import ANY, Found, Source, nameless
@@ -137,7 +138,9 @@ def _ranged(found: Found, given: Mapping[str, Any]) -> tuple[JointGains, JointDr
     bounds = {
         name: found.ranges.get(name, np.full(count, none)) for name, none in NO_RANGES.items()
     }
-    return gains, JointDrives(patterns, low | bounds, high | bounds, found.velocity, found.left_out)
+    rated = found.rated or CONTROL_RATE in map(canonical, given)
+    ends = low | bounds, high | bounds
+    return gains, JointDrives(patterns, *ends, found.velocity, found.left_out, rated)
 
 
 def _pairs(ranges: Mapping[str, np.ndarray], low: str, high: str) -> tuple[Range, ...]:

@@ -29,6 +29,7 @@ from jaxact.loops.joint_ranges import (
     LOWEST_SETPOINT,
 )
 from jaxact.parameters import (
+    CONTROL_RATE,
     FORCE_LIMIT,
     JOINT_ARMATURE,
     JOINT_DAMPING,
@@ -66,6 +67,7 @@ class Found:
         ranges: of force and setpoint, by the names of `NO_RANGES`, where a joint has one.
         velocity: that the controllers see.
         left_out: what is not the drive's, sentences.
+        rated: the source gives a control rate.
     """
 
     joints: JointGains
@@ -73,6 +75,7 @@ class Found:
     ranges: Mapping[str, np.ndarray] = field(default_factory=dict)
     velocity: str = "sampled"
     left_out: tuple[str, ...] = ()
+    rated: bool = False
 
 
 def found(
@@ -203,7 +206,8 @@ def _of_loop(loop: ControlLoop, given: Mapping[str, Any], more: Any = ()) -> Fou
     said = [f"Left out, as the joint's and not the drive's: {', '.join(left)}"] if left else []
     if plant is not None:
         said += _of_model(robots.scene(plant).robot)
-    return Found(gains, own, ranges, loop.kind.velocity, tuple(said))
+    rated = CONTROL_RATE in loop.values
+    return Found(gains, own, ranges, loop.kind.velocity, tuple(said), rated)
 
 
 def _of_model(robot: Robot) -> list[str]:

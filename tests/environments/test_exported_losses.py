@@ -79,3 +79,21 @@ def test_where_a_range_of_the_force_limit_has_no_place_it_is_said(model, to):
     assert lost in found.text
     written = found.text.replace(lost, "")
     assert ("their upper ends are written" in lost) == ("10.0" in written)
+
+
+def test_a_control_rate_that_is_given_is_a_drive(model):
+    """Its controller runs at that rate, which one of plain gains has not: at every physics step."""
+    specification = model.with_name("run.toml")
+    text = (
+        f'[plant]\nmodel = "{model.name}"\n[parameters]\ncontrol_rate = 100\n[axes]\nkd = [2.0]\n'
+    )
+    specification.write_text(text)
+    loop = jx.robot(model, control_rate=100.0)
+    words = "Left out, this format has no place for it: the drive behind the gains"
+    for source, given in ((model, {"control_rate": 100.0}), (loop, None), (specification, None)):
+        for to in ("mjlab", "isaaclab"):
+            found = jx.export(source, to, parameters=given)
+            assert found.text.count("control_rate=100.0,\n") == 2 and found.lost == ()
+        for to in ("toml", "mjcf"):
+            assert jx.export(source, to, parameters=given).lost == (words,)
+    assert "class DriveActuator" not in jx.export(model, "mjlab").text
