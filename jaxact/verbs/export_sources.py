@@ -34,6 +34,7 @@ from jaxact.parameters import (
     JOINT_ARMATURE,
     JOINT_DAMPING,
     JOINT_FRICTION,
+    JOINT_STIFFNESS,
     KD,
     KP,
     PARAMETERS,
@@ -51,7 +52,7 @@ Source = ControlLoop | Tuned | str | os.PathLike[str]
 
 ANY = (".*",)  # the joints that the drive of a single one is for
 # What of a loop is the joint's, and not its drive's.
-_OF_JOINTS = (JOINT_DAMPING, JOINT_FRICTION, JOINT_ARMATURE)
+_OF_JOINTS = (JOINT_DAMPING, JOINT_STIFFNESS, JOINT_FRICTION, JOINT_ARMATURE)
 # What patterns of joints' names have, and names seldom.
 _PATTERN = re.compile(r"[][(){}.*+?|^$\\]")
 _SECTIONS = ("plant", "parameters", "axes", "loop", "drive")
@@ -202,6 +203,11 @@ def _of_loop(loop: ControlLoop, given: Mapping[str, Any], more: Any = ()) -> Fou
     else:
         along, own, ranges, gains = _of_robot(loop, given)
     left = [f"{name} {along[name]:g}" for name in _OF_JOINTS if along.get(name, 0.0)]
+    left += [
+        f"{base(key)} of {key.partition('@')[2]} {value:g}"
+        for key, value in along.items()
+        if "@" in key and base(key) in _OF_JOINTS and value
+    ]
     left = [*left, *more]
     said = [f"Left out, as the joint's and not the drive's: {', '.join(left)}"] if left else []
     if plant is not None:

@@ -97,3 +97,18 @@ def test_a_control_rate_that_is_given_is_a_drive(model):
         for to in ("toml", "mjcf"):
             assert jx.export(source, to, parameters=given).lost == (words,)
     assert "class DriveActuator" not in jx.export(model, "mjlab").text
+
+
+def test_what_is_a_joints_own_is_said_joint_by_joint(model):
+    loop = jx.robot(
+        model, joint_friction={"left_hip": 0.3}, joint_armature={".*knee": 0.01}, joint_damping=0.2
+    )
+    words = "joint_damping 0.2, joint_friction of left_hip 0.3, joint_armature of .*knee 0.01"
+    for to in ("mjlab", "mjcf"):
+        assert jx.export(loop, to).lost == (
+            f"Left out, as the joint's and not the drive's: {words}",
+        )
+    single = jx.joint(kp=30.0, kd=1.0, joint_stiffness=2.0, delay=1e-3)
+    assert jx.export(single, "mjlab").lost == (
+        "Left out, as the joint's and not the drive's: joint_stiffness 2",
+    )
