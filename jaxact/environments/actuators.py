@@ -23,6 +23,7 @@ from jaxact.robots.actuators import FORCE, POSITION, VELOCITY, Law, UndrivableEr
 from jaxact.robots.selection import Driven
 
 _FAR = 1e30  # a range of the control that nothing reaches
+_FEEDFORWARD_INPUT = int(mujoco.mjtCtrlInput.mjINPUT_FF)
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,8 @@ class Actuators:
         commands: of each "position", "velocity" or "force": what its control asks for.
         shared: whether gravity compensation acts on the joint through its own limit as well, or
             another actuator, so that the limit is not the drive's.
+        pids: of each whether it is a pid, whose input is the setpoint and has no gain of its own.
+        biased: whether MuJoCo adds a bias to the force.
     """
 
     names: tuple[str, ...]
@@ -48,6 +51,8 @@ class Actuators:
     velocities: np.ndarray
     commands: tuple[str, ...]
     shared: np.ndarray
+    pids: np.ndarray
+    biased: np.ndarray
 
     def _are(self, kind: str) -> np.ndarray:
         return np.array([one == kind for one in self.commands])
@@ -73,15 +78,21 @@ class Actuators:
         """
         control = numeric.clip(control[self.controls], *self._accepted(model, numeric))
         moment = self.moments(model)
-        gain = model.actuator_gainprm[self.indices, 0]
+        gain, offset = self._input(model, numeric)
         bias = model.actuator_biasprm[self.indices]
-        asked = gain * control + bias[:, 0]
+        asked = gain * control + offset
         stiff, damp = self._are(POSITION), self._are(VELOCITY)
         return Setpoint(
             position=numeric.where(stiff, asked / numeric.where(stiff, -bias[:, 1] * moment, 1), 0),
             velocity=numeric.where(damp, asked / numeric.where(damp, -bias[:, 2] * moment, 1), 0),
             force=numeric.where(self._are(FORCE), asked * moment, 0),
         )
+
+    def _input(self, model: Any, numeric: Any) -> tuple[Any, Any]:
+        """Gain g and bias b0 of what a control u asks for, g u + b0."""
+        gain, bias = model.actuator_gainprm[self.indices, 0], model.actuator_biasprm[self.indices]
+        gain = numeric.where(self.pids, -bias[:, 1], gain)
+        return gain, numeric.where(self.biased, bias[:, 0], 0.0)
 
     def _accepted(self, model: Any, numeric: Any) -> tuple[Any, Any]:
         """Range that MuJoCo clamps the controls to, +-inf where there is none."""
@@ -105,7 +116,7 @@ class Actuators:
             [N or N m], +-inf where there is no limit, each of shape (joints,).
         """
         at, asked, moment = self.indices, self.controls, self.moments(model)
-        gain, offset = model.actuator_gainprm[at, 0], model.actuator_biasprm[at, 0]
+        gain, offset = self._input(model, numeric)
         motors = self._clamped(model) & self._are(FORCE)
         alone = model.jnt_actfrclimited[self.joints].astype(bool) & ~self.shared
         ranges = (
@@ -134,6 +145,9 @@ class Actuators:
             "actuator_biasprm": _with(bias, at, viscous),
             "actuator_ctrlrange": _with(model.actuator_ctrlrange, self.controls, [-_FAR, _FAR]),
         }
+        if self.pids.any():
+            kinds, fixed = model.actuator_gaintype, int(mujoco.mjtGain.mjGAIN_FIXED)
+            found["actuator_gaintype"] = _with(kinds, self.indices[self.pids], fixed)
         if damping:
             found["dof_damping"] = _with(model.dof_damping, self.velocities, 0.0)
         return found
@@ -184,15 +198,18 @@ def find(model: mujoco.MjModel, patterns: Sequence[str], where: str) -> Actuator
             name = model.joint(one.joint).name
             raise UserError(f"{where}: {name}: several actuators act on it; drive other `joints`")
     controls = np.array([model.actuator_ctrladr[one.index] for one in found])
+    indices = np.array([one.index for one in found])
     return Actuators(
         names=tuple(model.joint(one.joint).name for one in found),
         controls=controls,
-        indices=np.array([one.index for one in found]),
+        indices=indices,
         joints=np.array(taken),
         positions=np.array([model.jnt_qposadr[one.joint] for one in found]),
         velocities=np.array([model.jnt_dofadr[one.joint] for one in found]),
         commands=tuple(one.commands for one in found),
         shared=np.array([selection.shares(model, Driven(one, ())) for one in found]),
+        pids=model.actuator_gaintype[indices] == mujoco.mjtGain.mjGAIN_PID,
+        biased=model.actuator_biastype[indices] != mujoco.mjtBias.mjBIAS_NONE,
     )
 
 
@@ -206,6 +223,7 @@ def _demand_plain(model: mujoco.MjModel, own: Law, where: str) -> None:
         "a filter": own.lag > 0.0,
         "a delay": own.delay > 0.0,
         "a velocity input": own.velocity_scale != 0.0,
+        "a feedforward input": bool(model.actuator_ctrlspec[own.index] & _FEEDFORWARD_INPUT),
     }
     for what, there in dynamics.items():
         if there:

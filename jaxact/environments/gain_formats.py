@@ -29,6 +29,8 @@ class JointGains:
         names: of the joints.
         kp, kd: [N m/rad, N m s/rad; of slides N/m, N s/m], as many.
         force_limit: [N m or N], inf where there is none, as many.
+        least_limit: lower end of the range that each force limit is drawn from, of which
+            `force_limit` is the upper end; () where none is drawn.
         force_range: lowest and highest force of joints whose limit differs by direction, +-inf of
             others, as many; () where no joint's does. Both limits hold.
         setpoint_range: positions that the model's servos clamp setpoints to [rad or m], +-inf where
@@ -41,6 +43,7 @@ class JointGains:
     kp: tuple[float, ...]
     kd: tuple[float, ...]
     force_limit: tuple[float, ...]
+    least_limit: tuple[float, ...] = ()
     force_range: tuple[Range, ...] = ()
     setpoint_range: tuple[Range, ...] = ()
     position: tuple[float, ...] = ()
@@ -50,6 +53,11 @@ class JointGains:
     def limited(self) -> bool:
         """Whether a joint has a force limit."""
         return any(math.isfinite(one) for one in self.force_limit)
+
+    @property
+    def limits_drawn(self) -> bool:
+        """Whether a force limit is drawn from a range."""
+        return bool(self.least_limit) and self.least_limit != self.force_limit
 
     def forces(self, which: int) -> Range:
         """Lowest and highest force of a joint by all of its limits, +-inf where there is none."""
@@ -78,9 +86,16 @@ def lost(joints: JointGains, kind: str) -> list[str]:
     """What the format has no place for, or what is not known that it asks for; sentences."""
     said = []
     nowhere = "Left out, this format has no place for them"
+    least = joints.least_limit or joints.force_limit
+    limits = [
+        f"{high:g}" if low == high else f"{low:g} to {high:g}"
+        for low, high in zip(least, joints.force_limit, strict=True)
+    ]
     if joints.limited and kind in ("deploy-yaml", "rl-gym", "legged-gym"):
-        limits = ", ".join(f"{one:g}" for one in joints.force_limit)
-        said.append(f"{nowhere}: force limits {limits}")
+        said.append(f"{nowhere}: force limits {', '.join(limits)}")
+    elif joints.limits_drawn:
+        drawn = f"ranges of force limits, {', '.join(limits)}"
+        said.append(f"{nowhere}: {drawn}; their upper ends are written")
     ranges = {
         "force limits that differ by direction": joints.force_range,
         "setpoint limits": joints.setpoint_range,

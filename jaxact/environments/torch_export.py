@@ -91,6 +91,7 @@ class JointDrives:
             the joints' own, alike in both; shape (joints,).
         velocity: that the controllers see, "sampled" or "differenced".
         left_out: what a drive in such a file has no place for, in words.
+        rated: the control rate was given, and is not that of the physics steps whatever they are.
     """
 
     patterns: tuple[str, ...]
@@ -98,13 +99,15 @@ class JointDrives:
     high: Mapping[str, np.ndarray]
     velocity: str
     left_out: tuple[str, ...] = ()
+    rated: bool = False
 
     @property
     def bare(self) -> bool:
         """Whether there is nothing beyond gains, a force limit, and ranges of the joints."""
         few = (*_GAINS, CONTROL_RATE, *NO_RANGES)
         own = (name for name in self.low if name not in few)
-        return self.velocity == "sampled" and all(
+        plain = self.velocity == "sampled" and not self.rated
+        return plain and all(
             np.all(side[name] == _DEFAULTS[name]) for name in own for side in (self.low, self.high)
         )
 

@@ -11,7 +11,21 @@ from pathlib import Path
 from jaxact.errors import UserError, shown
 from jaxact.gains.deployment import number
 from jaxact.gains.table import FORCE_HIGH, FORCE_LOW, READ, Entry, GainFile
-from jaxact.parameters import FORCE_LIMIT, KD, KP, PARAMETERS, canonical
+from jaxact.parameters import DELAY, FORCE_LIMIT, KD, KP, PARAMETERS, canonical
+
+# What a position actuator may act on in place of a joint.
+_OTHER_TARGETS = (
+    "tendon", "jointinparent", "site", "refsite", "body", "cranksite", "slidersite",
+)  # fmt: skip
+# What a <default> may have that is none of actuators; these share their defaults.
+_OTHER_DEFAULTS = (
+    "default", "mesh", "material", "joint", "geom", "site", "camera", "light", "pair", "equality",
+    "tendon",
+)  # fmt: skip
+_NOT_TAKEN = {
+    "limits of its setpoints": ("ctrlrange", "inheritrange"),
+    "filters and delays of its setpoints": ("timeconst", DELAY),
+}
 
 
 def toml(path: Path, text: str) -> GainFile:
@@ -58,8 +72,7 @@ def mjcf(path: Path, text: str) -> GainFile:
         raise UserError(f"{path}: <{shown(root.tag)[1:-1]}> is not MJCF; gains are read from MJCF")
     whole = root.find("worldbody") is not None or root.find("include") is not None
     entries = tuple(_of_model(path) if whole else _of_section(path, root))
-    clamped = [one for one in root.iterfind("actuator/position") if one.get("ctrlrange")]
-    notes = () if whole or not clamped else ("limits of its setpoints (ctrlrange) are not taken",)
+    notes = () if whole else tuple(_not_taken(root))
     if not any(one.parameter == KP for one in entries):
         raise UserError(f"{path}: has no position actuators with gains")
     return GainFile(path, "mjcf", entries, "name", notes)
@@ -77,8 +90,45 @@ def _of_model(path: Path) -> Iterator[Entry]:
         yield from _limits(joint.name, joint.force_low, joint.force_high)
 
 
+def _not_taken(root: ElementTree.Element) -> Iterator[str]:
+    """What a section says besides gains and limits of the force, in words."""
+    servos = root.findall("actuator/position")
+    for what, keys in _NOT_TAKEN.items():
+        found = [key for key in keys if any(one.get(key) for one in servos)]
+        if found:
+            yield f"{what} ({', '.join(found)}) are not taken"
+    others = [one for one in root.iterfind("actuator/*") if one.tag not in ("position", "motor")]
+    if others:
+        named = [f"<{one.tag} {_label(one)}>" for one in others]
+        yield f"its other actuators are not taken: {', '.join(named)}"
+
+
+def _label(one: ElementTree.Element) -> str:
+    """The joint of an actuator, or its name, as in the file."""
+    key = "joint" if one.get("joint") else "name"
+    return f"{key}={one.get(key)!r}"
+
+
+def _demand_complete(path: Path, root: ElementTree.Element) -> None:
+    """Raise UserError where a class or the robot's tree has a part in the gains of a section."""
+    for one in root.iterfind("default/*"):
+        if one.tag not in _OTHER_DEFAULTS:
+            raise UserError(
+                f"{path}: its <default> has <{shown(one.tag)[1:-1]}>, which counts for actuators;"
+                " give the whole model"
+            )
+    for one in root.iterfind("actuator/position"):
+        own = [key for key in ("class", *_OTHER_TARGETS) if one.get(key)]
+        if own:
+            raise UserError(
+                f"{path}: <position {_label(one)}> has a {own[0]}; give the whole model, which"
+                " says what that is"
+            )
+
+
 def _of_section(path: Path, root: ElementTree.Element) -> Iterator[Entry]:
     """Gains at the joints of elements that say all themselves."""
+    _demand_complete(path, root)
     for one in root.iterfind("actuator/position"):
         name = one.get("joint") or one.get("name")
         if name is None:
@@ -92,7 +142,7 @@ def _of_section(path: Path, root: ElementTree.Element) -> Iterator[Entry]:
                     f"{path}: {where} has no {key}; give the whole model if a class has it"
                 )
             yield Entry(parameter, name, _number(path, where, key, value) * gear**2)
-        if one.get("forcelimited", "true") == "true" and one.get("forcerange"):
+        if one.get("forcelimited") != "false" and one.get("forcerange"):
             low, high = sorted(gear * end for end in _pair(path, where, one.get("forcerange", "")))
             yield from _limits(name, low, high)
 

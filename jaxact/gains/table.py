@@ -15,7 +15,7 @@ from jaxact.parameters import FORCE_LIMIT, KD, KP
 Keys = Literal["name", "part", "pattern", "place", "motor"]
 """What the keys of a file are: names of joints, parts of names (legged_gym: the last that is part
 of a joint's name counts), regular expressions that match a name in full, places among the driven
-joints from 0, which must be as many, or numbers of motors, which are such places of some."""
+joints from 0, which must be as many, or numbers of motors, which are the first such places."""
 
 # The drive's parameters that such files have.
 READ = (KP, KD, FORCE_LIMIT)
@@ -102,10 +102,13 @@ def matched(file: GainFile, joints: Sequence[tuple[str, str]]) -> Matched:
 
     Raises:
         UserError: no joint is meant, the number of gains is not that of the joints where the file
-            has no names, or several entries are for one joint and none of them counts more.
+            has no names, its motors cannot be the joints in their order, or several entries are
+            for one joint and none of them counts more.
     """
     if file.keys == "place":
         _check_places(file, len(joints))
+    if file.keys == "motor":
+        _check_motors(file, len(joints))
     meant = {_id(one): _joints_of(file, one, joints) for one in file.entries}
     notes = list(file.notes)
     if file.keys == "name" and not any(meant.values()):
@@ -198,6 +201,18 @@ def _check_places(file: GainFile, joints: int) -> None:
         raise UserError(
             f"{file.path}: has gains for {len(places)} joints without their names, and the robot"
             f" has {joints} driven joints; choose as many with `joints`"
+        )
+
+
+def _check_motors(file: GainFile, joints: int) -> None:
+    """Raise UserError where motor i cannot be driven joint i: a motor is left out, or beyond."""
+    motors = sorted({int(one.key) for one in file.entries})
+    unused = sorted(set(range(motors[-1])) - set(motors))
+    why = f"none of motor {unused[0]}" if unused else f"the robot has {joints} driven joints"
+    if unused or motors[-1] >= joints:
+        raise UserError(
+            f"{file.path}: has gains of motor {motors[-1]}, and {why}, so its motors are not the"
+            " driven joints in their order; give a TOML file with [kp] and [kd] of joint = number"
         )
 
 

@@ -28,6 +28,7 @@ from jaxact.parameters import (
     GAIN_SCALE,
     KD,
     KP,
+    canonical,
 )
 from jaxact.verbs import export_sources as sources
 from jaxact.verbs.export_sources import ANY, Found, Source, nameless
@@ -129,6 +130,7 @@ def _ranged(found: Found, given: Mapping[str, Any]) -> tuple[JointGains, JointDr
     gains = replace(
         found.joints, kp=tuple(low[KP].tolist()), kd=tuple(low[KD].tolist()),
         force_limit=tuple(high[FORCE_LIMIT].tolist()),
+        least_limit=tuple(low[FORCE_LIMIT].tolist()),
         force_range=_pairs(found.ranges, LOWEST_FORCE, HIGHEST_FORCE),
         setpoint_range=_pairs(found.ranges, LOWEST_SETPOINT, HIGHEST_SETPOINT),
     )  # fmt: skip
@@ -136,7 +138,9 @@ def _ranged(found: Found, given: Mapping[str, Any]) -> tuple[JointGains, JointDr
     bounds = {
         name: found.ranges.get(name, np.full(count, none)) for name, none in NO_RANGES.items()
     }
-    return gains, JointDrives(patterns, low | bounds, high | bounds, found.velocity, found.left_out)
+    rated = found.rated or CONTROL_RATE in map(canonical, given)
+    ends = low | bounds, high | bounds
+    return gains, JointDrives(patterns, *ends, found.velocity, found.left_out, rated)
 
 
 def _pairs(ranges: Mapping[str, np.ndarray], low: str, high: str) -> tuple[Range, ...]:
@@ -154,7 +158,7 @@ def _written(
     if to in FRAMEWORKS and math.isfinite(gains.period):
         rate = f"policy_rate {1.0 / gains.period:g} Hz"
         lost = (*lost, f"Left out, as the environment's own step holds an action: {rate}")
-    if to in FRAMEWORKS and (own.one_sided or not own.bare):
+    if to in FRAMEWORKS and (own.one_sided or gains.limits_drawn or not own.bare):
         comments = [f"The drive of {len(gains.names)} joints, from {name}, written by jaxact"]
         comments[0] = (
             comments[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -28,10 +29,12 @@ from jaxact.loops.joint_ranges import (
     LOWEST_SETPOINT,
 )
 from jaxact.parameters import (
+    CONTROL_RATE,
     FORCE_LIMIT,
     JOINT_ARMATURE,
     JOINT_DAMPING,
     JOINT_FRICTION,
+    JOINT_STIFFNESS,
     KD,
     KP,
     PARAMETERS,
@@ -49,7 +52,9 @@ Source = ControlLoop | Tuned | str | os.PathLike[str]
 
 ANY = (".*",)  # the joints that the drive of a single one is for
 # What of a loop is the joint's, and not its drive's.
-_OF_JOINTS = (JOINT_DAMPING, JOINT_FRICTION, JOINT_ARMATURE)
+_OF_JOINTS = (JOINT_DAMPING, JOINT_STIFFNESS, JOINT_FRICTION, JOINT_ARMATURE)
+# What patterns of joints' names have, and names seldom.
+_PATTERN = re.compile(r"[][(){}.*+?|^$\\]")
 _SECTIONS = ("plant", "parameters", "axes", "loop", "drive")
 
 
@@ -63,6 +68,7 @@ class Found:
         ranges: of force and setpoint, by the names of `NO_RANGES`, where a joint has one.
         velocity: that the controllers see.
         left_out: what is not the drive's, sentences.
+        rated: the source gives a control rate.
     """
 
     joints: JointGains
@@ -70,6 +76,7 @@ class Found:
     ranges: Mapping[str, np.ndarray] = field(default_factory=dict)
     velocity: str = "sampled"
     left_out: tuple[str, ...] = ()
+    rated: bool = False
 
 
 def found(
@@ -196,11 +203,17 @@ def _of_loop(loop: ControlLoop, given: Mapping[str, Any], more: Any = ()) -> Fou
     else:
         along, own, ranges, gains = _of_robot(loop, given)
     left = [f"{name} {along[name]:g}" for name in _OF_JOINTS if along.get(name, 0.0)]
+    left += [
+        f"{base(key)} of {key.partition('@')[2]} {value:g}"
+        for key, value in along.items()
+        if "@" in key and base(key) in _OF_JOINTS and value
+    ]
     left = [*left, *more]
     said = [f"Left out, as the joint's and not the drive's: {', '.join(left)}"] if left else []
     if plant is not None:
         said += _of_model(robots.scene(plant).robot)
-    return Found(gains, own, ranges, loop.kind.velocity, tuple(said))
+    rated = CONTROL_RATE in loop.values
+    return Found(gains, own, ranges, loop.kind.velocity, tuple(said), rated)
 
 
 def _of_model(robot: Robot) -> list[str]:
@@ -272,6 +285,12 @@ def _alone(read: GainFile) -> JointGains:
         raise UserError(
             f"{read.path}: does not name every joint of the robot; give its `model` as well"
         )
+    wide = [name for name in names if read.keys == "pattern" and _PATTERN.search(name)]
+    if wide:
+        raise UserError(
+            f"{read.path}: {shown(wide[0])} is a pattern, and does not name every joint of the"
+            " robot; give its `model` as well"
+        )
     found = matched(read, [(name, name) for name in names])
     lacking = [name for one in found.partly.values() for name in one] + [*found.without]
     if lacking:
@@ -283,4 +302,4 @@ def _alone(read: GainFile) -> JointGains:
     }
     ranges = tuple(zip(rows[FORCE_LOW], rows[FORCE_HIGH], strict=True))
     own = ranges if FORCE_LOW in found.parameters else ()
-    return JointGains(tuple(names), rows[KP], rows[KD], rows[FORCE_LIMIT], own)
+    return JointGains(tuple(names), rows[KP], rows[KD], rows[FORCE_LIMIT], force_range=own)

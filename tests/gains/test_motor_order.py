@@ -55,3 +55,39 @@ def test_a_gear_that_turns_the_other_way_keeps_its_limit(tmp_path):
     found = matched(reading.read(file), [("left_hip", "left_hip")])
     assert found.parameters["kp"]["left_hip"] == 20.0
     assert found.parameters["force_limit"]["left_hip"] == 20.0
+
+
+# Unitree's H1: of its motors 0 to 19 none is number 9, and the right leg comes first.
+LEGS, REST = (7, 3, 4, 5, 10, 8, 0, 1, 2, 11), (6, 16, 17, 18, 19, 12, 13, 14, 15)
+LEG_KP, REST_KP = [150, 150, 150, 200, 40] * 2, [300, *[100, 100, 50, 50] * 2]
+
+
+def _rl_gym(file, legs, rest=(), leg_kp=LEG_KP, rest_kp=REST_KP):
+    rows = [f"leg_joint2motor_idx: {list(legs)}", f"kps: {leg_kp}", f"kds: {leg_kp}"]
+    if rest:
+        rows += [f"arm_waist_joint2motor_idx: {list(rest)}"]
+        rows += [f"arm_waist_kps: {rest_kp}", f"arm_waist_kds: {rest_kp}"]
+    file.write_text("\n".join(rows))
+    return reading.read(file)
+
+
+@pytest.mark.parametrize(
+    ("legs", "rest", "joints", "words"),
+    [(LEGS, REST, 19, "motor 19, and none of motor 9"), (LEGS, REST, 20, "none of motor 9"),
+     (LEGS, (), 19, "motor 11, and none of motor 6"), ([*range(10)], (), 9, "has 9 driven joints"),
+     ([*range(1, 11)], (), 12, "none of motor 0")],
+)  # fmt: skip
+def test_motors_that_are_not_the_joints_in_order_are_refused(tmp_path, legs, rest, joints, words):
+    file = _rl_gym(tmp_path / "h1.yaml", legs, rest)
+    names = [(f"joint_{i}", f"joint_{i}") for i in range(joints)]
+    with pytest.raises(UserError, match=f"{words}.* give a TOML file with .kp. and .kd. of joint"):
+        matched(file, names)
+
+
+def test_motors_that_are_the_first_joints_are_taken(tmp_path):
+    """Of a robot whose map turns the legs round, and leaves its last joints as they are."""
+    motors = [3, 0, 2, 1]
+    file = _rl_gym(tmp_path / "legs.yaml", motors, leg_kp=[KP[motor] for motor in motors])
+    found = matched(file, [(name, name) for name in (*NAMES, "torso")])
+    assert found.parameters["kp"] == dict(zip(NAMES, KP, strict=True))
+    assert found.without == ("torso",)
