@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -17,7 +17,8 @@ import numpy as np
 
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
-from jaxact.simulation import kernel, plans, spectra, tiles
+from jaxact.parameters import CONTROL_RATE
+from jaxact.simulation import kernel, longer_runs, plans, spectra, tiles
 from jaxact.simulation.growth.rate import TOLERANCE
 from jaxact.simulation.metrics import Metrics
 from jaxact.simulation.spectra import Rates
@@ -37,11 +38,17 @@ class _Batch:
         order: in which its samples are computed.
         rates: of its samples.
         metrics: in that order; not waited for.
+        longer: which samples run longer than they would alone; None: none.
+        duration: that they were to run for [s].
+        calm: as for `jaxact.simulation.longer_runs.within`.
     """
 
     order: slice | np.ndarray
     rates: Rates
     metrics: Metrics
+    longer: np.ndarray | None = None
+    duration: float = 0.0
+    calm: bool = True
 
 
 @dataclass(frozen=True)
@@ -83,7 +90,28 @@ def _simulated(
         order = _by_life(plan, rates.growth)
         growth = rates.growth[order]
         inputs, static = _inputs(plan, specification, samples, numbers[order], growth)
-        return _Batch(order, rates, tiles.run(*inputs, **static))
+        found = _Batch(order, rates, tiles.run(*inputs, **static))
+    return _limited(found, plan, specification, samples, numbers)
+
+
+def _limited(
+    found: _Batch,
+    plan: plans.Plan,
+    specification: Specification,
+    samples: Samples,
+    numbers: np.ndarray,
+) -> _Batch:
+    """The batch with which of its samples run longer than the duration."""
+    case = plan.case
+    if not case.masked:
+        return found
+    rates = samples.take(numbers, {CONTROL_RATE})[CONTROL_RATE]
+    longer = longer_runs.ran_longer(rates, case.duration, case.rollout.ticks)
+    if not longer.any():
+        return found
+    moved = specification.push is not None or not plans.steps_only(specification)
+    calm = not moved and not case.drive.random
+    return replace(found, longer=longer, duration=case.duration, calm=calm)
 
 
 def prepare(
@@ -163,6 +191,8 @@ def _rows(batch: _Batch) -> dict[str, np.ndarray]:
     names = Metrics.__dataclass_fields__
     rows = {name: np.asarray(getattr(batch.metrics, name)).reshape(-1) for name in names}
     rows = {name: _reordered(row, batch.order) for name, row in rows.items()}
+    if batch.longer is not None:
+        rows = longer_runs.within(rows, batch.longer, batch.duration, calm=batch.calm)
     return with_rates(rows, batch.rates)
 
 
