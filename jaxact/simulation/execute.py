@@ -26,6 +26,8 @@ from jaxact.status import Verdict
 
 # A perturbation that grows this often by a factor of e has overflowed in single precision.
 _OVERFLOW = 44.0
+# Metrics that only a step has.
+_OF_STEP = ("overshoot", "rise_time", "settling_time")
 # Lives that are told apart.
 _STEPS = 256
 
@@ -41,6 +43,7 @@ class _Batch:
         longer: which samples run longer than they would alone; None: none.
         duration: that they were to run for [s].
         calm: as for `jaxact.simulation.longer_runs.within`.
+        stepped: whether their setpoints stay where they step to.
     """
 
     order: slice | np.ndarray
@@ -49,6 +52,7 @@ class _Batch:
     longer: np.ndarray | None = None
     duration: float = 0.0
     calm: bool = True
+    stepped: bool = True
 
 
 @dataclass(frozen=True)
@@ -86,11 +90,13 @@ def _simulated(
     with _precision(specification):
         if not plan.case.engine.in_jax:
             found = _outside(plan, specification, samples, numbers, rates.growth)
-            return _Batch(slice(None), rates, found)
+            return _Batch(slice(None), rates, found, stepped=plans.steps_only(specification))
         order = _by_life(plan, rates.growth)
         growth = rates.growth[order]
         inputs, static = _inputs(plan, specification, samples, numbers[order], growth)
-        found = _Batch(order, rates, tiles.run(*inputs, **static))
+        found = _Batch(
+            order, rates, tiles.run(*inputs, **static), stepped=plans.steps_only(specification)
+        )
     return _limited(found, plan, specification, samples, numbers)
 
 
@@ -109,7 +115,7 @@ def _limited(
     longer = longer_runs.ran_longer(rates, case.duration, case.rollout.ticks)
     if not longer.any():
         return found
-    moved = specification.push is not None or not plans.steps_only(specification)
+    moved = specification.push is not None or not found.stepped
     calm = not moved and not case.drive.random
     return replace(found, longer=longer, duration=case.duration, calm=calm)
 
@@ -193,7 +199,12 @@ def _rows(batch: _Batch) -> dict[str, np.ndarray]:
     rows = {name: _reordered(row, batch.order) for name, row in rows.items()}
     if batch.longer is not None:
         rows = longer_runs.within(rows, batch.longer, batch.duration, calm=batch.calm)
-    return with_rates(rows, batch.rates)
+    return with_rates(rows if batch.stepped else without_step(rows), batch.rates)
+
+
+def without_step(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Metrics of loops whose setpoints move on: there is no step that they could be those of."""
+    return rows | {name: np.full_like(rows[name], np.nan) for name in _OF_STEP}
 
 
 def with_rates(rows: dict[str, np.ndarray], rates: Rates) -> dict[str, np.ndarray]:

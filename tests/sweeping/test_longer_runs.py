@@ -5,7 +5,7 @@ import pytest
 
 from jaxact.loops import reading
 from jaxact.loops.samples import expand
-from jaxact.simulation import longer_runs, plans
+from jaxact.simulation import execute, longer_runs, plans
 from jaxact.status import Verdict
 
 _TEXT = """
@@ -70,3 +70,10 @@ def test_what_a_longer_run_tells_of_the_duration():
     np.testing.assert_array_equal(got["rms_force"], rows["rms_force"])
     pushed = longer_runs.within(rows, longer, 0.5, calm=False)["peak_force"]
     np.testing.assert_array_equal(pushed, [nan, nan, nan, nan, 9.0])
+
+
+def test_what_moves_on_has_no_metrics_of_a_step():
+    rows = {name: np.ones(2, np.float32) for name in ("overshoot", "rise_time", "settling_time")}
+    got = execute.without_step({**rows, "peak_force": np.ones(2)})
+    assert all(np.isnan(got[name]).all() and got[name].dtype == np.float32 for name in rows)
+    np.testing.assert_array_equal(got["peak_force"], 1.0)
