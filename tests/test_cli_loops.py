@@ -13,7 +13,7 @@ from robots import PENDULUM
 import jaxact as jx
 from jaxact.cli.main import main
 from jaxact.loops import reading
-from jaxact.verbs.naming import loop_name
+from jaxact.verbs.naming import in_common, loop_name
 from jaxact.verbs.responses import responses
 
 CASES = {
@@ -204,6 +204,26 @@ def test_an_unknown_engine_is_answered_with_those_that_simulate_a_robot(
     model.write_text(PENDULUM)
     said = _mistake(capsys, verb, "--model", str(model), *options)
     assert said == "jaxact: engine = 'foo'; allowed: mjx, mujoco, warp, auto\n"
+
+
+def test_a_scale_of_the_gains_makes_other_loops():
+    scale = np.array([1.0, 2.0, 4.0])
+    own = {"actuator": "starleth", "delay": 1e-3}
+    scaled = responses(jx.joint(gain_scale=scale, kp=400, kd=20, **own), sampled=False)
+    gains = jx.joint(kp=400 * scale, kd=20 * scale, **own)
+    wanted = responses(gains, sampled=False)
+    assert len(scaled) == len(wanted) == 3
+    for one, other in zip(scaled, wanted, strict=True):
+        np.testing.assert_array_equal(one.frequency, other.frequency)
+        np.testing.assert_allclose(one.open_loop, other.open_loop, rtol=1e-12)
+        assert one.stable == other.stable
+    assert [curve.stable for curve in scaled] == [True, True, False]
+
+
+def test_gains_are_said_with_their_scale():
+    said = in_common(jx.joint(gain_scale=2.0, kp=400, kd=20, actuator="starleth"))
+    assert "kp 400 N/m, kd 20 N s/m" in said and "gain scale 2" in said
+    assert "scale" not in in_common(jx.joint(actuator="starleth"))
 
 
 @pytest.mark.exhaustive

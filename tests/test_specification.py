@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from robots import PENDULUM
 
 from jaxact.errors import UserError
 from jaxact.loops import checks, drives, toml
@@ -380,3 +381,15 @@ def test_any_document_is_read_or_refused_in_one_line(document):
 def test_written_toml_reads_back(document):
     back = tomllib.loads(toml.dumps(document))
     assert json.dumps(back, sort_keys=True) == json.dumps(document, sort_keys=True)
+
+
+def test_a_setpoint_beside_positions_from_a_file_is_refused(tmp_path):
+    (tmp_path / "robot.xml").write_text(PENDULUM)
+    (tmp_path / "path.csv").write_text("time,j\n0,0\n1,1\n")
+    text = (
+        '[plant]\nmodel = "robot.xml"\n[motion]\nkind = "file"\nfile = "path.csv"\n'
+        "[parameters]\nsetpoint = {}\n[axes]\nkp = [10]\n"
+    )
+    assert parse(text.format(0.0), tmp_path).motion.kind == "file"
+    with pytest.raises(UserError, match=r"^setpoint: motion.file says .*; remove one of the two$"):
+        parse(text.format(1.0), tmp_path)

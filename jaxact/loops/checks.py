@@ -20,6 +20,7 @@ from jaxact.parameters import (
     OUTPUT_DELAY,
     POLICY_RATE,
     ROBOT_ONLY,
+    SETPOINT,
     VELOCITY_BIAS,
     VELOCITY_BIAS_WALK,
     VELOCITY_FILTER,
@@ -61,6 +62,7 @@ def check(specification: Specification) -> None:
     _check_duration(specification, rates)
     _check_delays(specification, axes, rates)
     _check_push(specification)
+    _check_motion(specification, axes)
 
 
 def physics_step(specification: Specification, control_rate: float) -> float:
@@ -238,6 +240,18 @@ def _check_push(specification: Specification) -> None:
             f"push: ends at {end:g} s; allowed: within the first half of the duration, up to"
             f" {latest:g} s, so that what is left shows whether the motion dies out"
         )
+
+
+def _check_motion(specification: Specification, axes: dict[str, Axis]) -> None:
+    """A setpoint beside positions from a file would be ignored silently."""
+    if specification.motion is None or specification.motion.kind != "file":
+        return
+    given = [name for name, value in specification.parameters.items() if value != 0.0]
+    for name in (*given, *axes):
+        if base(name) == SETPOINT:
+            raise UserError(
+                f"{name}: motion.file says where the setpoints are; remove one of the two"
+            )
 
 
 def _check_delays(specification: Specification, axes: dict[str, Axis], rates: np.ndarray) -> None:

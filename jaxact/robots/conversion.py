@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from jaxact.robots import actuators, assets, motors
+from jaxact.robots import actuators, assets, motors, selection
 from jaxact.robots.actuators import Law
 from jaxact.robots.findings import ASKED, EMULATED, ENGINES, MJX, WARP, Finding, named, refused
 from jaxact.robots.parity import ITERATIONS, SEARCHES, ends_early, switched_off
@@ -41,8 +41,8 @@ def convert(
 
     Args:
         spec: what `original` was compiled from; changed.
-        driven: become motors with gear 1, gain 1, no limits and no delay on their joint; those that
-            they take in give no force.
+        driven: become motors with gear 1, gain 1, no limits and no delay on their joint, whose own
+            limits go where they are the drive's alone; those that they take in give no force.
 
     Raises:
         ValueError: it cannot be compiled; with MuJoCo's reason.
@@ -55,6 +55,8 @@ def convert(
         actuator.actearly &= actuator.dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR  # which must have it
     for item in driven:
         _make_motor(spec, item.law)
+        if not selection.shares(original, item):
+            spec.joints[item.law.joint].actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         for partner in item.partners:
             _make_motor(spec, partner)
             _silence(spec.actuators[partner.index])

@@ -17,11 +17,10 @@ import mujoco
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
-from jaxact.parameters import DELAY
 from jaxact.robots import (
-    actuators,
     assets,
     conversion,
+    lifting,
     motors,
     mounting,
     parity,
@@ -31,7 +30,7 @@ from jaxact.robots import (
 )
 from jaxact.robots.actuators import FORCE, POSITION, VELOCITY, Law
 from jaxact.robots.conversion import DAMPING, IN_DRIVE, IN_JOINT
-from jaxact.robots.findings import EMULATED, HARMLESS, LIFTED, Finding
+from jaxact.robots.findings import Finding
 from jaxact.robots.posture import Posture
 from jaxact.robots.robot import Joint, Robot, demand, exact, inexact, suits
 from jaxact.robots.selection import Driven
@@ -205,7 +204,7 @@ def _driven(opened: _Opened, damping: str) -> Robot:
 
 def _findings(original: mujoco.MjModel, driven: Sequence[Driven]) -> list[Finding]:
     """What is said of the model's own fields."""
-    findings = [finding for item in driven for finding in _lifted(original, item)]
+    findings = [finding for item in driven for finding in lifting.findings(original, item)]
     taken = conversion.taken(driven)
     findings += conversion.findings(original, taken)
     said = {item.where for item in findings if item.engines}
@@ -327,70 +326,6 @@ def _asked(model: mujoco.MjModel, start: _Start, law: Law) -> tuple[float, float
     if model.actuator_ctrllimited[first + 1]:
         second = np.clip(second, *model.actuator_ctrlrange[first + 1])
     return asked, float(law.velocity_scale * second)
-
-
-def _lifted(model: mujoco.MjModel, driven: Driven) -> list[Finding]:
-    """What is said about the fields of a driven actuator that became the drive's."""
-    law = driven.law
-    where = actuators.label(model, law.index)
-    findings = selection.shared_limit(model, driven)
-    if law.delay > 0.0:
-        which = "command delay" if law.commands == FORCE else "setpoint delay"
-        given = float(model.actuator_delay[law.index])
-        advice = f"the drive's {which} is {law.delay:g} s"
-        if abs(law.delay - given) > 1e-9:
-            advice += f", which MuJoCo makes of {given:g} s in whole steps and its buffer"
-        findings.append(Finding(where, DELAY, f"{given:g} s", "ignores it", LIFTED, advice))
-    if law.integrated:
-        findings.append(
-            Finding(
-                where,
-                "dyntype",
-                "integrator",
-                "simulates it",
-                LIFTED,
-                "the drive holds the position setpoint that the integrated control has reached",
-            )  # fmt: skip
-        )
-    if law.viscous > 0.0:
-        findings.append(
-            Finding(
-                where,
-                "biasprm",
-                f"{law.viscous:g} at the joint",
-                "simulates it",
-                EMULATED,
-                "the motor's own damping is added to the joint's",
-            )  # fmt: skip
-        )
-    if law.lag > 0.0:
-        findings.append(_lag_finding(where, law))
-    findings += [
-        Finding(
-            actuators.label(model, partner.index),
-            "kv",
-            f"{partner.kd:g}",
-            "simulates it",
-            LIFTED,
-            f"its damping is part of the drive of {where}",
-        )  # fmt: skip
-        for partner in driven.partners
-    ]
-    return findings
-
-
-def _lag_finding(where: str, law: Law) -> Finding:
-    value = f"filter, {law.lag:g} s"
-    if law.commands != FORCE:
-        return Finding(
-            where, "dyntype", value, "simulates it", HARMLESS,
-            "it smooths the setpoint, outside the loop; the drive follows its setpoint directly",
-        )  # fmt: skip
-    wn, zeta = law.lag_as_loop
-    return Finding(
-        where, "dyntype", value, "simulates it", LIFTED,
-        f"the drive's actuator is wn = {wn:.4g} rad/s, zeta = {zeta:.4g} unless given otherwise",
-    )  # fmt: skip
 
 
 def _digest(model: mujoco.MjModel) -> str:

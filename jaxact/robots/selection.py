@@ -143,8 +143,8 @@ def _adds_damping(position: Law, velocity: Law) -> bool:
 def joint_limits(model: mujoco.MjModel, driven: Driven) -> tuple[float, float]:
     """Limits that the joint itself sets for its actuators (`actuatorfrcrange`), +-inf if none.
 
-    They stay in the model as well. Where other actuators or gravity compensation share them with
-    the drive, they are not the drive's own, and only the model's.
+    They become the drive's, as the actuator's own do, and leave the model. Where other actuators or
+    gravity compensation share them with the drive, they are only the model's.
     """
     joint = driven.law.joint
     if not model.jnt_actfrclimited[joint] or shares(model, driven):

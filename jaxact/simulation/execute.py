@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -17,7 +17,8 @@ import numpy as np
 
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
-from jaxact.simulation import kernel, plans, spectra, tiles
+from jaxact.parameters import CONTROL_RATE
+from jaxact.simulation import kernel, longer_runs, plans, spectra, tiles
 from jaxact.simulation.growth.rate import TOLERANCE
 from jaxact.simulation.metrics import Metrics
 from jaxact.simulation.spectra import Rates
@@ -25,6 +26,8 @@ from jaxact.status import Verdict
 
 # A perturbation that grows this often by a factor of e has overflowed in single precision.
 _OVERFLOW = 44.0
+# Metrics that only a step has.
+_OF_STEP = ("overshoot", "rise_time", "settling_time")
 # Lives that are told apart.
 _STEPS = 256
 
@@ -37,11 +40,19 @@ class _Batch:
         order: in which its samples are computed.
         rates: of its samples.
         metrics: in that order; not waited for.
+        longer: which samples run longer than they would alone; None: none.
+        duration: that they were to run for [s].
+        calm: as for `jaxact.simulation.longer_runs.within`.
+        stepped: whether their setpoints stay where they step to.
     """
 
     order: slice | np.ndarray
     rates: Rates
     metrics: Metrics
+    longer: np.ndarray | None = None
+    duration: float = 0.0
+    calm: bool = True
+    stepped: bool = True
 
 
 @dataclass(frozen=True)
@@ -79,11 +90,34 @@ def _simulated(
     with _precision(specification):
         if not plan.case.engine.in_jax:
             found = _outside(plan, specification, samples, numbers, rates.growth)
-            return _Batch(slice(None), rates, found)
+            return _Batch(slice(None), rates, found, stepped=plans.steps_only(specification))
         order = _by_life(plan, rates.growth)
         growth = rates.growth[order]
         inputs, static = _inputs(plan, specification, samples, numbers[order], growth)
-        return _Batch(order, rates, tiles.run(*inputs, **static))
+        found = _Batch(
+            order, rates, tiles.run(*inputs, **static), stepped=plans.steps_only(specification)
+        )
+    return _limited(found, plan, specification, samples, numbers)
+
+
+def _limited(
+    found: _Batch,
+    plan: plans.Plan,
+    specification: Specification,
+    samples: Samples,
+    numbers: np.ndarray,
+) -> _Batch:
+    """The batch with which of its samples run longer than the duration."""
+    case = plan.case
+    if not case.masked:
+        return found
+    rates = samples.take(numbers, {CONTROL_RATE})[CONTROL_RATE]
+    longer = longer_runs.ran_longer(rates, case.duration, case.rollout.ticks)
+    if not longer.any():
+        return found
+    moved = specification.push is not None or not found.stepped
+    calm = not moved and not case.drive.random
+    return replace(found, longer=longer, duration=case.duration, calm=calm)
 
 
 def prepare(
@@ -163,7 +197,14 @@ def _rows(batch: _Batch) -> dict[str, np.ndarray]:
     names = Metrics.__dataclass_fields__
     rows = {name: np.asarray(getattr(batch.metrics, name)).reshape(-1) for name in names}
     rows = {name: _reordered(row, batch.order) for name, row in rows.items()}
-    return with_rates(rows, batch.rates)
+    if batch.longer is not None:
+        rows = longer_runs.within(rows, batch.longer, batch.duration, calm=batch.calm)
+    return with_rates(rows if batch.stepped else without_step(rows), batch.rates)
+
+
+def without_step(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Metrics of loops whose setpoints move on: there is no step that they could be those of."""
+    return rows | {name: np.full_like(rows[name], np.nan) for name in _OF_STEP}
 
 
 def with_rates(rows: dict[str, np.ndarray], rates: Rates) -> dict[str, np.ndarray]:

@@ -49,6 +49,10 @@ _USUAL_RATE = 1000.0
 
 _STEP = Motion(kind="step")
 
+# Control rates of a built-in plant that are each simulated by a kernel of their own: compiling one
+# takes seconds.
+_MOST_RATES = 8
+
 # A control period may miss a whole number of physics steps by rounding only.
 _ROUNDING = 1e-6
 
@@ -173,18 +177,24 @@ def _refuse_deadlock(specification: Specification) -> None:
 
 
 def groups(
-    specification: Specification, samples: Samples, *, together: int | None = None
+    specification: Specification,
+    samples: Samples,
+    *,
+    together: int | None = None,
+    refined: bool = False,
 ) -> list[Plan]:
     """How the groups of samples that one compiled kernel serves each are computed.
 
-    Samples whose control periods hold different numbers of physics steps are different groups, and
-    a robot's samples of different control rates;
-    usually there is one.
+    Samples of different control rates are different groups, as they run for different numbers of
+    control periods; usually there is one. Where there are many rates, samples of a built-in plant
+    share a group if their control periods hold as many physics steps, and those of its slower rates
+    run longer than the duration, see `jaxact.simulation.longer_runs`.
 
     Args:
         specification: checked.
         samples: expanded from it.
         together: loops that are computed together; None: about a second of work.
+        refined: values between those of the samples will be computed as well.
 
     Raises:
         UserError: a control period is not a multiple of the physics step, there are too few
@@ -196,14 +206,15 @@ def groups(
     steps = substeps(specification, rates, samples.along)
     engine = engines.of(specification)
     # A robot is linearised, and compiled, for its own physics step.
-    kinds = rates if engine.robot else steps
+    apart = engine.robot or _few_rates(specification, rates, refined=refined)
+    kinds = rates if apart else steps
     devices = _devices(specification)
     tile = max(min(engines.tile_size(specification), len(samples)), engines.fewest(engine))
     found = []
     for kind in np.unique(kinds):
         own, count = rates[kinds == kind], steps[kinds == kind][0]
-        apart = own.reshape(-1, *(1,) * len(samples.dims))
-        case = _case(specification, samples.along | {CONTROL_RATE: apart}, int(count))
+        along = samples.along | {CONTROL_RATE: own.reshape(-1, *(1,) * len(samples.dims))}
+        case = _case(specification, along, int(count))
         size = together
         if size is None:
             # Batches of equal size, so that the last one is not mostly filling.
@@ -211,6 +222,19 @@ def groups(
         tiles = max(1, -(-size * own.size // (rates.size * tile * devices)))
         found.append(Plan(case, None if own.size == rates.size else own, tile, tiles, devices))
     return found
+
+
+def _few_rates(specification: Specification, rates: np.ndarray, *, refined: bool) -> bool:
+    """Whether the control rates are so few, and all known, that each has a group of its own."""
+    between = refined and any(
+        axis.name == CONTROL_RATE and axis.listed is None for axis in specification.axes
+    )
+    return not between and np.unique(rates).size <= _MOST_RATES
+
+
+def steps_only(specification: Specification) -> bool:
+    """Whether the setpoints stay where they step to."""
+    return (specification.motion or _STEP).kind == "step"
 
 
 def _case(specification: Specification, values: dict[str, np.ndarray], count: int) -> Case:

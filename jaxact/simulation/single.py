@@ -160,6 +160,8 @@ def each(
             numbers = samples.first + batch
             row, kept, judged = _followed(specification, case, values, rates.growth, numbers)
             rows = {name: np.asarray(getattr(row, name)) for name in _NAMES}
+            if not plans.steps_only(specification):
+                rows = execute.without_step(rows)
             rows = execute.with_rates(rows, rates)
             for place, number in enumerate(batch[:count].tolist()):
                 yield (

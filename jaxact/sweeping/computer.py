@@ -67,7 +67,10 @@ class Computer:
         self._prepared: dict[int, Future[list[Rates]]] = {}
         self._specification = dataclasses.replace(self._work.specification, tile=tile)
         self._groups = plans.groups(
-            self._specification, self._work.outline, together=self._work.together
+            self._specification,
+            self._work.outline,
+            together=self._work.together,
+            refined=self._work.outline is not self._work.samples,
         )
 
     @property

@@ -123,7 +123,7 @@ def _computed(
     """Results of some loops by variable."""
     if of_margins(asked):
         return margins_computer.recomputed(asked, samples, numbers)
-    groups = plans.groups(asked, outline, together=numbers.size)
+    groups = plans.groups(asked, outline, together=numbers.size, refined=outline is not samples)
     return execute.compute(groups, asked, samples, numbers)
 
 

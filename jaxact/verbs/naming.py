@@ -13,6 +13,7 @@ from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.parameters import (
     FEEDFORWARD,
+    GAIN_SCALE,
     KD,
     KP,
     LOOP_DELAYS,
@@ -154,6 +155,9 @@ def in_common(loop: ControlLoop) -> str:
         if _common(own[name]) and (name not in OF_JOINT or own[name][0] != 0.0):
             called = mass_word(loops.unit) if name == MASS else name.replace("_", " ")
             words.append(f"{called} {own[name][0]:g} {of(name, loops.unit).unit}")
+    scale = own[GAIN_SCALE]
+    if _common(scale) and scale[0] != 1.0:
+        words.append(f"gain scale {scale[0]:g}")
     if len(loops) > 1:  # a single one is named by its actuator and its delay
         words += _common_words({name: v[0] for name, v in own.items() if _common(v)})
     cutoff = own[VELOCITY_FILTER]

@@ -14,6 +14,7 @@ from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.parameters import (
     CONTROL_RATE,
+    GAIN_SCALE,
     JOINT_STIFFNESS,
     KD,
     KP,
@@ -82,7 +83,7 @@ def responses(loop: ControlLoop, *, sampled: bool) -> list[LoopResponse]:
 
 def _groups(loops: Loops) -> list[list[int]]:
     """Loops that differ in their control rate only, together: one loop in continuous time."""
-    names = (KP, KD, MASS, WN, ZETA, VELOCITY_FILTER, *OF_JOINT)
+    names = (KP, KD, GAIN_SCALE, MASS, WN, ZETA, VELOCITY_FILTER, *OF_JOINT)
     rows = zip(
         *(loops.values[name] for name in names), conversion.total_delay(loops.values), strict=True
     )
@@ -106,9 +107,10 @@ def _frequencies(loops: Loops) -> np.ndarray:
 
 def _ends(values: Mapping[str, float]) -> tuple[float, float]:
     """From well below the crossover to well above whatever turns the phase [rad/s]."""
-    stiffness = abs(values[KP]) + abs(values[JOINT_STIFFNESS])
+    scale = values[GAIN_SCALE]
+    stiffness = abs(scale * values[KP]) + abs(values[JOINT_STIFFNESS])
     stiff = math.sqrt(stiffness / values[MASS])
-    damped = abs(values[KD]) / values[MASS]
+    damped = abs(scale * values[KD]) / values[MASS]
     delay = conversion.total_delay(values)
     scales = [stiff, damped, 3.0 / delay if delay > 0 else 0.0]
     scales.append(values[WN] if math.isfinite(values[WN]) else 0.0)

@@ -14,6 +14,7 @@ from jaxact.loops.control_loop import ControlLoop, demand
 from jaxact.loops.samples import Samples
 from jaxact.simulation import engines, single
 from jaxact.simulation.clamping import tell_clamped
+from jaxact.simulation.keyframe_velocity import tell_keyframe_velocity
 from jaxact.status import Verdict
 from jaxact.sweeping.variables import VARIABLES
 from jaxact.units import joint_units
@@ -91,6 +92,7 @@ def runs(
         engines.tell_inexact(asked.plant)
     samples = conversion.samples(loop)
     tell_clamped(asked, samples.along)
+    tell_keyframe_velocity(asked)
     return single.simulate_all(asked, samples)
 
 

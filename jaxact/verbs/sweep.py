@@ -25,6 +25,7 @@ from jaxact.loops.specification import Sampling, Specification
 from jaxact.parameters import ALIASES, PARAMETERS, WN, ZETA, canonical, known
 from jaxact.simulation.clamping import tell_clamped
 from jaxact.simulation.engines import tell_inexact
+from jaxact.simulation.keyframe_velocity import tell_keyframe_velocity
 from jaxact.sweeping import execution, location
 from jaxact.verbs import showing
 from jaxact.verbs.sweep_options import Say, computed_by, options, settled
@@ -148,6 +149,7 @@ def sweep(
         tell_inexact(asked.plant)
     if asked.plant is not None:
         tell_clamped(asked, expand(asked).along)
+        tell_keyframe_velocity(asked)
     from jaxact.verbs import results  # with xarray, which is slow to import
 
     by = computed_by(how, workers=workers, address=address, budget=memory, say=say)

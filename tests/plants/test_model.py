@@ -189,6 +189,18 @@ def test_limits_of_the_joint_are_the_drives_where_it_has_them_alone(read):
     assert (joint.force_low, joint.force_high) == (-math.inf, math.inf)
 
 
+def test_a_higher_limit_of_the_drive_replaces_that_of_the_joint(read):
+    """As it does that of the actuator: forces within a given limit act."""
+    text = arm('<motor name="a" joint="hip" gear="2" ctrlrange="-5 5"/>', ctrl="20")
+    robot = read(text.replace('name="hip"', 'name="hip" actuatorfrcrange="-4 4"'), keyframe="home")
+    (joint,) = robot.joints
+    assert (joint.force_low, joint.force_high) == (-4.0, 4.0)
+    unlimited = dataclasses.replace(joint, force_low=-50.0, force_high=50.0)
+    wanted = native(text.replace(' ctrlrange="-5 5"', ""), 50)
+    got = driven(dataclasses.replace(robot, joints=(unlimited,)), 50, force=40.0)
+    np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-11)
+
+
 def test_a_remark_of_the_compiler_is_a_finding_and_no_warning(read):
     text = arm('<motor name="a" joint="hip"/>').replace("<compiler", '<compiler settotalmass="9"')
     robot = read(text)
@@ -275,6 +287,19 @@ def test_a_filter_of_the_force_becomes_a_force_loop_and_one_of_the_setpoint_is_l
     assert math.isnan(servo.joints[0].natural_frequency)
     assert servo.model.na == 0 and servo.act.size == 0
     assert "outside the loop" in servo.findings[-2].advice + servo.findings[-1].advice
+
+
+@pytest.mark.parametrize("limit", ["ctrlrange", "forcerange"])
+def test_a_command_that_is_clamped_before_a_filter_is_said(read, limit):
+    """A `forcerange` acts behind the filter in MuJoCo, too."""
+    filtered = f'dyntype="filterexact" dynprm=".02" gear="10" {limit}="-.3 .3"'
+    robot = read(arm(f'<general name="a" joint="hip" {filtered}/>', act="0"))
+    assert robot.joints[0].force_high == pytest.approx(3.0)
+    said = [item for item in robot.findings if item.field == limit]
+    assert len(said) == (limit == "ctrlrange")
+    if said:
+        assert (said[0].value, said[0].action) == ("-0.3 0.3", "lifted")
+        assert "before the filter" in said[0].advice
 
 
 def test_a_motor_with_damping_of_its_own_gives_it_to_the_joint(read):

@@ -39,8 +39,9 @@ def test_control_rates_may_differ_between_samples():
         if (rate, kp) != (250.0, 200.0):
             continue
         alone = run(text, f"kp=[{kp}]", f"control_rate=[{rate}]")
-        # integrals end with the duration, whatever the fastest rate of the sweep
-        for name in ("integrated_absolute_error", "overshoot", "rms_force"):
+        # all end with the duration, whatever the fastest rate of the sweep
+        for name in ("integrated_absolute_error", "overshoot", "rise_time", "settling_time",
+                     "peak_force", "rms_force"):  # fmt: skip
             np.testing.assert_allclose(got[name][place], alone[name][0], rtol=1e-3, err_msg=name)
 
 
