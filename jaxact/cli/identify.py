@@ -13,6 +13,7 @@ from jaxact import files
 from jaxact.cli import _design, _reports
 from jaxact.cli._design import Bench
 from jaxact.errors import UserError
+from jaxact.parameters import CONTROL_RATE
 
 if TYPE_CHECKING:
     from jaxact.identification.result import Identified
@@ -119,7 +120,7 @@ def main(
     _check_outputs([out] if design else [out, picture], overwrite=overwrite)
     told: dict[str, Any] = {
         "validate": validate, "joint": joint, "groups": groups,
-        "control_rate": control_rate, "loss": loss, "method": method, "bootstrap": bootstrap,
+        CONTROL_RATE: control_rate, "loss": loss, "method": method, "bootstrap": bootstrap,
     }  # fmt: skip
     if design:
         _demand_no_logs({"map": map, "report": report, **told})
