@@ -12,6 +12,7 @@ import functools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -27,6 +28,8 @@ from jaxact.parameters import CONTROL_RATE
 from jaxact.robot_margins import whole_robot
 from jaxact.robots import friction, mounting
 from jaxact.robots.robot import Joint, Robot
+
+Velocity = Literal["sampled", "differenced"]
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,7 @@ def brings_gains(robot: Robot) -> bool:
     )
 
 
-def loop(plant: Plant, drive: Mapping[str, float], velocity: str = "sampled") -> Loop:
+def loop(plant: Plant, drive: Mapping[str, float], velocity: Velocity = "sampled") -> Loop:
     """The loop of the gains that the model brings.
 
     Args:
@@ -132,7 +135,7 @@ def loop(plant: Plant, drive: Mapping[str, float], velocity: str = "sampled") ->
 
 
 def on_stand(
-    plant: Plant, robot: Robot, drive: Mapping[str, float], velocity: str = "sampled"
+    plant: Plant, robot: Robot, drive: Mapping[str, float], velocity: Velocity = "sampled"
 ) -> OnStand:
     """What the gains that the model brings bear.
 

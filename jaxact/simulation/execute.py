@@ -87,17 +87,16 @@ def _simulated(
     rates: Rates,
 ) -> _Batch:
     """A batch that is being simulated; arguments as for `simulate_batch`."""
+    stepped = plans.steps_only(specification)
     with _precision(specification):
         if not plan.case.engine.in_jax:
             found = _outside(plan, specification, samples, numbers, rates.growth)
-            return _Batch(slice(None), rates, found, stepped=plans.steps_only(specification))
+            return _Batch(slice(None), rates, found, stepped=stepped)
         order = _by_life(plan, rates.growth)
         growth = rates.growth[order]
         inputs, static = _inputs(plan, specification, samples, numbers[order], growth)
-        found = _Batch(
-            order, rates, tiles.run(*inputs, **static), stepped=plans.steps_only(specification)
-        )
-    return _limited(found, plan, specification, samples, numbers)
+        batch = _Batch(order, rates, tiles.run(*inputs, **static), stepped=stepped)
+    return _limited(batch, plan, specification, samples, numbers)
 
 
 def _limited(

@@ -22,7 +22,8 @@ def amid(specification: Specification, box: Box) -> dict[str, float]:
         UserError: a range leaves out a value given, so that its certificate is not of this robot,
             or matches no joint.
     """
-    given, defaults = {}, {}
+    given: dict[str, float] = {}
+    defaults: dict[str, float] = {}
     for one in box.ranges:
         values = _values(specification, one)
         beyond = np.maximum(one.low - values, values - one.high)
