@@ -91,3 +91,18 @@ def test_a_loop_with_a_velocity_has_been_seen_to_come_whatever_simulates_it(engi
 def test_an_engine_that_cannot_is_refused():
     with pytest.raises(UserError, match="is for robots"):
         jx.simulate(jx.joint(), engine="mujoco")
+
+
+@pytest.mark.exhaustive
+def test_a_setpoint_that_moves_is_no_step(tmp_path):
+    """Alone and in a sweep: nothing is said against a step that nobody asked for."""
+    (tmp_path / "arm.xml").write_text(PENDULUM)
+    how = {"duration": 0.1, "engine": "mujoco"}
+    loop = jx.robot(
+        tmp_path / "arm.xml", keyframe="home", motion={"kind": "sine", "frequency": 5.0}
+    )
+    alone = jx.simulate(loop, setpoint=0.01, **how)
+    grid = jx.sweep(loop, setpoint=[0.005, 0.01], progress=False, **how)
+    for name in ("overshoot", "rise_time", "settling_time"):
+        assert np.isnan(alone[name].values).all() and np.isnan(grid[name].values).all()
+    assert float(grid.peak_force[1]) == pytest.approx(float(alone.peak_force), rel=1e-5)
