@@ -91,8 +91,12 @@ class Actuators:
     def _input(self, model: Any, numeric: Any) -> tuple[Any, Any]:
         """Gain g and bias b0 of what a control u asks for, g u + b0."""
         gain, bias = model.actuator_gainprm[self.indices, 0], model.actuator_biasprm[self.indices]
-        gain = numeric.where(self.pids, -bias[:, 1], gain)
-        return gain, numeric.where(self.biased, bias[:, 0], 0.0)
+        offset = bias[:, 0]
+        if self.pids.any():
+            gain = numeric.where(self.pids, -bias[:, 1], gain)
+        if not self.biased.all():
+            offset = numeric.where(self.biased, offset, 0.0)
+        return gain, offset
 
     def _accepted(self, model: Any, numeric: Any) -> tuple[Any, Any]:
         """Range that MuJoCo clamps the controls to, +-inf where there is none."""
