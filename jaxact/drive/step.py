@@ -373,8 +373,9 @@ def actuate(
         motion = None if span.joint is None else _joint.motion(span.joint, *inputs)
         if options.unlimited:
             return pair, motion, None
-        held = options, actuator, span, inputs, state.applied, velocity, resistance, motion
-        return _limiting.held(*held)
+        return _limiting.held(
+            options, actuator, span, inputs, state.applied, velocity, resistance, motion
+        )
 
     (mean, moment), motion, end = over(response)
     partial = partial_motion = None

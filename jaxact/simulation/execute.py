@@ -96,10 +96,10 @@ def _simulated(
         growth = rates.growth[order]
         inputs, static = _inputs(plan, specification, samples, numbers[order], growth)
         batch = _Batch(order, rates, tiles.run(*inputs, **static), stepped=stepped)
-    return _limited(batch, plan, specification, samples, numbers)
+    return _longer_told(batch, plan, specification, samples, numbers)
 
 
-def _limited(
+def _longer_told(
     found: _Batch,
     plan: plans.Plan,
     specification: Specification,

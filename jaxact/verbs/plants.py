@@ -35,7 +35,7 @@ def nominal_of(loop: ControlLoop, sampled: bool) -> Ensemble:
                     measurement_delay=own[MEASUREMENT_DELAY])  # fmt: skip
 
 
-def demand_prompt(loops: ControlLoop) -> None:
+def demand_at_once(loops: ControlLoop) -> None:
     """Setpoints that arrive at once, of loops whose time is simulated.
 
     Raises:
@@ -65,7 +65,7 @@ def drawn_of(loops: ControlLoop, loop: ControlLoop, sampling: Sampling, *, timed
     every = loops.broadcast().parameters
     own = {name: np.ravel(np.asarray(value, float)) for name, value in every.items()}
     if timed:
-        demand_prompt(loops)
+        demand_at_once(loops)
     _demand_alike(loops, loop, sampling)
     if timed and np.any(own[MEASUREMENT_DELAY] != float(loop.parameters[MEASUREMENT_DELAY])):
         raise UserError(

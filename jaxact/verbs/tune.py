@@ -36,7 +36,7 @@ from jaxact.tuning.optimise import Descent
 from jaxact.tuning.result import Tuned
 from jaxact.verbs import notebook, showing
 from jaxact.verbs.goals import check_options, check_uncertain, goal_of, ranges_of
-from jaxact.verbs.plants import demand_prompt, drawn_of, nominal_of
+from jaxact.verbs.plants import demand_at_once, drawn_of, nominal_of
 
 if TYPE_CHECKING:
     from jaxact.loops.specification import Specification
@@ -215,7 +215,7 @@ def _of_joint(
 ) -> Tuned:
     conversion.linear_specification(loop)  # what does not fit is said here
     if goal.metric in TIMED:
-        demand_prompt(loop)
+        demand_at_once(loop)
     sampled = CONTROL_RATE in loop.values if sampled is None else sampled
     nominal = nominal_of(loop, sampled)
     start = _start_of_joint(loop)

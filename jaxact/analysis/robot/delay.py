@@ -55,10 +55,8 @@ def delay_borne(robot: Robot) -> DelayBorne:
     topples = bool(np.any(growing & ~swinging))
     radius = float(np.max(np.abs(loop.roots), initial=0.0))
     growth = math.log(radius) / robot.period if radius > 0.0 else -math.inf
-    rates = (
-        growth,
-        *(_modes.fastest(loop.roots, robot.period, swing=one) for one in (True, False)),
-    )
+    swings = _modes.fastest(loop.roots, robot.period, swing=True)
+    rates = growth, swings, _modes.fastest(loop.roots, robot.period, swing=False)
     shaking = _modes.largest(loop, growing & swinging)
     if shaking is not None:
         mode = _modes.mode(robot, loop, shaking)

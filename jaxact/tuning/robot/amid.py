@@ -25,14 +25,14 @@ def amid(specification: Specification, box: Box) -> dict[str, float]:
     given: dict[str, float] = {}
     defaults: dict[str, float] = {}
     for one in box.ranges:
-        values = _values(specification, one)
+        values = values_of(specification, one)
         beyond = np.maximum(one.low - values, values - one.high)
         known = given if _is_given(specification, one) else defaults
         known[one.name] = float(values[np.argmax(beyond)])
     return inside(box, given, defaults)
 
 
-def _values(specification: Specification, one: Range) -> np.ndarray:
+def values_of(specification: Specification, one: Range) -> np.ndarray:
     """What the joints have that the range is of, or the robot, shape (n,)."""
     assert specification.plant is not None
     scene, nominal = robots.scene(specification.plant), specification.nominal

@@ -35,6 +35,7 @@ from jaxact.parameters import base
 from jaxact.simulation import changed_models, kernel, mujoco_batch, plans, robot_loop
 from jaxact.simulation.kernel import Case
 from jaxact.tuning.box import KNOWN, Box
+from jaxact.tuning.robot.amid import values_of
 
 OF_BODY = (
     parameters.PAYLOAD, parameters.INERTIA_SCALE, parameters.JOINT_DAMPING,
@@ -249,16 +250,11 @@ def _ends(
     assert specification.plant is not None
     scene, nominal = robots.scene(specification.plant), specification.nominal
     brought = robots.brought(scene)
-    masks = {key: robots.matched(scene, key) for key in nominal if "@" in key}
     rows: list[tuple[str, int, float, float]] = []
     for place, one in enumerate(box.ranges):
         own = {k: v for k, v in nominal.items() if base(k) == one.name}
         if "@" in one.name:
-            with jax.enable_x64(True):
-                given = {key: np.float64(value) for key, value in nominal.items()}
-                each = robots.each_joint(given, brought, masks)[base(one.name)]
-            joints = robots.matched(scene, one.name)
-            values = np.broadcast_to(np.asarray(each), joints.shape)[joints]
+            values = values_of(specification, one)
             if one.factor and (values != values[0]).any():
                 raise UserError(f"`uncertainty` {one.name}: these joints differ in it; name fewer")
             own = {one.name: float(values[0])}
