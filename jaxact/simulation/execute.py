@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -18,9 +18,10 @@ import numpy as np
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.parameters import CONTROL_RATE
-from jaxact.simulation import kernel, longer_runs, plans, spectra, tiles
+from jaxact.simulation import kernel, plans, spectra, tiles
 from jaxact.simulation.growth.rate import TOLERANCE
 from jaxact.simulation.metrics import Metrics
+from jaxact.simulation.rollout import whole_ticks
 from jaxact.simulation.spectra import Rates
 from jaxact.status import Verdict
 
@@ -40,18 +41,12 @@ class _Batch:
         order: in which its samples are computed.
         rates: of its samples.
         metrics: in that order; not waited for.
-        longer: which samples run longer than they would alone; None: none.
-        duration: that they were to run for [s].
-        calm: as for `jaxact.simulation.longer_runs.within`.
         stepped: whether their setpoints stay where they step to.
     """
 
     order: slice | np.ndarray
     rates: Rates
     metrics: Metrics
-    longer: np.ndarray | None = None
-    duration: float = 0.0
-    calm: bool = True
     stepped: bool = True
 
 
@@ -92,31 +87,18 @@ def _simulated(
         if not plan.case.engine.in_jax:
             found = _outside(plan, specification, samples, numbers, rates.growth)
             return _Batch(slice(None), rates, found, stepped=stepped)
-        order = _by_life(plan, rates.growth)
+        order = _by_life(plan, rates.growth, _own_ticks(plan, samples, numbers))
         growth = rates.growth[order]
         inputs, static = _inputs(plan, specification, samples, numbers[order], growth)
-        batch = _Batch(order, rates, tiles.run(*inputs, **static), stepped=stepped)
-    return _longer_told(batch, plan, specification, samples, numbers)
+        return _Batch(order, rates, tiles.run(*inputs, **static), stepped=stepped)
 
 
-def _longer_told(
-    found: _Batch,
-    plan: plans.Plan,
-    specification: Specification,
-    samples: Samples,
-    numbers: np.ndarray,
-) -> _Batch:
-    """The batch with which of its samples run longer than the duration."""
-    case = plan.case
-    if not case.masked:
-        return found
+def _own_ticks(plan: plans.Plan, samples: Samples, numbers: np.ndarray) -> np.ndarray | None:
+    """Ticks of each of some samples, shape (n,); None where all have those of the plan."""
+    if not plan.case.rollout.several:
+        return None
     rates = samples.take(numbers, {CONTROL_RATE})[CONTROL_RATE]
-    longer = longer_runs.ran_longer(rates, case.duration, case.rollout.ticks)
-    if not longer.any():
-        return found
-    moved = specification.push is not None or not found.stepped
-    calm = not moved and not case.drive.random
-    return replace(found, longer=longer, duration=case.duration, calm=calm)
+    return whole_ticks(plan.case.duration, 1.0 / rates)
 
 
 def prepare(
@@ -152,6 +134,9 @@ def _inputs(
     shared, values = tiles.tiled(plan, samples, numbers, dtype)
     setting, push = kernel.split_push(specification.setting, dtype)
     shape = values[tiles.NEVER_SHARED].shape
+    own = _own_ticks(plan, samples, numbers)
+    if own is not None:
+        values |= {kernel.OWN_TICKS: own.reshape(shape).astype(np.int32)}
     inputs = (
         {**shared, **push},
         values,
@@ -162,14 +147,18 @@ def _inputs(
     return inputs, tiles.static(plan, "metrics", plan.case, setting)
 
 
-def _by_life(plan: plans.Plan, growth: np.ndarray) -> slice | np.ndarray:
-    """An order in which loops that diverge early share tiles, which then end early.
+def _by_life(
+    plan: plans.Plan, growth: np.ndarray, own_ticks: np.ndarray | None
+) -> slice | np.ndarray:
+    """An order in which loops that are over early share tiles, which then end early.
 
     Which loops share a tile changes no result.
     """
     with np.errstate(divide="ignore"):
         life = _OVERFLOW / np.maximum(np.nan_to_num(growth), 0.0)
     share = np.minimum(life / plan.case.duration, 1.0)
+    if own_ticks is not None:
+        share *= own_ticks / plan.case.rollout.ticks
     if not plan.case.rollout.stops or share.min() == 1.0:
         return slice(None)
     # Of small whole numbers NumPy sorts millions in no time.
@@ -196,8 +185,6 @@ def _rows(batch: _Batch) -> dict[str, np.ndarray]:
     names = Metrics.__dataclass_fields__
     rows = {name: np.asarray(getattr(batch.metrics, name)).reshape(-1) for name in names}
     rows = {name: _reordered(row, batch.order) for name, row in rows.items()}
-    if batch.longer is not None:
-        rows = longer_runs.within(rows, batch.longer, batch.duration, calm=batch.calm)
     return with_rates(rows if batch.stepped else without_step(rows), batch.rates)
 
 

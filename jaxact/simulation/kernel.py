@@ -52,6 +52,7 @@ from jaxact.simulation.verdicts import Judgement
 Values = Mapping[str, Any]
 
 PUSH = "push"  # the parameter that `split_push` makes of one
+OWN_TICKS = "own_ticks"  # that of a loop whose number of ticks is its own
 
 
 @dataclass(frozen=True)
@@ -62,8 +63,8 @@ class Case:
         engine: what simulates it.
         drive: static options of the drive.
         rollout: static options of the rollout.
-        masked: some samples run longer than the duration, because control rates differ or because
-            ticks are rounded up to whole segments, and their integrals stop before the end.
+        masked: some samples run longer than the duration, because ticks are rounded up to whole
+            segments, and their integrals stop before the end.
         duration: simulated time [s].
         model: digest of the compiled model, empty for the built-in one: a file edited since then
             is another model.
@@ -291,10 +292,8 @@ def _at_rest(
 
 
 def transition(case: Case, template: Template, values: Values) -> jax.Array:
-    """What a block of periods does to one sample's perturbation, see
-    `jaxact.simulation.growth.rate.transition`.
-
-    `case` from `linear_part`.
+    """What a block of periods does to one sample's perturbation, as
+    `jaxact.simulation.growth.rate.transition`; `case` from `linear_part`.
     """
     prepared, state, setpoint = start(case, template, values)
     return _growth.transition(prepared, case.drive, state, setpoint, case.growth)
@@ -352,6 +351,7 @@ def metrics(
         key,
         growth_rate=growth_rate,
         active_ticks=active_ticks(case, values),
+        own_ticks=values.get(OWN_TICKS),
         setpoints=setpoints(template, values, case.rollout.ticks),
         rest_amplitude=rest,
         rubs=rubs,
@@ -378,7 +378,7 @@ def other_starts(
         prepared, state, setpoint = begun(case, template, {**values, **given}, drive)
         loop = prepared, case.drive, case.rollout, state, setpoint, key
         told = {"growth_rate": growth_rate, "rest_amplitude": rest, "rubs": rubs}
-        return _rollout.judged(*loop, **told, bases=template.bases)
+        return _rollout.judged(*loop, **told, own_ticks=values.get(OWN_TICKS), bases=template.bases)
 
     friction, rubs = _starts.friction(template), _starts.rubs(template, values)
     if _starts.LINEAR in case.starts:

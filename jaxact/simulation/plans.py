@@ -182,23 +182,26 @@ def groups(
     *,
     together: int | None = None,
     refined: bool = False,
+    alone: bool = False,
 ) -> list[Plan]:
     """How the groups of samples that one compiled kernel serves each are computed.
 
     Samples of different control rates are different groups, as they run for different numbers of
     control periods; usually there is one. Where there are many rates, samples of a built-in plant
-    share a group if their control periods hold as many physics steps, and those of its slower rates
-    run longer than the duration, see `jaxact.simulation.longer_runs`.
+    share a group if their control periods hold as many physics steps, each with its own number of
+    ticks, see `jaxact.simulation.own_ticks`.
 
     Args:
         specification: checked.
         samples: expanded from it.
         together: loops that are computed together; None: about a second of work.
         refined: values between those of the samples will be computed as well.
+        alone: every control rate has a group of its own, however many there are.
 
     Raises:
         UserError: a control period is not a multiple of the physics step, there are too few
-            devices, or this version of JAX could hang.
+            devices, this version of JAX could hang, or no group has the control rates that are
+            refined.
     """
     specification = engines.resolved(specification)
     _refuse_deadlock(specification)
@@ -206,8 +209,14 @@ def groups(
     steps = substeps(specification, rates, samples.along)
     engine = engines.of(specification)
     # A robot is linearised, and compiled, for its own physics step.
-    apart = engine.robot or _few_rates(specification, rates, refined=refined)
-    kinds = rates if apart else steps
+    between = refined and _refines_rates(specification)
+    few = not between and np.unique(rates).size <= _MOST_RATES
+    kinds = rates if alone or engine.robot or few else steps
+    if between and np.unique(kinds).size > 1:
+        raise UserError(
+            "adaptive: loops of different control rates have other physics steps here, so that "
+            "the rates between them cannot be refined; give `control_rate` as a list"
+        )
     devices = _devices(specification)
     tile = max(min(engines.tile_size(specification), len(samples)), engines.fewest(engine))
     found = []
@@ -224,12 +233,8 @@ def groups(
     return found
 
 
-def _few_rates(specification: Specification, rates: np.ndarray, *, refined: bool) -> bool:
-    """Whether the control rates are so few, and all known, that each has a group of its own."""
-    between = refined and any(
-        axis.name == CONTROL_RATE and axis.listed is None for axis in specification.axes
-    )
-    return not between and np.unique(rates).size <= _MOST_RATES
+def _refines_rates(specification: Specification) -> bool:
+    return any(axis.name == CONTROL_RATE and axis.listed is None for axis in specification.axes)
 
 
 def steps_only(specification: Specification) -> bool:
@@ -251,7 +256,8 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
     on_cpu = jax.default_backend() == "cpu"
     if engine.exact and on_cpu:
         options = replace(options, staged=True)
-    ticks = _rollout.whole_ticks(specification.duration, 1.0 / fastest)
+    each = _rollout.whole_ticks(specification.duration, 1.0 / np.asarray(rates))
+    ticks = int(each.max())
     varied = {base(axis.name) for axis in specification.axes}
     varied |= {base(name) for name in specification.parameters}
     changed = varied if engine.robot else set(own_motion(values))
@@ -266,6 +272,7 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
         drive=options,
         rollout=RolloutOptions(
             ticks=ticks,
+            several=bool(each.min() < ticks),
             unroll=(_UNROLL if on_cpu else _UNROLL_ON_GPU) if engine.exact else 1,
             linear_plant=not engine.robot,
             stops=engine.in_jax,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxact.drive import sensor as _sensor
 from jaxact.drive.controller import Setpoint
@@ -21,6 +22,7 @@ from jaxact.loops.loop import LoopState, Output, Prepared
 from jaxact.robots.base import Base
 from jaxact.simulation import envelope as _envelope
 from jaxact.simulation import metrics as _metrics
+from jaxact.simulation import own_ticks as _own_ticks
 from jaxact.simulation import scales as _scales
 from jaxact.simulation import stopping
 from jaxact.simulation.envelope import Envelope
@@ -40,6 +42,7 @@ class RolloutOptions:
 
     Attributes:
         ticks: control periods; a multiple of `jaxact.simulation.metrics.SEGMENTS`.
+        several: loops that are computed together have numbers of them of their own, up to `ticks`.
         unroll: largest number of control periods in one iteration of the compiled loop.
         linear_plant: whether the plant is linear, so that a linear drive makes a linear loop.
         stops: end early where no loop of a batch has finite metrics any more; it changes no result
@@ -50,12 +53,18 @@ class RolloutOptions:
     unroll: int = 1
     linear_plant: bool = True
     stops: bool = False
+    several: bool = False
 
 
-def whole_ticks(duration: float, control_period: float) -> int:
-    """Smallest number of ticks that covers a duration [s] and can be cut into segments."""
-    segment = duration / control_period / SEGMENTS
-    return SEGMENTS * max(1, int(-(-(segment - 1e-9) // 1)))
+def whole_ticks(duration: float, control_period: np.ndarray | float) -> np.ndarray:
+    """Smallest numbers of ticks that cover a duration [s] and can be cut into segments.
+
+    Args:
+        duration: to be covered [s].
+        control_period: [s], any shape.
+    """
+    segment = np.ceil(duration / np.asarray(control_period) / SEGMENTS - 1e-9)
+    return SEGMENTS * np.maximum(segment, 1.0).astype(int)
 
 
 def period_of(
@@ -81,6 +90,7 @@ def run(
     key: jax.Array | None = None,
     *,
     active_ticks: jax.Array | None = None,
+    own_ticks: jax.Array | None = None,
     setpoints: Setpoint | None = None,
 ) -> tuple[LoopState, Running, Envelope]:
     """Simulate a loop and accumulate its metrics.
@@ -93,6 +103,8 @@ def run(
         setpoint: constant; the response is measured as a step from the present position.
         key: of this sample; needed only where `options.random`.
         active_ticks: integrals stop after this many ticks; None for all.
+        own_ticks: after which the loop is over, a multiple of the number of segments, shape ();
+            None: all. Only where `rollout.several`, and of a constant setpoint.
         setpoints: one for every tick instead, leaves of shape (ticks, joints); errors are measured
             against them, the rest against the constant one.
 
@@ -120,6 +132,12 @@ def run(
         state, (output, _) = _loop.step(prepared, options, state, wanted, draws)
         passed = period_of(output, reference, number, given, active_ticks)
         return _loop.stage(options, state), passed
+
+    if rollout.several:
+        return _own_ticks.run(
+            lambda state, number: tick(state, (number, None)), state, start, own_ticks,
+            rollout.unroll,
+        )  # fmt: skip
 
     def ticks(carry, inputs):
         state, running, envelope = carry
@@ -163,6 +181,7 @@ def evaluate(
     *,
     growth_rate: jax.Array | None = None,
     active_ticks: jax.Array | None = None,
+    own_ticks: jax.Array | None = None,
     growth: GrowthOptions | None = None,
     setpoints: Setpoint | None = None,
     rest_amplitude: jax.Array | float = 0.0,
@@ -173,7 +192,8 @@ def evaluate(
     """Metrics of a step response, verdict and growth rate included.
 
     Args:
-        prepared, options, rollout, state, setpoint, key, active_ticks, setpoints: as for `run`.
+        prepared, options, rollout, state, setpoint, key, active_ticks, own_ticks, setpoints: as for
+            `run`.
         rest_amplitude: a motion smaller than this counts as at rest [m or rad], shape (joints,).
         rubs: whether dry friction acts in the robot, shape ().
         others: from `judged`, of other starts of the same loop, shape (starts, joints).
@@ -189,21 +209,22 @@ def evaluate(
     start, _ = prepared.plant.measure(state.plant)
     end, running, envelopes = run(
         prepared, options, rollout, state, setpoint, key,
-        active_ticks=active_ticks, setpoints=setpoints,
+        active_ticks=active_ticks, own_ticks=own_ticks, setpoints=setpoints,
     )  # fmt: skip
     reference = _metrics.reference(start, setpoint.position)
     period = prepared.drive.drive.control_period
+    ticks = rollout.ticks if own_ticks is None else own_ticks
     if setpoints is None:
         last = prepared.plant.measure(end.plant)
-        running = staying(running, reference, period, rollout.ticks, last)
+        running = staying(running, reference, period, ticks, last)
     found, _ = _metrics.finish(
         running,
         envelopes,
         reference,
         growth_rate,
         period=period,
-        ticks=rollout.ticks,
-        counted=rollout.ticks if active_ticks is None else active_ticks,
+        ticks=ticks,
+        counted=ticks if active_ticks is None else active_ticks,
         scale=scale_of(prepared, options, rollout.linear_plant, reference, rest_amplitude, rubs),
         others=others,
         fell=fall(bases, state.plant, end.plant, told=setpoints is not None),
@@ -238,13 +259,15 @@ def judged(
     key: jax.Array | None = None,
     *,
     growth_rate: jax.Array,
+    own_ticks: jax.Array | None = None,
     rest_amplitude: jax.Array | float = 0.0,
     rubs: jax.Array | bool = False,
     bases: tuple[Base, ...] = (),
 ) -> Judgement:
     """What comes of one start, for `others` of `evaluate`; arguments as there, (joints,)."""
     start, _ = prepared.plant.measure(state.plant)
-    end, running, envelopes = run(prepared, options, rollout, state, setpoint, key)
+    loop = prepared, options, rollout, state, setpoint, key
+    end, running, envelopes = run(*loop, own_ticks=own_ticks)
     reference = _metrics.reference(start, setpoint.position)
     return _metrics.judge(
         running,
@@ -252,7 +275,7 @@ def judged(
         reference,
         growth_rate,
         period=prepared.drive.drive.control_period,
-        ticks=rollout.ticks,
+        ticks=rollout.ticks if own_ticks is None else own_ticks,
         scale=scale_of(prepared, options, rollout.linear_plant, reference, rest_amplitude, rubs),
         fell=fall(bases, state.plant, end.plant),
     )

@@ -129,7 +129,8 @@ def simulate_all(specification: Specification, samples: Samples) -> list[Single]
 
 
 def _groups(specification: Specification, samples: Samples) -> list[plans.Plan]:
-    return plans.groups(dataclasses.replace(specification, devices=1, tile=None), samples)
+    one = dataclasses.replace(specification, devices=1, tile=None)
+    return plans.groups(one, samples, alone=True)
 
 
 def each(

@@ -71,3 +71,26 @@ def until_lost(over: Callable, carry: Any, inputs: Any) -> tuple[Any, None]:
         return place + 1, carry
 
     return jax.lax.while_loop(going, go, (jnp.int32(0), carry))[1], None
+
+
+def until_over(over: Callable, carry: Any, ticks: jax.Array, together: int) -> Any:
+    """The carry once each loop of the batch has made its own ticks, or is lost.
+
+    Args:
+        over: some ticks, (carry, number of the first) -> (carry, None).
+        carry: as for `until_lost`.
+        ticks: of this loop, shape ().
+        together: static; ticks that `over` makes.
+    """
+    span = together * _STRETCH
+
+    def going(at):
+        first, (_, running, _) = at
+        return _anywhere((first < ticks) & jnp.isfinite(running.squared_error))
+
+    def go(at):
+        first, carry = at
+        firsts = first + together * jnp.arange(_STRETCH, dtype=jnp.int32)
+        return first + span, jax.lax.scan(over, carry, firsts)[0]
+
+    return jax.lax.while_loop(going, go, (jnp.int32(0), carry))[1]

@@ -143,7 +143,10 @@ def refine(
         UserError: as `jaxact.sweeping.fill.fill`, and where the border is so ragged that more loops
             would be needed than a sweep may have.
     """
+    from jaxact.simulation import plans
+
     grid = lattice(specification, width)
+    plans.groups(specification, samples, refined=True)  # refuses what it cannot refine
     rounds, target = folder.inside(ROUNDS), folder.inside(_store.STORE)
     planned = _round_plan(how.planner(specification, samples), samples)
     source = _source(target, rounds, specification, planned, width) if how.resume else None
