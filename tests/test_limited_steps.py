@@ -41,7 +41,7 @@ def test_a_step_that_is_given_is_kept():
 
 
 def test_the_finest_step_that_a_loop_of_a_control_rate_needs_is_that_of_all():
-    assert steps(LINE, "control_rate = [100, 1000]\nmass = [0.7, 7.0]") == [32, 4]
+    assert steps(LINE, "control_rate = [100, 1000]\nmass = [0.7, 7.0]") == [4, 32]
     rates = np.array([100.0, 1000.0])
     asked = parse(f"duration = 0.5\n[parameters]\n{LINE}[axes]\ncontrol_rate = [100, 1000]")
     assert plans.substeps(asked, rates, expand(asked).along).tolist() == [32, 4]

@@ -49,10 +49,6 @@ _USUAL_RATE = 1000.0
 
 _STEP = Motion(kind="step")
 
-# Control rates of a built-in plant that are each simulated by a kernel of their own: compiling one
-# takes seconds.
-_MOST_RATES = 8
-
 # A control period may miss a whole number of physics steps by rounding only.
 _ROUNDING = 1e-6
 
@@ -186,17 +182,16 @@ def groups(
 ) -> list[Plan]:
     """How the groups of samples that one compiled kernel serves each are computed.
 
-    Samples of different control rates are different groups, as they run for different numbers of
-    control periods; usually there is one. Where there are many rates, samples of a built-in plant
-    share a group if their control periods hold as many physics steps, each with its own number of
-    ticks, see `jaxact.simulation.own_ticks`.
+    Usually there is one. Samples of a built-in plant share it if their control periods hold as many
+    physics steps, each with its own number of ticks, see `jaxact.simulation.own_ticks`; a robot is
+    linearised, and compiled, for its own physics step, so that every control rate is a group.
 
     Args:
         specification: checked.
         samples: expanded from it.
         together: loops that are computed together; None: about a second of work.
         refined: values between those of the samples will be computed as well.
-        alone: every control rate has a group of its own, however many there are.
+        alone: every control rate has a group of its own, whatever the plant.
 
     Raises:
         UserError: a control period is not a multiple of the physics step, there are too few
@@ -208,11 +203,8 @@ def groups(
     rates = samples.along[CONTROL_RATE].ravel()
     steps = substeps(specification, rates, samples.along)
     engine = engines.of(specification)
-    # A robot is linearised, and compiled, for its own physics step.
-    between = refined and _refines_rates(specification)
-    few = not between and np.unique(rates).size <= _MOST_RATES
-    kinds = rates if alone or engine.robot or few else steps
-    if between and np.unique(kinds).size > 1:
+    kinds = rates if alone or engine.robot else steps
+    if refined and _refines_rates(specification) and np.unique(kinds).size > 1:
         raise UserError(
             "adaptive: loops of different control rates have other physics steps here, so that "
             "the rates between them cannot be refined; give `control_rate` as a list"

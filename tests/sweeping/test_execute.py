@@ -60,7 +60,7 @@ def test_physics_steps_group_the_samples():
     asked = reading.parse(text)
     samples = expand(asked)
     groups = plans.groups(asked, samples)
-    assert [plan.case.drive.substeps for plan in groups] == [4, 2]
+    assert [plan.case.drive.substeps for plan in groups] == [2, 4]
     got = execute.run(asked, samples)
     for place, (rate, kp) in enumerate(((500, 200), (500, 400), (1000, 200), (1000, 400))):
         want = exact_growth_rate([kp], [20.0], 0.7, 800.0, 0.45, 0.0, period=1 / rate)[0]

@@ -20,7 +20,7 @@ precision = "float64"
 kp = [200, 400]
 control_rate = {rates}
 """
-# More than get a kernel each. Half a second of 88.8 Hz is 44.4 periods, and 48 in whole segments.
+# Half a second of 88.8 Hz is 44.4 periods, and 48 in whole segments.
 _RATES = np.array([88.8, 100, 128, 160, 200, 256, 320, 400, 500, 640, 800, 1000])
 
 
@@ -33,31 +33,30 @@ def _groups(rates, **how):
     return plans.groups(asked, expand(asked), **how)
 
 
-def test_each_of_a_few_control_rates_runs_for_the_duration():
-    groups = _groups("[100, 400, 1000]")
-    # 0.5 s are 50, 200 and 500 control periods; 50 are rounded up to four equal parts
-    assert [plan.case.rollout.ticks for plan in groups] == [52, 200, 500]
-    assert [plan.rates.tolist() for plan in groups] == [[100.0], [400.0], [1000.0]]
-    assert not any(plan.case.rollout.several for plan in groups)
-
-
 @pytest.mark.parametrize(
     ("rates", "refined"),
     [
-        (_RATES.tolist(), False),  # too many to compile a kernel for each
+        ("[100, 1000]", False),
+        (_RATES.tolist(), False),
         ("{ min = 100, max = 1000, num = 3 }", True),  # not all known beforehand
     ],
 )
-def test_many_control_rates_share_a_kernel(rates, refined):
+def test_control_rates_share_a_kernel(rates, refined):
     (plan,) = _groups(rates, refined=refined)
     assert plan.rates is None and plan.case.rollout.ticks == 500 and plan.case.rollout.several
 
 
-def test_trajectories_end_with_the_duration_whatever_the_number_of_rates():
-    asked = _asked(_RATES.tolist())
-    groups = plans.groups(asked, expand(asked), alone=True)
-    assert [plan.case.rollout.ticks for plan in groups][:3] == [48, 52, 64]
-    assert all(not plan.case.rollout.several for plan in groups)
+def test_one_control_rate_has_a_kernel_without_ticks_of_its_own():
+    (plan,) = _groups("[100]")
+    # 0.5 s are 50 control periods, which are rounded up to four equal parts
+    assert plan.case.rollout.ticks == 52 and not plan.case.rollout.several
+
+
+def test_trajectories_of_different_control_rates_are_apart():
+    groups = _groups("[100, 400, 1000]", alone=True)
+    assert [plan.case.rollout.ticks for plan in groups] == [52, 200, 500]
+    assert [plan.rates.tolist() for plan in groups] == [[100.0], [400.0], [1000.0]]
+    assert not any(plan.case.rollout.several for plan in groups)
 
 
 def test_rates_whose_loops_have_other_physics_steps_are_not_refined():
@@ -122,7 +121,7 @@ def test_metrics_of_many_control_rates_are_those_of_the_duration():
         "force_limit = 20.0",
     ],
 )
-def test_a_loop_has_the_metrics_and_verdict_that_it_has_alone(parameters):
+def test_a_loop_has_the_verdict_and_metrics_that_it_has_alone(parameters):
     rng = np.random.default_rng(0)
     rates = np.repeat(_RATES, 5)
     kp = np.exp(rng.uniform(np.log(50.0), np.log(3e4), rates.size))
@@ -138,10 +137,9 @@ def test_a_loop_has_the_metrics_and_verdict_that_it_has_alone(parameters):
 
 
 @pytest.mark.exhaustive
-def test_trajectories_of_many_control_rates_have_their_metrics():
-    """`single` follows each rate by itself; its metrics are of no longer a run."""
+def test_trajectories_of_different_control_rates_have_the_metrics_of_a_sweep():
     asked = _asked("[100]")
-    columns = {"kp": np.full(10, 300.0), "control_rate": _RATES[:10]}
+    columns = {"kp": np.full(3, 300.0), "control_rate": _RATES[:3]}
     samples = explicit(asked, columns)
     found = single.simulate_all(asked, samples)
     swept = execute.run(asked, samples)
