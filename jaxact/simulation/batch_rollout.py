@@ -364,6 +364,7 @@ def _finished(
         scale=_scales.scale(drive, size, rest, linear_plant=False, rubs=rubs),
         others=others,
         fell=fell,
+        told=end is None,
     )
 
 

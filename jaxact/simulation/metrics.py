@@ -89,8 +89,7 @@ class Metrics:
         limit_cycle_amplitude: half the range of the position over the last quarter [m or rad], of
             the rollout itself where it goes on, else of another start's; 0 for a stable loop.
         limit_cycle_frequency: how often the motion passes its middle upwards in the last quarter
-            [rad/s]: its fundamental frequency; NaN where there is no limit cycle, or where it
-            passed it less than twice.
+            [rad/s]: its fundamental frequency; NaN without a limit cycle, or below two passages.
     """
 
     growth_rate: jax.Array
@@ -276,12 +275,14 @@ def judge(
     ticks: int | jax.Array,
     scale: Scale | None,
     fell: Fall | None = None,
+    told: bool = False,
 ) -> Judgement:
     """What came of one start; arguments as for `finish`, leaves of shape (joints,)."""
     done = motion(running, envelopes, reference, period)
     if scale is None:
         return verdicts.of_growth(growth_rate, done.span)
-    found = verdicts.of_motion(done, scale, growth_rate, period * (ticks // SEGMENTS))
+    segment = period * (ticks // SEGMENTS)
+    found = verdicts.of_motion(done, scale, growth_rate, segment, told=told)
     if fell is None:
         return found
     fallen = fell.happened(envelopes, reference.target, done.span)
@@ -300,6 +301,7 @@ def finish(
     scale: Scale | None,
     others: Judgement | None = None,
     fell: Fall | None = None,
+    told: bool = False,
 ) -> tuple[Metrics, Judgement]:
     """The metrics of a finished rollout, and what came of its start alone.
 
@@ -312,16 +314,16 @@ def finish(
         envelopes: of the segments, shape (SEGMENTS, joints).
         reference: of the step.
         growth_rate: [1/s], shape ().
-        period: control period [s].
-        ticks: number of ticks.
+        period, ticks: control period [s], and number of them.
         counted: number of ticks in the integrals.
         scale: from `jaxact.simulation.scales.scale`; None for a loop that is linear, but for noise.
         others: from `judge`, of other starts of the same loop, shape (starts, joints).
         fell: from `jaxact.simulation.falling.fall`; None of what cannot.
+        told: static; setpoints move on.
     """
     stepped = reference.target != reference.start
     loop = running, envelopes, reference, growth_rate
-    own = each = judge(*loop, period=period, ticks=ticks, scale=scale, fell=fell)
+    own = each = judge(*loop, period=period, ticks=ticks, scale=scale, fell=fell, told=told)
     if others is not None and scale is not None:
         each = verdicts.together(own, others, scale)
     finite = jnp.isfinite(running.squared_error) & jnp.isfinite(running.effort)

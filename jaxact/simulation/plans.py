@@ -282,8 +282,10 @@ def _case(specification: Specification, values: dict[str, np.ndarray], count: in
 
 
 def _disturbed(specification: Specification, values: dict[str, np.ndarray]) -> bool:
-    """Whether every loop is moved by something: its setpoint, its initial state, or a push."""
-    if specification.push is not None or (specification.motion or _STEP).kind == "file":
+    """Whether every loop is judged by a motion of its own: a step, its initial state, or a push."""
+    if not steps_only(specification):
+        return False
+    if specification.push is not None:
         return True
     moving = (SETPOINT, INITIAL_POSITION, INITIAL_VELOCITY)
     return any(base(key) in moving and bool(np.all(given != 0.0)) for key, given in values.items())

@@ -228,6 +228,7 @@ def evaluate(
         scale=scale_of(prepared, options, rollout.linear_plant, reference, rest_amplitude, rubs),
         others=others,
         fell=fall(bases, state.plant, end.plant, told=setpoints is not None),
+        told=setpoints is not None,
     )
     return found
 

@@ -79,6 +79,7 @@ class Single:
         joints: the driven ones.
         starts: from which it was judged, its own first.
         limited: some loop simulated beside it, or itself, has a limit of its force or its rate.
+        told: its setpoints move on, so that its own start is judged by the growth rate.
     """
 
     trajectory: Trajectory
@@ -87,6 +88,7 @@ class Single:
     joints: tuple[Joint, ...]
     starts: tuple[Start, ...]
     limited: bool = False
+    told: bool = False
 
     @property
     def rotary(self) -> tuple[bool, ...]:
@@ -174,6 +176,7 @@ def each(
                         joints=joints,
                         starts=_started(case, judged, place),
                         limited=not case.drive.unlimited,
+                        told=not plans.steps_only(specification),
                     ),
                 )
 

@@ -188,4 +188,5 @@ def metrics_of(
         scale=rollout.scale_of(prepared, options, linear_plant, reference, rest_amplitude, rubs),
         others=others,
         fell=fell,
+        told=setpoints is not None,
     )

@@ -175,8 +175,17 @@ def _ending(
     return ending & ~scale.plant_linear
 
 
+def _decaying_if_neutral(growth_rate: jax.Array, scale: Scale) -> jax.Array:
+    """The growth rate [1/s], just below 0 where a robot's is 0.
+
+    A joint that no stiffness holds stays where it is put, as a wheel: nothing grows.
+    """
+    neutral = ~scale.plant_linear & (growth_rate == 0.0)
+    return jnp.where(neutral, -jnp.finfo(scale.rest.dtype).tiny, growth_rate)
+
+
 def of_motion(
-    motion: Motion, scale: Scale, growth_rate: jax.Array, segment: jax.Array
+    motion: Motion, scale: Scale, growth_rate: jax.Array, segment: jax.Array, *, told: bool = False
 ) -> Judgement:
     """What came of one start.
 
@@ -185,11 +194,12 @@ def of_motion(
         scale: of the loop.
         growth_rate: [1/s], shape ().
         segment: how long one lasts [s].
+        told: static; setpoints move on, so that the joints' following them says nothing.
     """
+    growth_rate = _decaying_if_neutral(growth_rate, scale)
+    if told:
+        return _of_told(motion, scale, growth_rate)
     before, previous, last = motion.amplitude[-3], motion.amplitude[-2], motion.amplitude[-1]
-    # A robot's joint that no stiffness holds stays where it is put, as a wheel: nothing grows.
-    neutral = ~scale.plant_linear & (growth_rate == 0.0)
-    growth_rate = jnp.where(neutral, -jnp.finfo(last.dtype).tiny, growth_rate)
     diverged = _diverged(motion, scale)
     growing, arriving = _growing(motion, scale, growth_rate)
     # Half the decay that the linear loop would show is decay; less is a motion that keeps going.
@@ -219,6 +229,23 @@ def of_motion(
         widening=(last > _WIDER * previous) & ~scale.linear,
         amplitude=last,
         frequency=motion.frequency,
+    )
+
+
+def _of_told(motion: Motion, scale: Scale, growth_rate: jax.Array) -> Judgement:
+    """As `of_motion`, of setpoints that move on.
+
+    What small perturbations do tells, and whether the motion leaves everything behind.
+    """
+    lost = _diverged(motion, scale)
+    found = of_growth(growth_rate, motion.span)
+    verdict = jnp.where(motion.valid, found.verdict, Verdict.INVALID)
+    return replace(
+        found,
+        verdict=jnp.where(lost, Verdict.UNSTABLE, verdict),
+        moving=lost,
+        resting=jnp.zeros_like(lost),
+        amplitude=motion.amplitude[-1],
     )
 
 

@@ -53,9 +53,11 @@ def lines(run: Single) -> list[str]:
     """What came of each start, where there are several, and what the duration leaves open."""
     from jaxact.status import Verdict
 
-    starts = run.starts
+    starts = run.starts[1:] if run.told else run.starts
     verdict = Verdict(int(run.results["verdict"]))
-    if len(starts) == 1:
+    if not starts:
+        return []
+    if len(run.starts) == 1:
         return [_ON_ITS_WAY] if _on_its_way(run) else [_MAY_CREEP] if _unturned(run) else []
     stable = verdict == Verdict.STABLE
     rotary, rubs = run.rotary[0], _rubs(run)
@@ -66,7 +68,11 @@ def lines(run: Single) -> list[str]:
             end = "still growing"
         groups.setdefault(end, []).append(_NAMES[start.name])
     parts = [f"{end} after {_listed(names)}" for end, names in groups.items()]
-    found = [f"From {len(starts)} starts: {'; '.join(parts)}."]
+    found = [f"From {_many(len(starts))}: {'; '.join(parts)}."]
+    if run.told:
+        found.append(
+            "Where setpoints move, the verdict is of small motions, not of following them."
+        )
     open_ones = [start for start in starts if not (start.moving or start.resting)]
     if open_ones and stable:
         found.append(
@@ -75,6 +81,10 @@ def lines(run: Single) -> list[str]:
     if _unturned(run):
         found.append(_MAY_CREEP)
     return found
+
+
+def _many(number: int) -> str:
+    return f"{number} starts" if number > 1 else "one other start"
 
 
 def _unturned(run: Single) -> bool:
