@@ -54,7 +54,7 @@ def rl_gym(path: Path, document: Mapping[str, Any]) -> GainFile | None:
         return None
     kp, kd = (numbers(path, key, document[key]) for key in ("kps", "kds"))
     _same_length(path, {"kps": kp, "kds": kd})
-    keys = (
+    keys: tuple[str, ...] = (
         "default_angles", "simulation_dt", "control_dt", "control_decimation", "action_scale",
         "arm_waist_target",
     )  # fmt: skip
