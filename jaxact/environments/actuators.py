@@ -34,6 +34,7 @@ class Actuators:
         names: of their joints.
         controls: places among the controls.
         indices: places among the actuators.
+        outputs: places of their forces, of which an actuator may have several.
         joints: ids of their joints.
         positions, velocities: addresses of their joints in qpos and qvel.
         commands: of each "position", "velocity" or "force": what its control asks for.
@@ -46,6 +47,7 @@ class Actuators:
     names: tuple[str, ...]
     controls: np.ndarray
     indices: np.ndarray
+    outputs: np.ndarray
     joints: np.ndarray
     positions: np.ndarray
     velocities: np.ndarray
@@ -59,7 +61,7 @@ class Actuators:
 
     def moments(self, model: Any) -> Any:
         """Joint force for a unit force of each actuator, of a model of MuJoCo or MJX."""
-        return model.actuator_gear[self.indices, 0]
+        return model.actuator_gear[self.outputs, 0]
 
     def gains(self, model: Any) -> tuple[Any, Any]:
         """Kp and kd at the joints that the model has now, 0 of motors [N m/rad, N m s/rad]."""
@@ -207,6 +209,7 @@ def find(model: mujoco.MjModel, patterns: Sequence[str], where: str) -> Actuator
         names=tuple(model.joint(one.joint).name for one in found),
         controls=controls,
         indices=indices,
+        outputs=model.actuator_outadr[indices],
         joints=np.array(taken),
         positions=np.array([model.jnt_qposadr[one.joint] for one in found]),
         velocities=np.array([model.jnt_dofadr[one.joint] for one in found]),

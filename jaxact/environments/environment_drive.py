@@ -176,7 +176,8 @@ def build(
         parameters: by either name, or `actuator`: a number, a range (low, high), an array of shape
             (joints,), or a table of patterns of joints -> number or range.
         joints: patterns of the driven ones.
-        gains: file of gains, None for the model's.
+        gains: file of gains, None for the model's; what is given of a parameter counts instead,
+            joint by joint.
         damping: "joint" or "drive".
         velocity: that the controller sees, "sampled" or "differenced".
         each_joint: as for `EnvironmentDrive`.
@@ -192,14 +193,13 @@ def build(
         raise UserError(f"`each_joint` = {shown(each_joint)}; allowed: True, False")
     found = _actuators.find(model, _given.patterns_of(joints), where)
     step = float(model.opt.timestep)
-    given = dict(parameters)
+    defaults = {name: np.asarray(PARAMETERS[name].default, float) for name in _TAKEN}
+    defaults |= dict.fromkeys(_OWN, np.asarray(np.nan)) | {CONTROL_RATE: np.asarray(1.0 / step)}
     within = None
     if gains is not None:
         of_file, within = _of_file(gains, model, found)
-        given = of_file | given
-    defaults = {name: np.asarray(PARAMETERS[name].default, float) for name in _TAKEN}
-    defaults |= dict.fromkeys(_OWN, np.asarray(np.nan)) | {CONTROL_RATE: np.asarray(1.0 / step)}
-    low, high = ranges(given, found.names, defaults)
+        defaults, _ = ranges(of_file, found.names, defaults)
+    low, high = ranges(parameters, found.names, defaults)
     demand_fitting(low, high, velocity)
     _demand_setpoints(found, np.fmax(abs(low[KP]), abs(high[KP])), where)
     substeps = _substeps(low[CONTROL_RATE], high[CONTROL_RATE], step)

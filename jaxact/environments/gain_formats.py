@@ -85,17 +85,17 @@ def text(joints: JointGains, kind: str, source: str, more: Sequence[str] = ()) -
 def lost(joints: JointGains, kind: str) -> list[str]:
     """What the format has no place for, or what is not known that it asks for; sentences."""
     said = []
-    nowhere = "Left out, this format has no place for them"
+    nowhere = "Left out, this format has no place for"
     least = joints.least_limit or joints.force_limit
     limits = [
         f"{high:g}" if low == high else f"{low:g} to {high:g}"
         for low, high in zip(least, joints.force_limit, strict=True)
     ]
     if joints.limited and kind in ("deploy-yaml", "rl-gym", "legged-gym"):
-        said.append(f"{nowhere}: force limits {', '.join(limits)}")
+        said.append(f"{nowhere} them: force limits {', '.join(limits)}")
     elif joints.limits_drawn:
         drawn = f"ranges of force limits, {', '.join(limits)}"
-        said.append(f"{nowhere}: {drawn}; their upper ends are written")
+        said.append(f"{nowhere} them: {drawn}; their upper ends are written")
     ranges = {
         "force limits that differ by direction": joints.force_range,
         "setpoint limits": joints.setpoint_range,
@@ -107,7 +107,9 @@ def lost(joints: JointGains, kind: str) -> list[str]:
             if (low, high) != _NO_RANGE
         ]  # fmt: skip
         if rows and kind != "mjcf":
-            said.append(f"{nowhere}: {what}, {', '.join(rows)}")
+            said.append(f"{nowhere} them: {what}, {', '.join(rows)}")
+    if kind in ("toml", "mjcf", "legged-gym") and not math.isnan(joints.period):
+        said.append(f"{nowhere} it: the period of the policy, {joints.period:g} s")
     if kind in ("deploy-yaml", "rl-gym") and not joints.position:
         said.append("The positions at rest are not known without the model")
     if kind in ("deploy-yaml", "rl-gym") and math.isnan(joints.period):

@@ -20,6 +20,10 @@ _ASSUMED = "it names no joints: its gains are taken to be in the order of the mo
 _MOTORS = "motor i is taken to be the model's driven joint i, from 0"
 
 _MOST_MOTORS = 10_000
+# Lists of unitree_rl_gym: motors of the joints, of which the first is more common, and what a file
+# may have for the arms and the waist: motors, stiffness and damping.
+_LEGS = ("leg_joint2motor_idx", "joint2motor_idx")
+_ARMS = ("arm_waist_joint2motor_idx", "arm_waist_kps", "arm_waist_kds")
 
 
 def unitree(path: Path, document: Mapping[str, Any]) -> GainFile | None:
@@ -50,40 +54,69 @@ def rl_gym(path: Path, document: Mapping[str, Any]) -> GainFile | None:
         return None
     kp, kd = (numbers(path, key, document[key]) for key in ("kps", "kds"))
     _same_length(path, {"kps": kp, "kds": kd})
-    keys = ("default_angles", "simulation_dt", "control_dt", "control_decimation", "action_scale")
-    notes = unused(document, keys)
+    keys: tuple[str, ...] = (
+        "default_angles", "simulation_dt", "control_dt", "control_decimation", "action_scale",
+        "arm_waist_target",
+    )  # fmt: skip
     if "joint_names" in document:
+        notes = unused(document, (*keys, *_ARMS))
         return named_file(path, "rl-gym", document["joint_names"], {"kps": kp, "kds": kd}, notes)
-    ids = document.get("leg_joint2motor_idx", document.get("joint2motor_idx"))
-    if not isinstance(ids, list) or len(ids) != len(kp):
+    motors = _legs(path, document, len(kp))
+    if motors is None:
         rows = list(zip(range(len(kp)), kp, kd, strict=True))
-        return _file(path, "rl-gym", rows, "place", (_ASSUMED, *notes))
-    motors = _motors(path, ids, None)
-    more = (
-        document.get("arm_waist_joint2motor_idx"),
-        *(document.get(f"arm_waist_{key}") for key in ("kps", "kds")),
-    )
-    if all(isinstance(one, list) for one in more):
-        waist, extra_kp, extra_kd = more
-        added = _motors(path, waist, None)
-        own = [
-            numbers(path, f"arm_waist_{k}", v) for k, v in (("kps", extra_kp), ("kds", extra_kd))
-        ]
-        _same_length(path, {"arm_waist_joint2motor_idx": added, "arm_waist_kps": own[0],
-                            "arm_waist_kds": own[1]})  # fmt: skip
-        motors, kp, kd = motors + added, kp + own[0], kd + own[1]
+        return _file(path, "rl-gym", rows, "place", (_ASSUMED, *unused(document, (*keys, *_ARMS))))
+    if all(isinstance(document.get(key), list) for key in _ARMS):
+        waist = _motors(path, document[_ARMS[0]], None, key=_ARMS[0])
+        own = [numbers(path, key, document[key]) for key in _ARMS[1:]]
+        _same_length(path, dict(zip(_ARMS, (waist, *own), strict=True)))
+        motors, kp, kd = motors + waist, kp + own[0], kd + own[1]
+        _motors(path, motors, None, key="the motors of all its joints")
+    else:
+        keys = (*keys, *_ARMS)
     rows = list(zip(motors, kp, kd, strict=True))
-    return _file(path, "rl-gym", rows, "motor", (_MOTORS, *notes))
+    return _file(path, "rl-gym", rows, "motor", (_MOTORS, *unused(document, keys)))
+
+
+def _legs(path: Path, document: Mapping[str, Any], count: int) -> list[int] | None:
+    """Numbers of the motors of so many gains of unitree_rl_gym; None where the file has none.
+
+    Raises:
+        UserError: none of its lists is as long, or several that differ are.
+    """
+    lists = {key: document[key] for key in _LEGS if document.get(key) is not None}
+    fitting = {
+        key: _motors(path, ids, None, key=key)
+        for key, ids in lists.items()
+        if not isinstance(ids, list) or len(ids) == count
+    }
+    if lists and not fitting:
+        key, ids = next(iter(lists.items()))
+        _same_length(path, {"kps": range(count), key: ids})
+    first = next(iter(fitting.values()), None)
+    if any(one != first for one in fitting.values()):
+        raise UserError(f"{path}: {' and '.join(fitting)} differ; leave one of them out")
+    return first
 
 
 def rl_sar(path: Path, document: Mapping[str, Any]) -> GainFile | None:
-    """Of a file with `rl_kp` and `rl_kd`, or with `fixed_...`; None where it is not one."""
-    nested = [value for value in document.values() if isinstance(value, Mapping)]
-    for table in (document, *nested):
-        for kind in ("rl", "fixed"):
-            if {f"{kind}_kp", f"{kind}_kd"} <= set(table):
-                return _rl_sar(path, table, kind)
-    return None
+    """Of a file with `rl_kp` and `rl_kd`, or with `fixed_...`; None where it is not one.
+
+    Raises:
+        UserError: it has several such tables, whose gains differ.
+    """
+    nested = [(key, value) for key, value in document.items() if isinstance(value, Mapping)]
+    found = []
+    for name, table in (("the top", document), *nested):
+        kinds = [one for one in ("rl", "fixed") if {f"{one}_kp", f"{one}_kd"} <= set(table)]
+        if kinds:
+            found.append((name, _rl_sar(path, table, kinds[0])))
+    for name, one in found[1:]:
+        if set(one.entries) != set(found[0][1].entries):
+            raise UserError(
+                f"{path}: has several robots, {found[0][0]} and {name}, whose gains differ; give a"
+                " file with one of them"
+            )
+    return found[0][1] if found else None
 
 
 def _rl_sar(path: Path, table: Mapping[str, Any], kind: str) -> GainFile:

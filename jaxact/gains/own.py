@@ -129,11 +129,15 @@ def _demand_complete(path: Path, root: ElementTree.Element) -> None:
 def _of_section(path: Path, root: ElementTree.Element) -> Iterator[Entry]:
     """Gains at the joints of elements that say all themselves."""
     _demand_complete(path, root)
+    taken: set[str] = set()
     for one in root.iterfind("actuator/position"):
         name = one.get("joint") or one.get("name")
         if name is None:
             raise UserError(f"{path}: a <position> has no joint; name it")
         where = f"<position joint={name!r}>"
+        if name in taken:
+            raise UserError(f"{path}: has several {where}, whose forces add up; leave one of them")
+        taken.add(name)
         gear = _number(path, where, "gear", one.get("gear", "1"))
         for parameter, key in ((KP, KP), (KD, "kv")):
             value = one.get(key)

@@ -124,9 +124,13 @@ def _ranged(found: Found, given: Mapping[str, Any]) -> tuple[JointGains, JointDr
     for name in (KP, KD):
         if np.any(low[name] < 0.0):
             raise UserError(f"`{name}` = {low[name].min():g}: gains in files are not negative")
-    if np.all(low[GAIN_SCALE] == high[GAIN_SCALE]):
-        scaled = {name: low[GAIN_SCALE] * low[name] for name in (KP, KD)}
-        low, high = ({**side, **scaled, GAIN_SCALE: np.ones(count)} for side in (low, high))
+    # a factor that is fixed is in the gains, of each joint that has one
+    fixed = low[GAIN_SCALE] == high[GAIN_SCALE]
+    scaled = {name: np.where(fixed, low[GAIN_SCALE], 1.0) * low[name] for name in (KP, KD)}
+    low, high = (
+        {**side, **scaled, GAIN_SCALE: np.where(fixed, 1.0, side[GAIN_SCALE])}
+        for side in (low, high)
+    )
     gains = replace(
         found.joints, kp=tuple(low[KP].tolist()), kd=tuple(low[KD].tolist()),
         force_limit=tuple(high[FORCE_LIMIT].tolist()),

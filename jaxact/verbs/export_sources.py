@@ -112,10 +112,12 @@ def found(
         drive = drives.load_drive(path)
         if model is None:
             return of_loop(joint(drive=drive), drive.left_out()), path.name
-        loop = robot(model, drive=drive, **options)
+        _demand_one(options, "drive", "a drive")
+        loop = robot(model, **options | {"drive": drive})
         return of_loop(loop, drive.left_out(robot=True)), path.name
     if model is not None:
-        placed = of_loop(robot(model, gains=text, **options))
+        _demand_one(options, "gains", "a file of gains")
+        placed = of_loop(robot(model, **options | {"gains": text}))
         return replace(
             placed, left_out=(*placed.left_out, *_said(path, reading.read(text)))
         ), path.name
@@ -141,6 +143,12 @@ def _demand_none(options: Mapping[str, Any], what: str) -> None:
     for name, value in options.items():
         if value is not None:
             raise UserError(f"`{name}`: is for {what}")
+
+
+def _demand_one(options: Mapping[str, Any], name: str, what: str) -> None:
+    """Raise UserError where an option gives another of what the source is, in words."""
+    if options.get(name) is not None:
+        raise UserError(f"`{name}`: the source is {what} already; leave one of them out")
 
 
 def _said(path: Path, read: GainFile) -> tuple[str, ...]:
@@ -198,7 +206,7 @@ def _of_loop(loop: ControlLoop, given: Mapping[str, Any], more: Any = ()) -> Fou
         if lacking:
             raise UserError(f"{' and '.join(lacking)}: not in the source; give them")
         own = {name: np.array([along[name]]) for name in TAKEN}
-        gains = JointGains(ANY, (), (), ())
+        gains = JointGains(ANY, (), (), (), period=_period(along))
         ranges: Mapping[str, np.ndarray] = {}
     else:
         along, own, ranges, gains = _of_robot(loop, given)
@@ -253,11 +261,16 @@ def _of_robot(
         found = robots.each_joint(asked, robots.brought(scene), masks)
     count = len(scene.labels)
     own = {name: np.broadcast_to(np.asarray(found[name], float), count) for name in TAKEN}
-    rate, start = float(along.get(POLICY_RATE, math.inf)), scene.robot.qpos
+    start = scene.robot.qpos
     position = tuple(float(start[one.qpos]) for one in scene.robot.joints)
-    period = 1.0 / rate if math.isfinite(rate) else math.nan
-    gains = JointGains(scene.labels, (), (), (), position=position, period=period)
+    gains = JointGains(scene.labels, (), (), (), position=position, period=_period(along))
     return along, own, _ranges(scene.robot, found), gains
+
+
+def _period(along: Mapping[str, Any]) -> float:
+    """Of the setpoints [s]; nan where nothing holds them."""
+    rate = float(along.get(POLICY_RATE, math.inf))
+    return 1.0 / rate if math.isfinite(rate) else math.nan
 
 
 def _ranges(robot: Robot, found: Mapping[str, Any]) -> dict[str, np.ndarray]:

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+import jaxact as jx
 from jaxact.environments import actuators, environment_drive
 from jaxact.errors import UserError
 
@@ -25,6 +26,13 @@ MOTORS = {
 def model_of(actuator):
     text = f"<mujoco><worldbody>{BODY}</worldbody><actuator>{actuator}</actuator></mujoco>"
     return mujoco.MjModel.from_xml_string(text)
+
+
+def built(model, parameters=(), gains=None):
+    return environment_drive.build(
+        model, "env", dict(parameters), joints=(".*",), gains=gains, damping="joint",
+        velocity="sampled", each_joint=False,
+    )  # fmt: skip
 
 
 def force(model, control, position=0.0):
@@ -83,10 +91,56 @@ def test_gains_of_a_pid_are_those_of_a_position_servo():
     found = []
     for actuator in ('<pid joint="hip" input="pos" ', '<position joint="hip" '):
         model = model_of(actuator + 'kp="10" kv="1" gear="2" forcerange="-4 4"/>')
-        drive = environment_drive.build(
-            model, "env", {}, joints=(".*",), gains=None, damping="joint", velocity="sampled",
-            each_joint=False,
-        )  # fmt: skip
-        values = drive.values(np.zeros(0), model)
+        values = built(model).values(np.zeros(0), model)
         found.append([float(np.squeeze(values[name])) for name in ("kp", "kd", "force_limit")])
     assert found == [[40.0, 4.0, 8.0]] * 2
+
+
+def test_an_actuator_with_three_forces_before_it_leaves_a_joint_its_gear():
+    """Against the forces of MuJoCo, where gears are those of forces and not of actuators."""
+    ball = '<body pos="1 0 0"><joint name="ball" type="ball"/><geom size="0.1"/></body>'
+    servo = '<position joint="hip" kp="10" kv="1" gear="3"/>'
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{BODY}{ball}</worldbody>"
+        f'<actuator><orientation joint="ball" kp="5"/>{servo}</actuator></mujoco>'
+    )
+    own = actuators.find(model, ("hip",), "env")
+    data = mujoco.MjData(model)
+    data.ctrl[own.controls], data.qpos[0], data.qvel[0] = 0.3, 0.2, 0.1
+    mujoco.mj_forward(model, data)
+    (kp,), (kd,) = own.gains(model)
+    asked = own.setpoint(model, data.ctrl, np).position[0]
+    assert (kp, kd) == (90.0, 9.0)
+    assert kp * (asked - 0.2) - kd * 0.1 == pytest.approx(data.qfrc_actuator[0])
+
+
+def test_what_is_given_of_some_joints_leaves_the_others_those_of_the_file(tmp_path):
+    """As `jaxact.robot` has it, whichever name the parameter is given by."""
+    text = "".join(
+        f'<body pos="{i} 0 0"><joint name="{name}"/><geom size="0.1"/></body>'
+        for i, name in enumerate(("hip", "knee"))
+    )
+    rows = '<position joint="hip" kp="100" kv="2"/><position joint="knee" kp="80" kv="1"/>'
+    text = f"<mujoco><worldbody>{text}</worldbody><actuator>{rows}</actuator></mujoco>"
+    path, file = tmp_path / "legs.xml", tmp_path / "gains.toml"
+    path.write_text(text)
+    file.write_text(
+        "[kp]\nhip = 11.0\nknee = 12.0\n[kd]\nhip = 0.5\nknee = 0.75\n"
+        "[force_limit]\nhip = 5.0\nknee = 6.0\n"
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    of_file = {"kp": [11.0, 12.0], "kd": [0.5, 0.75], "force_limit": [5.0, 6.0]}
+    for given, changed in (
+        ({"kp": {"knee": 50.0}}, {"kp": [11.0, 50.0]}),
+        ({"kd": {"hip": 3.0}}, {"kd": [3.0, 0.75]}),
+        ({"force_limit": {"knee": 2.0}}, {"force_limit": [5.0, 2.0]}),
+        ({"stiffness": 7.0}, {"kp": [7.0, 7.0]}),
+        ({}, {}),
+    ):
+        values = built(model, given, file).values(np.zeros(0), model)
+        exported = jx.export(jx.robot(path, gains=file, **given), "toml").joints
+        for name, wanted in (of_file | changed).items():
+            np.testing.assert_array_equal(np.broadcast_to(values[name], 2), wanted)
+            assert getattr(exported, name) == tuple(wanted)
+    drive = built(model, {"kp": {"knee": (40.0, 60.0)}}, file)
+    np.testing.assert_array_equal(drive.values(np.full(1, 0.5), model)["kp"], [11.0, 50.0])

@@ -3,6 +3,7 @@
 import re
 import tomllib
 
+import numpy as np
 import pytest
 from command_line import jaxact
 
@@ -46,6 +47,23 @@ def test_the_command_line_says_which_option_patterns_need(model):
     done = jaxact("export", "patterns.toml", "--to", "isaaclab", cwd=model.parent)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     assert done.stderr.endswith("the robot; give its --model as well\n")
+
+
+@pytest.mark.parametrize("name", ("gains", "drive"))
+def test_a_source_is_given_once(model, name):
+    file = model.with_name(f"{name}.toml")
+    jx.export(model, "toml", file)
+    if name == "drive":
+        file.write_text('plant = "none"\nunit = "rad"\nestimates = {}\nloop = [{delay = 0.003}]\n')
+    words = f"`{name}`: the source is a .*{name}.* already; leave one of them out"
+    with pytest.raises(UserError, match=words):
+        jx.export(file, "mjcf", model=model, **{name: file})
+    if name == "gains":
+        assert jx.export(file, "mjcf", model=model, gains=None).joints.kp == (60.0, 40.0)
+        line = ("export", file.name, "--to", "mjcf", "--model", model.name, "--gains", file.name)
+        done = jaxact(*line, cwd=model.parent)
+        assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+        assert "--gains: the source is a file of gains already" in done.stderr
 
 
 def test_names_in_full_need_no_model(model):
@@ -112,3 +130,32 @@ def test_what_is_a_joints_own_is_said_joint_by_joint(model):
     assert jx.export(single, "mjlab").lost == (
         "Left out, as the joint's and not the drive's: joint_stiffness 2",
     )
+
+
+def test_the_rate_of_a_policy_is_written_or_said(model):
+    """Of a single joint as of a robot."""
+    held = "Left out, as the environment's own step holds an action: policy_rate 50 Hz"
+    nowhere = "Left out, this format has no place for it: the period of the policy, 0.02 s"
+    robot = jx.robot(model, policy_rate=50.0)
+    single = jx.joint(kp=20.0, kd=1.0, mass=1.0, policy_rate=50.0, delay=4e-3)
+    for to in FORMATS:
+        found = jx.export(robot, to)
+        if to in ("deploy-yaml", "rl-gym"):
+            assert re.search(r"^(step_dt|control_dt): 0\.02$", found.text, re.MULTILINE)
+        else:
+            assert (held if "lab" in to else nowhere) in found.lost
+            assert found.lost[-1] in found.text
+    for to in ("mjlab", "isaaclab"):
+        assert jx.export(single, to).lost == (held,)
+
+
+def test_a_factor_that_is_fixed_is_in_the_gains_of_its_joint(model):
+    """Also where that of another joint is drawn from a range."""
+    factor = np.array([2.0, 0.5]), np.array([2.0, 1.0])
+    found = jx.export(model, "toml", parameters={"gain_scale": factor})
+    assert (found.joints.kp, found.joints.kd) == ((120.0, 40.0), (4.0, 1.0))
+    assert found.lost == ("Left out, this format has no place for it: the drive behind the gains",)
+    text = jx.export(model, "mjlab", parameters={"gain_scale": factor}).text
+    hip, knee = text[text.index("\nACTUATORS") :].split("left\\\\-knee")
+    assert "stiffness=120.0" in hip and "gain_scale" not in hip
+    assert "stiffness=40.0" in knee and "gain_scale=(0.5, 1.0)" in knee

@@ -65,6 +65,15 @@ def test_what_only_the_model_knows_needs_it(tmp_path, what):
         read(tmp_path, f'<position name="hip" {what}="a" kp="2" kv="0.1"/>{KNEE}')
 
 
+def test_several_servos_of_a_joint_are_refused(tmp_path):
+    """Their forces add up in MuJoCo: neither has the gains of the joint."""
+    rows = KNEE + '<position name="other" joint="knee" kp="5" kv="0.1"/>'
+    stiffness, *_ = by_mujoco(rows)
+    assert stiffness.tolist() == [3.0, 5.0]
+    with pytest.raises(UserError, match="has several <position joint='knee'>, whose forces add up"):
+        read(tmp_path, rows)
+
+
 def test_what_is_not_taken_is_said(tmp_path):
     row = (
         '<position joint="hip" kp="3" kv="0.2" ctrlrange="-1 1" timeconst="0.05"/><motor name="b"/>'

@@ -91,3 +91,58 @@ def test_motors_that_are_the_first_joints_are_taken(tmp_path):
     found = matched(file, [(name, name) for name in (*NAMES, "torso")])
     assert found.parameters["kp"] == dict(zip(NAMES, KP, strict=True))
     assert found.without == ("torso",)
+
+
+LIST, OTHER = [3, 0, 2, 1], [0, 1, 2, 3]
+
+
+def _lists(file, text):
+    file.write_text(f"kps: {[KP[motor] for motor in LIST]}\nkds: {[*KD]}\n{text}\n")
+    return reading.read(file)
+
+
+@pytest.mark.parametrize("text", [
+    f"joint2motor_idx: {LIST}", f"leg_joint2motor_idx: {OTHER[:3]}\njoint2motor_idx: {LIST}",
+    f"leg_joint2motor_idx: {LIST}\njoint2motor_idx: {[*LIST, 4, 5]}",
+    f"leg_joint2motor_idx: {LIST}\njoint2motor_idx: {LIST}",
+])  # fmt: skip
+def test_the_list_of_motors_is_the_one_that_is_as_long_as_the_gains(tmp_path, text):
+    found = matched(_lists(tmp_path / "legs.yaml", text), [(name, name) for name in NAMES])
+    assert found.parameters["kp"] == dict(zip(NAMES, KP, strict=True))
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    (f"leg_joint2motor_idx: {LIST}\njoint2motor_idx: {OTHER}",
+     "leg_joint2motor_idx and joint2motor_idx differ; leave one of them out"),
+    (f"joint2motor_idx: {OTHER[:3]}", "kps has 4 entries and joint2motor_idx has 3"),
+    ("leg_joint2motor_idx: legs", "leg_joint2motor_idx = 'legs'; give the number of each"),
+    (f"leg_joint2motor_idx: {LIST}\narm_waist_joint2motor_idx: [3]\narm_waist_kps: [1]\n"
+     "arm_waist_kds: [1]", "the motors of all its joints = .*, each once"),
+])  # fmt: skip
+def test_lists_of_motors_that_do_not_fit_are_refused(tmp_path, text, words):
+    with pytest.raises(UserError, match=words) as caught:
+        _lists(tmp_path / "legs.yaml", text)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("which", [f"joint_names: {list(NAMES)}", "", f"joint2motor_idx: {LIST}"])
+def test_gains_of_arms_that_are_not_taken_are_said(tmp_path, which):
+    text = f"{which}\narm_waist_kps: [300, 100]\narm_waist_kds: [3, 1]"
+    assert "arm_waist_kps, arm_waist_kds" in _lists(tmp_path / "legs.yaml", text).notes[-1]
+
+
+def test_tables_of_rl_sar_that_differ_are_refused(tmp_path):
+    """The gains of neither are more the robot's than those of the other."""
+    file, table = tmp_path / "config.yaml", _rl_sar(range(4))
+    file.write_text(f"{table}\n{table.replace('robot/', 'other/')}")
+    assert reading.read(file).entries == reading.read(_alone(file, table)).entries
+    file.write_text(f"{table}\n{table.replace('robot/', 'other/').replace('30.5', '31')}")
+    words = "has several robots, robot/policy and other/policy, whose gains differ; give a file"
+    with pytest.raises(UserError, match=words):
+        reading.read(file)
+
+
+def _alone(file, text):
+    other = file.with_name("alone.yaml")
+    other.write_text(text)
+    return other
