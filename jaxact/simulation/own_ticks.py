@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxact.drive.controller import Setpoint
 from jaxact.loops.loop import LoopState
 from jaxact.simulation import envelope as _envelope
 from jaxact.simulation import metrics as _metrics
@@ -20,7 +21,9 @@ from jaxact.simulation import stopping
 from jaxact.simulation.envelope import Envelope
 from jaxact.simulation.metrics import SEGMENTS, Period, Running
 
-Tick = Callable[[LoopState, jax.Array], tuple[LoopState, Period]]
+Tick = Callable[[LoopState, tuple[jax.Array, Setpoint | None]], tuple[LoopState, Period]]
+"""From the state, a tick's number and its setpoint, None being the constant one, to the state after
+it and the period."""
 Ranges = tuple[jax.Array, jax.Array]
 
 
@@ -30,7 +33,7 @@ def run(
     """Simulate a loop until its own end.
 
     Args:
-        tick: from the state and the number of a tick to the state after it and the period.
+        tick: of the loop.
         state: at the beginning.
         start: positions then, shape (joints,).
         ticks: of this loop, a multiple of `jaxact.simulation.metrics.SEGMENTS`, shape ().
@@ -43,7 +46,7 @@ def run(
 
     def one(carry: Any, number: jax.Array) -> Any:
         (state, plant), running, (envelope, ranges) = carry
-        state, period = tick(state, number)
+        state, period = tick(state, (number, None))
         going = number < ticks
         after = _metrics.update(running, envelope, [period])
         running, envelope = _where(going, after, (running, envelope))

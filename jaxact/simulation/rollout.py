@@ -30,6 +30,7 @@ from jaxact.simulation.falling import fall
 from jaxact.simulation.growth import rate as _growth
 from jaxact.simulation.growth.rate import GrowthOptions
 from jaxact.simulation.metrics import SEGMENTS, Metrics, Period, Reference, Running
+from jaxact.simulation.own_ticks import Tick
 from jaxact.simulation.scales import Scale
 from jaxact.simulation.settling import staying
 from jaxact.simulation.stopping import parted
@@ -81,6 +82,28 @@ def period_of(
     return Period(output, aim, count, weight)
 
 
+def _tick_of(
+    prepared: Prepared,
+    options: DriveOptions,
+    setpoint: Setpoint,
+    key: jax.Array | None,
+    start: jax.Array,
+    reference: Reference,
+    active_ticks: jax.Array | None,
+) -> Tick:
+    """What one control period does, see `jaxact.simulation.own_ticks.Tick`."""
+
+    def tick(state, inputs):
+        number, given = inputs
+        wanted = setpoint if given is None else given
+        draws = _loop.stage(options, _sensor.draw(options.sensor, key, number, start))
+        state, (output, _) = _loop.step(prepared, options, state, wanted, draws)
+        passed = period_of(output, reference, number, given, active_ticks)
+        return _loop.stage(options, state), passed
+
+    return tick
+
+
 def run(
     prepared: Prepared,
     options: DriveOptions,
@@ -125,19 +148,9 @@ def run(
     together = stopping.together(length, rollout.unroll)
     span = stopping.stretch(length, together) if rollout.stops else length
 
-    def tick(state, inputs):
-        number, given = inputs
-        wanted = setpoint if given is None else given
-        draws = _loop.stage(options, _sensor.draw(options.sensor, key, number, start))
-        state, (output, _) = _loop.step(prepared, options, state, wanted, draws)
-        passed = period_of(output, reference, number, given, active_ticks)
-        return _loop.stage(options, state), passed
-
+    tick = _tick_of(prepared, options, setpoint, key, start, reference, active_ticks)
     if rollout.several:
-        return _own_ticks.run(
-            lambda state, number: tick(state, (number, None)), state, start, own_ticks,
-            rollout.unroll,
-        )  # fmt: skip
+        return _own_ticks.run(tick, state, start, own_ticks, rollout.unroll)
 
     def ticks(carry, inputs):
         state, running, envelope = carry
