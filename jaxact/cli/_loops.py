@@ -115,6 +115,11 @@ def identified(
             f"{found.name}: does not say what the joint moves; taken: {size.default:g} {size.unit};"
             f" give {typed(word)}"
         )
+    if not robot and found.per_inertia and not {MASS, INERTIA} & set(given):
+        _warnings.warn(
+            f"{found.name}: gains and friction are per unit of an inertia that is not known, here"
+            f" 1; give {typed(mass_word(found.unit))}"
+        )
     if found.level == drives.NOT_ENOUGH:
         _warnings.warn(f"{found.name}: the logs that it was not fitted to call it {found.level}")
     return found

@@ -27,7 +27,7 @@ from jaxact.errors import UserError, nearest, shown
 from jaxact.identification import joint_motion, torque_loop
 from jaxact.identification.joint_motion import Structure
 from jaxact.identification.recording import Recording
-from jaxact.parameters import DELAY, FORCE_LIMIT, KP, MASS, WN, ZETA
+from jaxact.parameters import DELAY, FORCE_LIMIT, KD, KP, MASS, WN, ZETA
 
 PLANTS = ("none", MASS)
 _LONGEST = 300_000
@@ -120,6 +120,8 @@ def _check(bench: Bench) -> None:
     for name in ("duration", "rate", "amplitude", "noise", MASS, KP):
         if not 0.0 < getattr(bench, name) < math.inf:
             raise UserError(f"`{name}` = {getattr(bench, name):g} must be positive and finite")
+    if not 0.0 <= bench.kd < math.inf:
+        raise UserError(f"`{KD}` = {bench.kd:g} must be 0 or more, and finite")
     if not 200 <= bench.duration * bench.rate <= _LONGEST:
         raise UserError(
             f"`duration` = {bench.duration:g}: {bench.duration * bench.rate:,.0f} rows at"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import jax
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.identification import inspection, torque_loop
+from jaxact.identification import inspection, supply, torque_loop
 from jaxact.identification.log import Log, filled
 from jaxact.identification.model import (
     DYNAMICS,
@@ -26,6 +26,7 @@ from jaxact.identification.problem import Unknown
 from jaxact.identification.torque_loop import EARLIER, INITIAL_FORCE, INITIAL_RATE
 from jaxact.parameters import FORCE_LIMIT, WN, ZETA
 
+_Told = Callable[[Log], np.ndarray]
 _ALWAYS = ("gain", "offset")
 _MOST_TICKS_OF_DELAY = 12
 # Rows over which a rate is taken, and how far from its first row a force may have begun.
@@ -44,13 +45,8 @@ def family(logs: Sequence[Log], *, longest: float = LONG_DELAYS[0]) -> Family:
     Raises:
         UserError: a log lacks one of the two.
     """
-    for log in logs:
-        missing = [name for name in ("command", "force") if name not in log]
-        if missing:
-            raise UserError(
-                f"{log.title}: has no {missing[0]}; a force loop needs the commanded and the"
-                " measured force; for what moved, give a `plant`"
-            )
+    demand(logs)
+    told = partial(_told, fitted=tuple(logs))
     limited = any(inspection.saturation(log["force"]) is not None for log in logs)
     always = (*_ALWAYS, FORCE_LIMIT) if limited else _ALWAYS
     rungs = tuple(
@@ -58,23 +54,43 @@ def family(logs: Sequence[Log], *, longest: float = LONG_DELAYS[0]) -> Family:
     )
     return Family(
         rungs=rungs,
-        unknowns=partial(_unknowns, longest=longest),
+        unknowns=partial(_unknowns, longest=longest, told=told),
         neutral=_NEUTRAL,
         positive=frozenset((WN, ZETA, FORCE_LIMIT)),
-        inputs=_inputs,
+        inputs=partial(_inputs, told=told),
         simulate=_simulate,
         measured=lambda log: log["force"],
         stimulus=lambda log: log["command"],
-        nuisances=_nuisances,
+        nuisances=partial(_nuisances, told=told),
         signal="force",
         unit="N m" if logs[0].unit == "rad" else "N",
         perhaps=() if limited else (FORCE_LIMIT,),
     )
 
 
-def _unknowns(logs: Sequence[Log], longest: float) -> dict[str, Unknown]:
+def demand(logs: Sequence[Log]) -> None:
+    """That logs have what a force loop is held against.
+
+    Raises:
+        UserError: one lacks the commanded or the measured force.
+    """
+    for log in logs:
+        missing = [name for name in ("command", "force") if name not in log]
+        if missing:
+            raise UserError(
+                f"{log.title}: has no {missing[0]}; a force loop needs the commanded and the"
+                " measured force; for what moved, give a `plant`"
+            )
+
+
+def _told(log: Log, fitted: Sequence[Log]) -> np.ndarray:
+    """The command as strong as the supply makes it, [N or N m], shape (rows,)."""
+    return log["command"] * supply.strength(log, fitted)
+
+
+def _unknowns(logs: Sequence[Log], longest: float, told: _Told) -> dict[str, Unknown]:
     force = np.concatenate([log["force"] for log in logs])
-    command = np.concatenate([log["command"] for log in logs])
+    command = np.concatenate([told(log) for log in logs])
     unit = "N m" if logs[0].unit == "rad" else "N"
     size = float(np.max(np.abs(force))) + 1e-12
     ratio = float(np.std(force) / max(float(np.std(command)), 1e-12))
@@ -87,14 +103,14 @@ def _unknowns(logs: Sequence[Log], longest: float) -> dict[str, Unknown]:
     return {unknown.name: unknown for unknown in sought}
 
 
-def _nuisances(logs: Sequence[Log], tried: bool) -> tuple[Unknown, ...]:
+def _nuisances(logs: Sequence[Log], tried: bool, told: _Told) -> tuple[Unknown, ...]:
     """What happened before each of a few logs, within what the log shows of its own signals."""
     del tried
     if len(logs) > MOST_FREE_BEGINNINGS:
         return ()
     found = []
     for number, log in enumerate(logs):
-        force, command = log["force"], log["command"]
+        force, command = log["force"], told(log)
         unit = "N m" if log.unit == "rad" else "N"
         apart = min(_ROWS_OF_A_RATE, len(force) - 1)
         fast = np.max(
@@ -112,10 +128,10 @@ def _nuisances(logs: Sequence[Log], tried: bool) -> tuple[Unknown, ...]:
     return tuple(found)
 
 
-def _inputs(log: Log) -> dict[str, jax.Array]:
+def _inputs(log: Log, told: _Told) -> dict[str, jax.Array]:
     return {
         "time": jnp.asarray(filled(log.time, rising=True)),
-        "command": jnp.asarray(filled(log["command"])),
+        "command": jnp.asarray(filled(told(log))),
         "first": jnp.asarray(log["force"][0]),
     }
 

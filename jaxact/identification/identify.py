@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from jaxact.errors import UserError, nearest, shown
 from jaxact.identification import between_rows, forces, inspection, motion, rivals, unrefuted
 from jaxact.identification.alignment import aligned
+from jaxact.identification.alike import demand_alike
 from jaxact.identification.fitting import ADAM, LEAST_SQUARES, METHODS
 from jaxact.identification.ladder import Ladder, climb, too_long
 from jaxact.identification.log import Log, check, renewed, stretches
@@ -112,8 +113,11 @@ def _climbed(
 
     def to(longest: float) -> Ladder:
         if plant == "none":
+            forces.demand(held)
             return climb(forces.family(fitted, longest=longest), fitted, held, **way)
         family = motion.family(fitted, plant, control_rate, longest=longest)
+        simulate = cast(motion.Simulate, family.simulate)
+        demand_alike((*fitted, *held), simulate.structure, simulate.sought_gains)
         _demand_motion(fitted)
         return climb(family, fitted, held, **way)
 

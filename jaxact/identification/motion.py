@@ -15,7 +15,8 @@ import jax
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.identification import joint_motion, starts
+from jaxact.identification import joint_motion, starts, supply
+from jaxact.identification.alike import demand_alike, stated
 from jaxact.identification.joint_motion import COMMAND_LIMIT, INITIAL_FORCE, Structure
 from jaxact.identification.log import LINKS, Log, filled
 from jaxact.identification.model import (
@@ -44,7 +45,6 @@ from jaxact.parameters import (
 )
 
 PLANTS = (MASS, "pendulum")
-GRAVITY = 9.81
 _MOST_TICKS_OF_DELAY = 6
 # Share of its highest speed from which on a joint is in motion.
 _IN_MOTION = 0.15
@@ -104,7 +104,7 @@ class Simulate:
             "coulomb": values["coulomb"] * (1.0 + values["coulomb_asymmetry"]),
             "coulomb_back": values["coulomb"] * (1.0 - values["coulomb_asymmetry"]),
         }
-        whole = {**values, **turned}
+        whole = {**values, **turned, **recording.stated}
         if not self.structure.gravity:  # nothing of the friction is the load's
             whole = {name: value for name, value in whole.items() if name not in _OF_THE_LOAD}
         if not self.sought_gains:
@@ -127,7 +127,7 @@ def family(
         longest: delay that is tried [s].
 
     Raises:
-        UserError: a log lacks the position, or both setpoint and command.
+        UserError: a log lacks the position, or both setpoint and command, or what others have.
     """
     for log in logs:
         if "position" not in log:
@@ -135,12 +135,13 @@ def family(
         if SETPOINT not in log and "command" not in log:
             raise UserError(f"{log.title}: has neither setpoint nor command; map one of them")
     first = logs[0]
-    known_gains = all(log.gains[0] is not None for log in logs)
-    closed = SETPOINT in first and (known_gains or "command" not in first)
-    sought = closed and not known_gains
+    known = [log.gains[0] is not None for log in logs]
+    closed = SETPOINT in first and (all(known) or "command" not in first)
+    sought = closed and not any(known)
     ticks, _ = cut(first, control_rate)
     history = ticks_of_delay(first.period, _MOST_TICKS_OF_DELAY, longest) * ticks + 2
     structure = Structure(closed, history, first.difference_ticks, plant == "pendulum")
+    demand_alike(logs, structure, sought)
     context = Context(logs, plant, structure, sought, control_rate, lines, longest)
     perhaps = not sought and all(math.isinf(starts.command_limit(log)) for log in logs)
     limited = perhaps and starts.guess(logs, context, perhaps_limited=True)["limited"]
@@ -213,14 +214,13 @@ class Context:
         return set(LINKS) <= set(self.logs[0].signals)
 
     def known(self) -> dict[str, float]:
-        """Numbers that the logs' details give."""
-        details = self.logs[0].details
-        found: dict[str, float] = {}
-        if "inertia" in details:
-            found["inertia"] = details["inertia"]
-        if self.structure.gravity and {MASS, "length"} <= set(details):
-            found["gravity"] = details[MASS] * GRAVITY * details["length"]
-        return found
+        """Numbers that the details of the first log give; other logs may state others."""
+        return self.stated(self.logs[0])
+
+    def stated(self, log: Log) -> dict[str, float]:
+        """Numbers that a log's details give; of a joint whose gains are sought gravity is too."""
+        found = stated(log, self.structure.gravity)
+        return {name: v for name, v in found.items() if name == "inertia" or not self.sought_gains}
 
     def neutral(self) -> dict[str, float]:
         """Every number of the model, at the value at which it changes nothing."""
@@ -272,9 +272,11 @@ class Context:
         guess = starts.guess(logs, self, perhaps_limited=self.perhaps_limited)
         force = "N m" if logs[0].unit == "rad" else "N"
         rubbing = f"{force} s/{logs[0].unit}"
-        if self.sought_gains:  # all of it per unit of the inertia
-            force, rubbing = f"{logs[0].unit}/s^2", "1/s"
+        stiffness, inertia = f"{force}/{logs[0].unit}", self.known().get("inertia", 1.0)
+        if self.sought_gains:
             guess["viscous"] = _OF_THE_DAMPING * guess[KD]
+            if "inertia" not in self.known():  # all of it per unit of that
+                force, rubbing, stiffness = f"{logs[0].unit}/s^2", "1/s", "1/s^2"
         mass = "kg m^2" if logs[0].unit == "rad" else "kg"
         speed = "rad/s" if logs[0].unit == "rad" else "m/s"
         size, asked = guess["size"], guess["asked"]
@@ -300,8 +302,8 @@ class Context:
             Unknown("offset", force, -size, size, (guess["offset"],)),
             Unknown("gravity", force, -heavy, heavy, (guess["gravity"],)),
             Unknown("zero", "rad", -0.5, 0.5, (0.0,)),
-            Unknown(KP, "1/s^2", 1.0, 1e7, guess[KP], positive=True),
-            Unknown(KD, "1/s", 0.0, 1e5, (guess[KD],)),
+            Unknown(KP, stiffness, inertia, 1e7 * inertia, guess[KP], positive=True),
+            Unknown(KD, rubbing, 0.0, 1e5 * inertia, (guess[KD],)),
             *drive_unknowns(logs, _MOST_TICKS_OF_DELAY, self.longest),
         )  # fmt: skip
         return {unknown.name: unknown for unknown in sought}
@@ -334,18 +336,14 @@ class Context:
         zero = np.zeros(len(log))
         ticks, controlled = cut(log, self.control_rate)
         gains = (math.nan, math.nan) if self.sought_gains else log.gains
-        strength = np.ones(len(log))
-        if "supply" in log:
-            strength = log["supply"] / usual_supply(self.logs)
-        if "powered" in log:
-            strength = strength * log["powered"]
+        own = self.stated(log)
         position, velocity = beginning(log)
         return of_rows(
             filled(log.time, rising=True),
             setpoint=filled(log[SETPOINT] if SETPOINT in log else zero),
             command=filled(log["command"] if "command" in log else zero),
             feedforward=filled(log[FEEDFORWARD] if FEEDFORWARD in log else zero),
-            strength=filled(strength),
+            strength=filled(supply.strength(log, self.logs)),
             position=filled(np.append(position, log["position"][1:])),
             velocity=velocity,
             gains=(float(gains[0] or 0.0), float(gains[1] or 0.0)),
@@ -354,13 +352,8 @@ class Context:
             controlled=controlled,
             lines=self.lines,
             links=tuple(filled(log[name]) for name in LINKS) if self.robot else None,
+            stated={} if self.robot or own == self.known() else own,
         )
-
-
-def usual_supply(logs: Sequence[Log]) -> float:
-    """The voltage at which a drive has its gain [V]: the logs' median, where none is stated."""
-    stated = logs[0].details.get("usual_supply")
-    return stated or float(np.median(np.concatenate([log["supply"] for log in logs])))
 
 
 def beginning(log: Log) -> tuple[float, float]:

@@ -104,8 +104,8 @@ class ColumnMap:
         own: dict[str, Any] = {}
         for pattern, table in self.files.items():
             if fnmatch.fnmatch(path.name, pattern):
-                own |= table
-        return {name: _columns(table | own) for name, table in self.joints.items()}
+                own = _with(own, table)
+        return {name: _columns(_with(table, own)) for name, table in self.joints.items()}
 
 
 def read_columns(path: Path) -> ColumnMap:
@@ -126,13 +126,20 @@ def read_columns(path: Path) -> ColumnMap:
     for name, tables in (("joints", joints), ("files", files)):
         if not isinstance(tables, dict) or not all(isinstance(t, dict) for t in tables.values()):
             raise UserError(f"{path}: {name} must be tables [{name}.NAME]")
-    found = ColumnMap({name: {**document, **own} for name, own in joints.items()}, files)
+    found = ColumnMap({name: _with(document, own) for name, own in joints.items()}, files)
     try:
         for pattern in ("", *files):
             found.of(Path(pattern))
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
     return found
+
+
+def _with(table: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """A table of a map with what is different, detail by detail."""
+    both = [each.get("details", {}) for each in (table, own)]
+    merged = all(isinstance(one, dict) for one in both) and any(both)
+    return {**table, **own, **({"details": both[0] | both[1]} if merged else {})}
 
 
 def _spelt(table: Mapping[str, Any], joint: str) -> dict[str, Any]:

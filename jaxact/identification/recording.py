@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
@@ -44,6 +45,7 @@ class Recording:
         command_limit: of the controller's output [N or N m].
         position, velocity: at the first row [m or rad] and per second.
         links: of a robot, None of a single joint.
+        stated: numbers of the joint that are of this log alone, by the model's name for them.
     """
 
     time: jax.Array
@@ -59,6 +61,7 @@ class Recording:
     position: jax.Array
     velocity: jax.Array
     links: Links | None = None
+    stated: Mapping[str, jax.Array] = field(default_factory=dict)
 
     @property
     def control_period(self) -> jax.Array:
@@ -84,6 +87,7 @@ def of_rows(
     controlled: int,
     lines: bool = False,
     links: tuple[np.ndarray, ...] | None = None,
+    stated: Mapping[str, float] | None = None,
 ) -> Recording:
     """A log cut into ticks.
 
@@ -98,6 +102,7 @@ def of_rows(
         controlled: the controller runs at every so many ticks.
         lines: setpoint, command and feedforward lie on lines between the rows.
         links: of a robot: inertia, force and stiffness as in `Links`, at each row.
+        stated: numbers of the joint in this log alone; None for none.
     """
     share = np.arange(ticks_per_row) / ticks_per_row
     fine = (time[:-1, None] + np.diff(time)[:, None] * share).ravel()
@@ -127,4 +132,5 @@ def of_rows(
         position=jnp.asarray(float(position[0])),
         velocity=jnp.asarray(velocity),
         links=None if links is None else Links(*(between(rows) for rows in (*links, position))),
+        stated={name: jnp.asarray(value) for name, value in (stated or {}).items()},
     )

@@ -14,12 +14,14 @@ import numpy as np
 
 from jaxact.errors import UserError, nearest
 from jaxact.identification import forces, motion
+from jaxact.identification.alike import stated
 from jaxact.identification.identify import Source, logs_of, prepared
 from jaxact.identification.links import constant_forces, joint_of, levelled, with_links
 from jaxact.identification.log import LINKS, Log
 from jaxact.identification.model import Family, predicted
 from jaxact.identification.motion import Simulate
 from jaxact.identification.reading import ColumnMap, Columns, read, read_columns
+from jaxact.identification.supply import USUAL
 from jaxact.loops import drives
 from jaxact.loops import given as _given
 from jaxact.loops.drives import ROBOT, IdentifiedDrive
@@ -44,6 +46,10 @@ _CHANGED = {
 }  # fmt: skip
 # What a drive whose force was measured has not: the log's command moves it.
 _OF_MOTION = (MASS, JOINT_DAMPING, KP, KD)
+# Forces, and the inertia, which mean nothing to a drive that is known per unit of it.
+_PER_INERTIA = (*_OF_MOTION, FORCE_LIMIT)
+# Details of a log that say what its joint moves.
+_OF_THE_JOINT = ("inertia", MASS, "length")
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +177,9 @@ def replay(
     if own.unit != known.unit:
         raise UserError(f"{own.title}: is in {own.unit}, and {known.name} in {known.unit}")
     asked = _given.read(changes, robot=False)
-    not_here = {"none": _OF_MOTION}.get(known.plant, (MASS,) if LINKS[0] in own else ())
+    of_links: tuple[str, ...] = (MASS,) if LINKS[0] in own else ()
+    not_here = {"none": _OF_MOTION}.get(known.plant, of_links)
+    not_here = _PER_INERTIA if known.per_inertia else not_here
     possible = [name for name in (*_CHANGED, KP, KD) if name not in not_here]
     for name in asked:
         if name not in possible:
@@ -247,12 +255,14 @@ def _of_robot(
 
 def _with_gains(drive: IdentifiedDrive, log: Log, asked: Mapping[str, Any]) -> Log:
     """The log with the controller's gains, and with the supply that the drive was used to."""
+    usual = drive.document.get(USUAL)
+    details = {**log.details, **({} if usual is None else {USUAL: float(usual)})}
+    if drive.per_inertia:  # a load in kg m^2 says nothing then
+        details = {name: value for name, value in details.items() if name not in _OF_THE_JOINT}
+    log = replace(log, details=details)
     if drive.plant == "none":
         return log
-    usual = drive.document.get("usual_supply")
-    details = {**log.details, **({} if usual is None else {"usual_supply": float(usual)})}
-    log = replace(log, details=details)
-    if KP in drive.numbers:  # all is known per unit of inertia: so are the gains, the force is not
+    if KP in drive.numbers:  # the log of the drive had no force either
         signals = {name: rows for name, rows in log.signals.items() if name != "command"}
         return replace(_differencing(drive, log), gains=(None, None), signals=signals)
     kp, kd = log.gains
@@ -283,15 +293,13 @@ def _model(
         family = forces.family([log])
     else:
         family = motion.family([log], drive.plant, drive.document.get("control_rate"))
-    changed = {_CHANGED[name]: value for name, value in asked.items() if name in _CHANGED}
+    replaced = {**_CHANGED, **({KP: KP, KD: KD} if KP in drive.numbers else {})}
+    changed = {replaced[name]: value for name, value in asked.items() if name in replaced}
     # What the log states of its joint, another load say, is of this recording.
-    stated = {
-        name: family.neutral[name]
-        for name, keys in (("inertia", {"inertia"}), ("gravity", {MASS, "length"}))
-        if name in family.neutral and keys <= set(log.details)
-    }
+    own_load = stated(log, drive.plant == "pendulum").items()
+    said = {name: value for name, value in own_load if name in family.neutral}
     own = {name: value for name, value in drive.numbers.items() if name in family.neutral}
-    numbers = {**family.neutral, **own, **stated, **changed}
+    numbers = {**family.neutral, **own, **said, **changed}
     if isinstance(family.simulate, Simulate):
         structure = family.simulate.structure
         ticks, _ = motion.cut(log, drive.document.get("control_rate"))

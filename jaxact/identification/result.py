@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from jaxact.errors import UserError
-from jaxact.identification import inspection, motion
+from jaxact.identification import inspection, starts, supply
+from jaxact.identification.alike import stated
 from jaxact.identification.choice import Candidate
 from jaxact.identification.inspection import Inspection
+from jaxact.identification.joint_motion import COMMAND_LIMIT
 from jaxact.identification.ladder import Ladder
 from jaxact.identification.problem import Unknown, effective_lag
 from jaxact.identification.verdict import Verdict
@@ -19,11 +21,22 @@ from jaxact.loops import drives
 from jaxact.loops.building import joint
 from jaxact.loops.control_loop import ControlLoop
 from jaxact.loops.drives import IdentifiedDrive
-from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, POSITION_RESOLUTION, SETPOINT
+from jaxact.loops.model_numbers import NO_LIMIT, parameters_of
+from jaxact.parameters import (
+    CONTROL_RATE,
+    FORCE_LIMIT,
+    GAIN_SCALE,
+    KD,
+    KP,
+    POSITION_RESOLUTION,
+    SETPOINT,
+    WN,
+)
 from jaxact.reportable import Reportable
 
-# Of a loop only one controller's gains can be.
+# Of a loop only one controller's gains can be, and one load.
 _OTHER_GAINS = "the gains of other logs than the first"
+_OTHER_LOADS = "the {} of other logs than the first"
 # What a log may state of its joint: no number of its model is neutral then.
 _STATED = ("inertia", "gravity")
 
@@ -79,18 +92,39 @@ class Identified(Reportable):
     def _loop_values(self) -> dict[str, float]:
         """The parameters of the loop: the model's, the controller's and the sensor's."""
         log, numbers = self.ladder.fitted[0], self._numbers()
-        values = drives.parameters_of(numbers, self.plant)
+        values = parameters_of(numbers, self.plant)
         gain, (kp, kd) = abs(numbers.get("gain", 1.0)), log.gains
         if self.plant != "none" and kp is not None:
             # A controller whose command was not recorded may have units of its own.
             values |= {KP: gain * kp, KD: gain * (kd or 0.0)}
         elif gain != 1.0:
             values[GAIN_SCALE] = gain
+        limit = self._command_limit()
+        if limit is not None and WN not in values:  # nothing but a delay and a gain behind it
+            values[FORCE_LIMIT] = min(gain * limit, values.get(FORCE_LIMIT, math.inf))
         quanta = self.inspections[0].quanta
         if "position" in quanta:
             values[POSITION_RESOLUTION] = quanta["position"]
         values[CONTROL_RATE] = self.control_rate or float(f"{1.0 / log.period:.4g}")
         return values
+
+    def _command_limit(self) -> float | None:
+        """The largest command of the first log's controller [N or N m]; None for no limit."""
+        log = self.ladder.fitted[0]
+        if self.plant == "none":
+            return None
+        # Without a controller what a log shows may be no more than how it was excited.
+        own = starts.command_limit(log) if SETPOINT in log else log.details.get(COMMAND_LIMIT)
+        limit = min(own or math.inf, self.chosen.numbers.get(COMMAND_LIMIT, math.inf))
+        return limit if limit < NO_LIMIT else None
+
+    def _left_out(self) -> list[str]:
+        """What differs between logs, of which a loop has the first's."""
+        logs = self.ladder.fitted
+        said = [_OTHER_GAINS] if len({log.gains for log in logs}) > 1 else []
+        loads = [stated(log, self.plant == "pendulum") for log in logs]
+        differ = [name for name in loads[0] if any(one[name] != loads[0][name] for one in loads)]
+        return [*said, *(_OTHER_LOADS.format(name) for name in differ)]
 
     def _difference_ticks(self) -> int:
         """Rows over which the controller differenced positions, 0 where it did not."""
@@ -141,7 +175,7 @@ class Identified(Reportable):
         """Everything as plain numbers and words, for TOML and JSON."""
         chosen, known = self.chosen, self.chosen.knowledge
         logs = self.ladder.fitted
-        ticks = self._difference_ticks()
+        ticks, limit, left_out = self._difference_ticks(), self._command_limit(), self._left_out()
         models = {u.name: u.model_name for u in chosen.fit.problem.unknowns}
         estimates = {
             e.name: {
@@ -164,9 +198,10 @@ class Identified(Reportable):
             "plant": self.plant,
             **({drives.DIFFERENCE_TICKS: ticks} if ticks else {}),
             **({} if self.control_rate is None else {"control_rate": self.control_rate}),
-            **({"usual_supply": motion.usual_supply(logs)} if "supply" in logs[0] else {}),
+            **supply.document(logs),
             "unit": logs[0].unit,
-            **({"left_out": [_OTHER_GAINS]} if len({log.gains for log in logs}) > 1 else {}),
+            **({"left_out": left_out} if left_out else {}),
+            **({} if limit is None else {COMMAND_LIMIT: limit}),
             "verdict": {
                 "level": self.verdict.level.value,
                 "sentence": self.verdict.sentence,

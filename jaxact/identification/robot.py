@@ -27,11 +27,12 @@ from jaxact.identification.report import estimate
 from jaxact.identification.result import Identified
 from jaxact.identification.verdict import MOST_CORRELATED, Level
 from jaxact.loops import drives
-from jaxact.loops.drives import ROBOT, IdentifiedDrive
+from jaxact.loops.drives import OFFSET, ROBOT, IdentifiedDrive
 from jaxact.parameters import (
     CONTROL_RATE,
     DELAY,
     FORCE_LIMIT,
+    GAIN_SCALE,
     JOINT_ARMATURE,
     JOINT_DAMPING,
     JOINT_FRICTION,
@@ -133,42 +134,81 @@ class IdentifiedRobot(Reportable):
 
     def _parameters(self) -> tuple[dict[str, float], dict[str, list[float]], list[str]]:
         """Parameters of a loop of the robot, their 95 % intervals, and what cannot be said so."""
-        values: dict[str, float] = {}
+        values, less = self._shared()
         unsure: dict[str, list[float]] = {}
-        less: list[str] = []
         for part in self.parts:
-            drive, numbers = part.found.drive, part.found.chosen.numbers
+            drive = part.found.drive
             values |= {
                 f"{name}@{part.pattern}": drive.joint[name]
                 for name in _OF_DRIVE
                 if name in drive.joint
             }
-            values[CONTROL_RATE] = drive.joint[CONTROL_RATE]
             unsure[f"{DELAY}@{part.pattern}"] = [part.delay.low, part.delay.high]
             for name in (WN, ZETA):
                 if name in drive.uncertainty:
                     unsure[f"{name}@{part.pattern}"] = list(map(float, drive.uncertainty[name]))
-            for name, parameter in _ADDED.items():
-                own = self._own(parameter, part.joints)
-                more = numbers[name] - own
-                if more > 0.0:
-                    values[f"{parameter}@{part.pattern}"] = more
-                elif own > 0.0:
-                    word = {"armature": "armature", "viscous": "damping"}.get(name, "frictionloss")
-                    less.append(
-                        f"{word} of {part.name}, which is {max(numbers[name], 0.0):.3g} and not the"
-                        f" {own:.3g} of {self.robot.path.name}"
-                    )
+            more, fewer = self._added(part)
+            values |= more
+            less += fewer
+            less += [f"{words} of {part.name}" for words in drive.beyond_a_loop
+                     if words != OFFSET]  # fmt: skip
+            less += [f"{words}, {part.name}" for words in drive.document.get("left_out", ())]
         return values, unsure, less
 
-    def _own(self, parameter: str, joints: Sequence[Joint]) -> float:
-        """What the model itself has of a number, the largest of the joints."""
+    def _shared(self) -> tuple[dict[str, float], list[str]]:
+        """Gain and control rate, of which a robot has one each, and what of them cannot be said."""
+        values: dict[str, float] = {}
+        less: list[str] = []
+        rates = {part.name: part.found.drive.joint[CONTROL_RATE] for part in self.parts}
+        if len(set(rates.values())) == 1:
+            values[CONTROL_RATE] = next(iter(rates.values()))
+        else:
+            each = ", ".join(f"{rate:g} Hz of {name}" for name, rate in rates.items())
+            less.append(f"control rates ({each}), of which a robot has one: give that")
+        gains = {part.name: part.found.drive.joint.get(GAIN_SCALE, 1.0) for part in self.parts}
+        number = sum(len(part.joints) for part in self.parts)
+        if len(set(gains.values())) == 1 and number == len(self.robot.joints):
+            gain = next(iter(gains.values()))
+            values |= {GAIN_SCALE: gain} if gain != 1.0 else {}
+        else:
+            less += [
+                f"the gain {gain:.4g} of {name}: multiply its kp and kd by that"
+                for name, gain in gains.items()
+                if gain != 1.0
+            ]
+        return values, less
+
+    def _added(self, part: Part) -> tuple[dict[str, float], list[str]]:
+        """What is added to the model's own armature, damping and friction, and where it has more.
+
+        Joints of a part share the sum, and may differ in what their model has of it.
+        """
+        values: dict[str, float] = {}
+        less: list[str] = []
+        for name, parameter in _ADDED.items():
+            whole = part.found.drive.numbers.get(name, 0.0)
+            owns = [self._own(parameter, joint) for joint in part.joints]
+            for own in dict.fromkeys(owns):
+                names = [j.name for j, one in zip(part.joints, owns, strict=True) if one == own]
+                if whole > own:
+                    values[f"{parameter}@{'|'.join(map(re.escape, names))}"] = whole - own
+                elif own > whole:
+                    word = {"armature": "armature", "viscous": "damping"}.get(name, "frictionloss")
+                    who = part.name if len(names) == len(owns) else ", ".join(names)
+                    less.append(
+                        f"{word} of {who}, which is {whole:.3g} and not the {own:.3g} of"
+                        f" {self.robot.path.name}"
+                    )
+        return values, less
+
+    def _own(self, parameter: str, joint: Joint) -> float:
+        """What the model itself has of a number of a joint."""
         model = self.robot.model
         rows = {
             JOINT_ARMATURE: model.dof_armature, JOINT_DAMPING: model.dof_damping,
             JOINT_FRICTION: model.dof_frictionloss,
         }[parameter]  # fmt: skip
-        return max(float(rows[joint.dof]) for joint in joints)
+        return float(rows[joint.dof])
 
     def __str__(self) -> str:
         """What was found, as text."""

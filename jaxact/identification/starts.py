@@ -129,13 +129,14 @@ def guess(
         # Where the motion hardly tells: a rotor, seen through its gear, is like the links.
         least = 0.05 * float(np.mean([np.mean(log[LINKS[0]]) for log in logs]))
         inertia = max(inertia, least)
+    heavy = known.get("inertia", 1.0)
     return {
         "inertia": inertia, "viscous": scaled["viscous"], "coulomb": scaled["coulomb"],
         "offset": float(np.clip(scaled["offset"], -0.5 * gain * size, 0.5 * gain * size)),
         "gravity": scaled.get("gravity", 0.0), "gain": gain, "size": gain * size,
         "speed": fastest, "asked": largest, COMMAND_LIMIT: limit,
-        "limited": limited, KP: (30.0, 300.0, 3000.0),
-        KD: 20.0,
+        "limited": limited, KP: tuple(heavy * kp for kp in (30.0, 300.0, 3000.0)),
+        KD: heavy * 20.0,
     }  # fmt: skip
 
 
@@ -145,7 +146,8 @@ def asked(log: Log, context: Context) -> np.ndarray:
         return log["command"]
     kp, kd = (0.0 if gain is None else gain for gain in log.gains)
     if context.sought_gains:
-        kp, kd = 300.0, 20.0
+        heavy = context.known().get("inertia", 1.0)
+        kp, kd = heavy * 300.0, heavy * 20.0
     force = kp * (log[SETPOINT] - log["position"]) - kd * inspection.velocity(log)
     if FEEDFORWARD in log:
         force = force + log[FEEDFORWARD]

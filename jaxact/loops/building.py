@@ -68,13 +68,16 @@ def joint(
     known = None if drive is None else drives.taken(drive)
     if known is None and samples is not None:
         raise UserError("`samples`: are those of a `drive`; give one")
-    own = {} if known is None else known.draws(samples, seed) if samples else known.parameters()
     kind = Kind(
         velocity=_velocity(velocity, known), physics_step=physics_step,
         unit=_unit(unit, parameters) or (None if known is None else known.unit),
         names=names,  # type: ignore[arg-type]
     )  # fmt: skip
     given = read({"actuator": actuator, **parameters}, robot=False, unit=kind.unit)
+    own: Mapping[str, Any] = {}
+    if known is not None:
+        known = known.moving(given)
+        own = known.draws(samples, seed) if samples else known.parameters()
     return made(drives.filled(own, given), kind)
 
 

@@ -9,15 +9,16 @@ line declares its options with this module.
 
 from __future__ import annotations
 
-import math
 import os
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from jaxact.errors import UserError
+from jaxact.loops import per_inertia
+from jaxact.loops.model_numbers import parameters_of
 from jaxact.loops.spread import Spread
 from jaxact.parameters import (
     DELAY,
@@ -49,15 +50,14 @@ NOT_ENOUGH = "not good enough"
 """The verdict on a drive that should not be used."""
 # What a joint of a robot has from its model, and not from the bench on which its drive was.
 _OF_BENCH = (MASS, KP, KD, JOINT_STIFFNESS)
-# A bound that is larger than this is none.
-_NO_LIMIT = 1e12
+OFFSET = "a constant force"
+"""What is said of an offset. Every joint of a robot has one: of its encoder, or of cables."""
 _FRICTION = {
     "viscous_asymmetry": "viscous friction that differs by direction",
     "coulomb_asymmetry": "dry friction that differs by direction",
     "loaded": "friction that grows with the drive's force",
     "stribeck": "larger friction at rest",
-    "offset": "a constant force",
-    "command_limit": "a limit of its command",
+    "offset": OFFSET,
 }
 
 
@@ -92,6 +92,33 @@ class IdentifiedDrive:
         """That its log's controller saw, if of "differenced" positions; None where not said."""
         return "differenced" if self.document.get(DIFFERENCE_TICKS) else None
 
+    @property
+    def per_inertia(self) -> bool:
+        """Whether gains and friction are per unit of an inertia that is not known: 1 in its place.
+
+        Gains are among the numbers where a log had neither them nor a command.
+        """
+        return KP in self.numbers and self.numbers.get("inertia", 1.0) == 1.0
+
+    def moving(self, own: Mapping[str, Any]) -> IdentifiedDrive:
+        """The same drive in front of the joint that a loop describes itself.
+
+        What is known per unit of an inertia is multiplied by that of the loop.
+
+        Args:
+            own: parameters of the loop by short name.
+
+        Raises:
+            UserError: the loop gives a force of its own, and no inertia.
+        """
+        if not self.per_inertia:
+            return self
+        if MASS not in own:
+            per_inertia.demand_inertia(self.name, own)
+            return self
+        whole = per_inertia.multiplied(self.joint, own[MASS] / self.joint.get(MASS, 1.0))
+        return replace(self, joint={**whole, MASS: own[MASS]})
+
     def parameters(self, *, robot: bool = False) -> dict[str, float]:
         """What the drive says of a loop, by short name.
 
@@ -107,7 +134,7 @@ class IdentifiedDrive:
         if not robot or self.plant == ROBOT:
             return dict(self.joint)
         kept = {name: value for name, value in self.joint.items() if name not in _OF_BENCH}
-        if KP in self.numbers:  # per unit of an inertia that is not known
+        if self.per_inertia:
             return {name: value for name, value in kept.items() if name != JOINT_DAMPING}
         dry = self.numbers.get("coulomb", 0.0)
         return kept | ({JOINT_FRICTION: dry} if dry else {})
@@ -121,11 +148,12 @@ class IdentifiedDrive:
         if self.plant == ROBOT:
             return own + over
         force = "N m" if self.unit == "rad" else "N"
-        force = f"{self.unit}/s^2" if KP in self.numbers else force  # per unit of inertia
+        force = f"{self.unit}/s^2" if self.per_inertia else force
         dry = self.numbers.get("coulomb", 0.0)
-        said = [words for name, words in _FRICTION.items() if self.numbers.get(name)]
-        if robot and KP in self.numbers:
-            said = ["friction, which is known per unit of inertia only"] if dry else []
+        said = self.beyond_a_loop
+        if robot and self.per_inertia:
+            rubs = dry or self.numbers.get("viscous")
+            said = ["friction, which is known per unit of inertia only"] if rubs else []
         elif dry and not robot:
             said = [f"dry friction of {dry:.3g} {force}", *said]
         if robot:
@@ -133,6 +161,17 @@ class IdentifiedDrive:
             said += [f"its joint's {words}" for name, words in moved.items() if name in self.joint]
             return said + (["the gains of its log"] if KP in self.joint else []) + over
         return said + own + over
+
+    @property
+    def beyond_a_loop(self) -> list[str]:
+        """The friction and the limit that it has and no loop does, in words."""
+        said = [words for name, words in _FRICTION.items() if self.numbers.get(name)]
+        limit = self.document.get("command_limit", self.numbers.get("command_limit"))
+        # Behind a delay and a gain alone it is one of the force.
+        if limit and (FORCE_LIMIT not in self.joint or WN in self.joint):
+            force = "N m" if self.unit == "rad" else "N"
+            said.append(f"a limit of its command of {limit:.3g} {force}")
+        return said
 
     @property
     def uncertainty(self) -> dict[str, tuple[float, float] | str]:
@@ -149,7 +188,9 @@ class IdentifiedDrive:
                 found[name] = (low, high)
         for name, own in ((DELAY, DELAY), ("viscous", JOINT_DAMPING), ("gravity", JOINT_STIFFNESS)):
             if name in self.intervals and own in self.joint:
-                found[own] = self.intervals[name]
+                low, high = self.intervals[name]
+                size = self.joint[MASS] if self.per_inertia and own != DELAY else 1.0
+                found[own] = size * low, size * high
         low, high = self.intervals.get("gain", (1.0, 1.0))
         gain = abs(self.numbers.get("gain", 1.0))
         weak, strong = sorted((abs(low) / gain, abs(high) / gain)) if low * high > 0 else (1.0, 1.0)
@@ -157,7 +198,7 @@ class IdentifiedDrive:
             end / self.numbers.get("inertia", 1.0)
             for end in self.intervals.get("inertia", (self.numbers.get("inertia", 1.0),) * 2)
         )
-        if {"gain", "inertia"} & set(self.intervals) and KP not in self.numbers:
+        if {"gain", "inertia"} & set(self.intervals) and not self.per_inertia:
             found[MASS] = f"{light / strong!r}x..{heavy / weak!r}x"
         return found
 
@@ -181,35 +222,13 @@ class IdentifiedDrive:
         # All that is not drawn is what it was; a gain of the drive scales the controller's.
         drawn = dict(self.numbers) | self.spread.draw(self.numbers, number, seed)
         own = parameters_of(drawn, self.plant)
+        if self.per_inertia:
+            own = per_inertia.multiplied(own, self.joint[MASS]) | {MASS: self.joint[MASS]}
         share = np.abs(drawn["gain"]) / abs(self.numbers["gain"]) if "gain" in drawn else 1.0
-        scaled = (GAIN_SCALE,) if GAIN_SCALE in self.joint else (KP, KD)
+        scaled = {GAIN_SCALE} if GAIN_SCALE in self.joint else {KP, KD}
+        scaled = ({FORCE_LIMIT} if KP in self.numbers else {*scaled, FORCE_LIMIT}) - {*self.numbers}
         gains = {name: self.joint[name] * share for name in scaled if name in self.joint}
         return {**self.joint, **{n: v for n, v in own.items() if n in self.joint}, **gains}
-
-
-def parameters_of(numbers: Mapping[str, Any], plant: str) -> dict[str, Any]:
-    """The parameters of a joint that a model's numbers say, by short name; the controller's apart.
-
-    Args:
-        numbers: of the model by name, numbers or arrays.
-        plant: "none" where a force was measured and no joint moved.
-    """
-    import numpy as np
-
-    limit = numbers.get(FORCE_LIMIT, math.inf)
-    found = {WN: numbers.get(WN, math.inf), ZETA: numbers.get(ZETA, 1.0),
-             DELAY: numbers.get(DELAY, 0.0), FORCE_LIMIT: limit}  # fmt: skip
-    if np.any(np.asarray(limit) >= _NO_LIMIT):
-        del found[FORCE_LIMIT]
-    if np.any(np.isinf(found[WN])):
-        del found[WN], found[ZETA]
-    if plant != "none":
-        found |= {MASS: numbers["inertia"]} if "inertia" in numbers else {}
-        own = {JOINT_DAMPING: "viscous", JOINT_STIFFNESS: "gravity"}
-        found |= {name: numbers[model] for name, model in own.items() if model in numbers}
-    if KP in numbers:
-        found |= {KP: numbers[KP], KD: numbers.get(KD, 0.0)}
-    return found
 
 
 def load_drive(path: str | os.PathLike[str]) -> IdentifiedDrive:
@@ -321,6 +340,9 @@ def written_out(document: Mapping[str, Any], drive: IdentifiedDrive) -> dict[str
     Args:
         document: of the specification, with canonical names.
         drive: that it names.
+
+    Raises:
+        UserError: forces of the drive are per unit of an inertia that is varied, or not given.
     """
     rest = {key: value for key, value in document.items() if key != DRIVE}
     robot = "plant" in rest
@@ -328,8 +350,16 @@ def written_out(document: Mapping[str, Any], drive: IdentifiedDrive) -> dict[str
         rest.setdefault("unit", drive.unit)
     if drive.velocity is not None:
         rest.setdefault("velocity", drive.velocity)
+    given = {**rest["axes"], **rest["parameters"]}
+    if not robot:
+        if drive.per_inertia and MASS in rest["axes"]:
+            raise UserError(
+                f"axes: {drive.name} says gains and friction per unit of an inertia that is not"
+                " known; give one inertia, and vary something else"
+            )
+        drive = drive.moving(given)
     said = drive.parameters(robot=robot)
-    own = filled(said, {**rest["axes"], **rest["parameters"]})
+    own = filled(said, given)
     # What is varied keeps the drive's number as its nominal one.
     own |= {name: said[name] for name in rest["axes"] if name in said}
     fixed = {n: v for n, v in own.items() if n not in rest["axes"] or n in said}

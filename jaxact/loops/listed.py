@@ -72,8 +72,9 @@ def values(
         own = common | _read(key, {k: v for k, v in table.items() if k not in _NO_NUMBERS})
         drive = _drive(key, path, table) or given.get(DRIVE)
         if drive is not None:
-            units.add(drives.taken(drive).unit)
-            own = drives.filled(drives.taken(drive).parameters(), own)
+            known = drives.taken(drive)
+            units.add(known.unit)
+            own = drives.filled(known.moving(own).parameters(), own)
         if _RATE in own:
             every = {name: parameter.default for name, parameter in PARAMETERS.items()} | own
             check_history(every, every[_RATE], f"{key}: ")

@@ -111,7 +111,7 @@ def found(
     if "estimates" in document:
         drive = drives.load_drive(path)
         if model is None:
-            return of_loop(joint(drive=drive), drive.left_out()), path.name
+            return of_loop(*_of_drive(drive, given)), path.name
         _demand_one(options, "drive", "a drive")
         loop = robot(model, **options | {"drive": drive})
         return of_loop(loop, drive.left_out(robot=True)), path.name
@@ -136,6 +136,26 @@ def found(
     ranges = dict(zip((LOWEST_FORCE, HIGHEST_FORCE), forces, strict=False))
     own |= {FORCE_LIMIT: np.array(gains.force_limit)}
     return Found(gains, own, ranges, left_out=_said(path, read)), path.name
+
+
+def _of_drive(
+    drive: drives.IdentifiedDrive, given: Mapping[str, Any]
+) -> tuple[ControlLoop, list[str]]:
+    """The loop of the drive of a single joint, and what is left out of it.
+
+    Raises:
+        UserError: its gains are per unit of an inertia, and none are given instead.
+    """
+    if not drive.per_inertia:
+        return joint(drive=drive), drive.left_out()
+    if not {KP, KD} <= {canonical(name) for name in given}:
+        raise UserError(
+            f"{drive.name}: its gains are per unit of an inertia that is not known; give `kp` and"
+            " `kd`"
+        )
+    kept = drive.parameters(robot=True)  # what is no force
+    seen: Any = drive.velocity
+    return joint(velocity=seen, **kept), drive.left_out(robot=True)
 
 
 def _demand_none(options: Mapping[str, Any], what: str) -> None:

@@ -182,6 +182,8 @@ def intervals(drive: IdentifiedDrive, loop: ControlLoop, ranges: str = "") -> st
         UserError: more numbers are open than a box can have.
     """
     given = {canonical(part.partition("=")[0].strip()) for part in ranges.split(",") if part}
+    if loop.kind.plant is None:
+        drive = drive.moving({MASS: loop.parameters[MASS]})
     found = drive.uncertainty
     if loop.kind.plant is not None:
         found = {name: span for name, span in found.items() if name not in (MASS, JOINT_STIFFNESS)}

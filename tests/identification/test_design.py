@@ -75,6 +75,8 @@ def test_noise_scales_all_promises(promises):
         ({"plant": "car"}, "plant = 'car'"),
         ({"wn": (100.0, 10.0)}, "`wn` = 100..10 is not a range"),
         ({"noise": 0.0}, "`noise` = 0 must be positive"),
+        ({"kd": np.nan}, "`kd` = nan must be 0 or more"),
+        ({"kd": -1.0}, "`kd` = -1 must be 0 or more"),
         ({"duration": 0.1}, "`duration` = 0.1: 100 rows"),
     ],
 )

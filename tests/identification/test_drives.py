@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +12,14 @@ import jaxact as jx
 from jaxact.cli._loops import identified
 from jaxact.cli.main import main
 from jaxact.errors import UserError
+from jaxact.identification.log import Log
+from jaxact.identification.result import Identified
 from jaxact.loops import reading
 from jaxact.tuning.box import read_box
 from jaxact.tuning.joint.ensemble import FIELDS
 from jaxact.verbs.tune import intervals
 
+NO_UNKNOWNS = SimpleNamespace(unknowns=())
 ROOT = Path(__file__).resolve().parents[2]
 BENCH = """
 model = "second order with delay"
@@ -246,6 +250,47 @@ def test_gains_are_robust_over_the_drawn_drives(folder, capsys):
     margins = jx.margins(drawn)
     worst = max(np.max(margins.sensitivity_peak), np.max(margins.complementary_peak))
     assert worst == pytest.approx(2.0, rel=1e-3)
+
+
+def test_a_limit_of_the_command_is_the_forces_or_said(folder):
+    text = SERVO.replace('unit = "rad"', 'unit = "rad"\ncommand_limit = 3.0')
+    (folder / "clipped.toml").write_text(text.replace("mass =", "force_limit = 2.4\nmass ="))
+    clipped = jx.load_drive("clipped.toml")
+    assert jx.joint(drive=clipped).force_limit == 2.4
+    assert not any("limit" in words for words in clipped.left_out())
+    (folder / "slow.toml").write_text(text.replace("mass =", "wn = 90.0\nzeta = 1.0\nmass ="))
+    said = "a limit of its command of 3 N m"
+    assert all(said in jx.load_drive("slow.toml").left_out(robot=own) for own in (False, True))
+
+
+def _found(wn, *logs):
+    """What was identified of these logs with a gain of -0.8, as far as its loop needs it."""
+    numbers = {"gain": -0.8, "inertia": 0.7, "wn": wn, "zeta": 1.0, "command_limit": 1e12}
+    chosen = SimpleNamespace(numbers=numbers, fit=SimpleNamespace(problem=NO_UNKNOWNS))
+    ladder = SimpleNamespace(
+        fitted=logs, chosen=chosen, family=SimpleNamespace(neutral={"wn": np.inf})
+    )
+    return Identified("mass", ladder, (SimpleNamespace(quanta={}),), None)
+
+
+def test_commands_within_a_limit_are_forces_within_it_but_for_dynamics():
+    time = np.arange(300) * 2e-3
+    signals = {"setpoint": np.sin(time), "position": np.sin(time)}
+    log = Log("log", time, signals, gains=(20.0, 1.0), details={"command_limit": 3.0})
+    assert _found(np.inf, log)._loop_values()["force_limit"] == pytest.approx(0.8 * 3.0)
+    assert _found(np.inf, log)._command_limit() == 3.0
+    assert "force_limit" not in _found(90.0, log)._loop_values()
+    excited = Log("log", time, {"command": np.clip(np.sin(30 * time), -0.4, 0.4)} | signals)
+    assert _found(np.inf, excited)._command_limit() == pytest.approx(0.4)
+    del excited.signals["setpoint"]  # then it may be how the joint was excited
+    assert _found(np.inf, excited)._command_limit() is None
+
+
+def test_other_logs_have_other_loads():
+    time = np.arange(300) * 2e-3
+    logs = [Log("log", time, {}, details={"inertia": inertia}) for inertia in (0.05, 0.15)]
+    assert _found(np.inf, *logs)._left_out() == ["the inertia of other logs than the first"]
+    assert _found(np.inf, logs[0])._left_out() == []
 
 
 def test_what_is_left_out_or_assumed_is_said(capsys):

@@ -48,6 +48,21 @@ def test_a_map_names_scales_and_takes_what_differs_between_files(tmp_path):
     assert log.gains == (5.0, None) and log.stamp == "end"
 
 
+def test_details_of_a_file_or_a_joint_add_to_those_of_all(tmp_path):
+    for name in ("slow_1.csv", "other.csv"):
+        _write(tmp_path / name, t=TIME, u=COMMAND, q=COMMAND)
+    (tmp_path / "map.toml").write_text(
+        'time = "t"\ncommand = "u"\nposition = "q"\n[details]\nmass = 0.5\nlength = 0.1\n'
+        "[joints.hip.details]\nlength = 0.2\n[joints.knee]\nkp = 3.0\n"
+        '[files."slow*.csv".details]\ncommand_limit = 1.0\n[files."*_1.csv".details]\nmass = 0.6\n'
+    )
+    columns = read_columns(tmp_path / "map.toml")
+    hip, knee = read(tmp_path / "slow_1.csv", columns)
+    assert hip.details == {"mass": 0.6, "length": 0.2, "command_limit": 1.0}
+    assert knee.details == {"mass": 0.6, "length": 0.1, "command_limit": 1.0}
+    assert read(tmp_path / "other.csv", columns)[0].details == {"mass": 0.5, "length": 0.2}
+
+
 def test_an_npz_of_several_joints_gives_a_log_for_each(tmp_path):
     np.savez(tmp_path / "log.npz", t=TIME, tau=np.stack([COMMAND, 2.0 * COMMAND], axis=1))
     (tmp_path / "map.toml").write_text(

@@ -94,6 +94,19 @@ def test_a_force_loop_follows_the_commands_of_its_log():
     assert slower.rms == pytest.approx(np.sqrt(np.mean(slower.rest**2)))
 
 
+def test_a_force_goes_with_the_supply_and_is_none_where_the_drive_is_off():
+    """Commands that make up for both leave the force as it was."""
+    log = _force()
+    supply = np.linspace(24.0, 16.0, 500)
+    signals = {**log.signals, "command": log["command"] * 20.0 / supply, "supply": supply}
+    sinking = replace(log, signals=signals, details={"usual_supply": 20.0})
+    assert jx.replay("bench.toml", sinking).largest < 1e-9
+    late = np.arange(500) >= 400
+    off = {**log.signals, "command": np.where(late, 7.0, log["command"]), "powered": 1.0 - late}
+    quiet = jx.replay("bench.toml", replace(log, signals=off)).simulated
+    assert np.ptp(quiet[490:]) < 1e-3 and quiet[-1] == pytest.approx(0.1, abs=1e-3)
+
+
 @pytest.mark.exhaustive
 def test_a_joint_follows_setpoints_under_the_gains_of_its_log():
     found = jx.replay("mass.toml", _motion())

@@ -3,6 +3,7 @@
 import json
 import re
 import tomllib
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -12,6 +13,7 @@ import jaxact as jx
 from jaxact.cli.main import main
 from jaxact.identification import links
 from jaxact.identification.log import LINKS, Log, stretches
+from jaxact.identification.robot import IdentifiedRobot, Part
 from jaxact.loops import toml
 from jaxact.robots.model import read
 
@@ -183,6 +185,65 @@ def test_a_robot_takes_what_its_model_has_not_yet(found, folder):
     assert f"joint_damping@{both}" not in loop.values  # what is said wins
     (less,) = found.drive.left_out(robot=True)
     assert less.startswith("frictionloss of .*") and "not the 0.5 of arm.xml" in less
+
+
+PARTLY = ARM.replace('armature="{armature}"', 'armature="0.01"', 1)
+
+
+def _part(robot, names, joint, numbers):
+    """A drive of some joints, as far as a robot's file needs it."""
+    drive = SimpleNamespace(
+        joint={"delay": 0.004, **joint}, numbers=numbers, uncertainty={}, document={},
+        beyond_a_loop=[],
+    )  # fmt: skip
+    joints = tuple(one for one in robot.joints if one.name in names)
+    delay = SimpleNamespace(low=0.003, high=0.005)
+    return Part("|".join(names), joints, SimpleNamespace(drive=drive), delay)
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    path = tmp_path_factory.mktemp("partly") / "arm.xml"
+    path.write_text(PARTLY.format(armature=0.02, damping=0.1, friction=0.0))
+    return read(path, base="fixed")
+
+
+def test_every_joint_of_a_group_ends_with_what_was_identified(robot):
+    """MuJoCo's own armature and damping and what is added are the total of each joint."""
+    numbers = {"armature": 0.05, "viscous": 0.4}
+    part = _part(robot, ["shoulder", "elbow"], {"control_rate": 500.0}, numbers)
+    values, _, less = IdentifiedRobot(robot, (part,))._parameters()
+    for joint in robot.joints:
+        own = {"armature": robot.model.dof_armature, "damping": robot.model.dof_damping}
+        for name, total in (("armature", 0.05), ("damping", 0.4)):
+            more = [v for key, v in values.items() if key.startswith(f"joint_{name}@")
+                    and re.fullmatch(key.partition("@")[2], joint.name)]  # fmt: skip
+            assert float(own[name][joint.dof]) + more[0] == pytest.approx(total) and not more[1:]
+    assert not less and not any("friction" in key for key in values)  # none was identified
+
+
+def test_one_of_a_group_that_has_more_already_is_named(robot):
+    part = _part(robot, ["shoulder", "elbow"], {"control_rate": 500.0}, {"armature": 0.015})
+    values, _, less = IdentifiedRobot(robot, (part,))._parameters()
+    assert values["joint_armature@shoulder"] == pytest.approx(0.005)
+    assert "armature of elbow, which is 0.015 and not the 0.02 of arm.xml" in less
+
+
+def test_a_gain_and_a_rate_are_the_robots_or_said(robot):
+    def shared(first, second):
+        parts = tuple(_part(robot, [name], own, {}) for name, own in
+                      (("shoulder", first), ("elbow", second)) if own)  # fmt: skip
+        values, _, less = IdentifiedRobot(robot, parts)._parameters()
+        kept = {name: values.get(name) for name in ("gain_scale", "control_rate")}
+        return kept, [words for words in less if "arm.xml" not in words]
+
+    fast, slow = {"control_rate": 1e3, "gain_scale": 0.6}, {"control_rate": 500.0}
+    assert shared(fast, fast) == ({"gain_scale": 0.6, "control_rate": 1e3}, [])
+    kept, less = shared(fast, slow)
+    assert kept == {"gain_scale": None, "control_rate": None}
+    assert "control rates (1000 Hz of shoulder, 500 Hz of elbow)" in less[0]
+    assert "the gain 0.6 of shoulder: multiply its kp and kd by that" in less[1]
+    assert shared(fast, None)[1][0].startswith("the gain 0.6 of shoulder")  # of one of two joints
 
 
 @pytest.mark.exhaustive
