@@ -191,7 +191,7 @@ class Refinement:
             crossed[owner[wrong]] = True
             there = np.any(known, axis=1)
             halves = self._halves(cells[there], level)
-            owner = np.tile(owner[there], halves.size // max(np.sum(there), 1))
+            owner = np.tile(owner[there], halves.size // max(int(np.sum(there)), 1))
             cells, level = halves, level + 1
         return crossed
 
