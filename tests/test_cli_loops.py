@@ -226,6 +226,14 @@ def test_gains_are_said_with_their_scale():
     assert "scale" not in in_common(jx.joint(actuator="starleth"))
 
 
+def test_the_control_rate_is_said_of_loops_that_are_simulated():
+    loop = jx.joint(actuator="starleth", control_rate=500.0)
+    assert "control at 500 Hz" in in_common(loop, simulated=True)
+    assert "500" not in in_common(loop)
+    rates = jx.joint(actuator="starleth", control_rate=[500.0, 1000.0])
+    assert "control at" not in in_common(rates, simulated=True)
+
+
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("verb", ["bode", "nyquist", "sensitivity"])
 def test_pictures_of_several_loops(capsys, verb):

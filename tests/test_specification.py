@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import tomllib
 from pathlib import Path
 
@@ -308,6 +309,11 @@ def test_overrides(override, expected, tmp_path):
         ("a.b.c=3", "unknown key"),
         ("actuator=spot", "not an actuator preset"),
         ("delay=[8]", "history"),
+        ("axes=3", "axes = 3 is not a table"),
+        ("parameters=[1]", "parameters = [1] is not a table"),
+        ("plant=3", "plant = 3 is not a table"),
+        ("sampling='sobol'", "sampling = 'sobol' is not a table"),
+        ("axes={stiffnes=[1, 2]}", "axes.stiffnes: unknown key"),
     ],
 )
 def test_wrong_overrides_are_refused_by_name(override, part, tmp_path):
@@ -317,6 +323,50 @@ def test_wrong_overrides_are_refused_by_name(override, part, tmp_path):
         load(path, [override])
     message = str(raised.value)
     assert message.startswith("--set") and part in message and "\n" not in message
+
+
+def test_a_whole_section_is_overridden_by_either_name_of_a_parameter(tmp_path):
+    path = tmp_path / "sweep.toml"
+    path.write_text(GOOD)
+    found = load(path, ["axes={damping=[1, 2]}", "parameters={stiffness=3}"])
+    assert [axis.name for axis in found.axes] == ["kd"] and found.parameters == {"kp": 3.0}
+    with pytest.raises(UserError, match="^--set axes = 3 is not a table"):
+        load(path, ["axes=3", "kp=4"])
+
+
+@pytest.mark.parametrize("override", ["axes.inertia.num=5", "axes={inertia=[1, 2]}"])
+def test_an_overridden_inertia_says_that_the_joint_is_rotary(override, tmp_path):
+    path = tmp_path / "sweep.toml"
+    path.write_text("[axes]\nmass = { min = 0.1, max = 1, num = 3 }")
+    assert load(path).unit is None
+    assert load(path, [override]).unit == "rad"
+    path.write_text('unit = "m"\n' + path.read_text())
+    with pytest.raises(UserError, match="^--set inertia: is that of a rotary joint"):
+        load(path, [override])
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("[parameters]\n'delay@j1' = 4\n[axes]\nkp = [1]", ""),
+        ("[parameters]\n'delay@j1' = 3\n'output_delay@j2' = 3\n[axes]\nkp = [1]", ""),
+        ("[parameters]\n'delay@j1' = 6\n[axes]\nkp = [1]", "delay@j1 = 6"),
+        ("[axes]\n'delay@j1' = [1, 6]", "delay@j1 = 6"),
+        ("[axes]\n'setpoint_delay@j1' = { min = 1, max = 5, num = 3 }", "setpoint_delay@j1 = 5"),
+        (
+            "[parameters]\noutput_delay = 3\n'delay@j1' = 2\n[axes]\nkp = [1]",
+            "delay@j1 + output_delay@j1 = 5",
+        ),
+    ],
+)
+def test_a_delay_of_some_joints_is_no_longer_than_a_loop_keeps(given, said, tmp_path):
+    (tmp_path / "leg.xml").write_text("<mujoco/>")
+    text = f"[plant]\nmodel = 'leg.xml'\n{given}"
+    if said:
+        with pytest.raises(UserError, match=f"^{re.escape(said)}: .* up to 4.096 s at 1000 Hz$"):
+            parse(text, tmp_path)
+    else:
+        assert parse(text, tmp_path).plant is not None
 
 
 def test_a_file_that_is_wrong_is_blamed_even_with_overrides(tmp_path):

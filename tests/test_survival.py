@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from jaxact.cli.main import main
 from jaxact.errors import UserError
-from jaxact.sweeping import atomic_store, checksums, execution, location, opening
+from jaxact.sweeping import atomic_store, checksums, execution, location, lock, opening
 from jaxact.sweeping.checksums import ChecksumState
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -96,6 +96,20 @@ def test_an_older_store_is_read_with_a_word_and_sealed_by_resume(tmp_path, capsy
     assert opening.load_result(tmp_path).sizes == {"kp": 3, "kd": 2}
     synthetic_store.run(tmp_path, specification, samples, results, resume=True)
     assert {path: path.read_bytes() for path in whole} == whole
+
+
+@pytest.mark.parametrize("within, named", [("", "sweep.zarr"), ("sweep.zarr", ".")])
+def test_a_running_sweep_is_one_from_within_its_folder_too(
+    within, named, tmp_path, capsys, monkeypatch
+):
+    with pytest.raises(KeyboardInterrupt):
+        synthetic_store.run(tmp_path, *synthetic_store.exact(SMALL), loops=2, upto=1)
+    monkeypatch.chdir(tmp_path / within)
+    assert main(["status", named]) == 0
+    assert "not running" in capsys.readouterr().out
+    with lock.held(location.at(tmp_path)):
+        assert main(["status", named]) == 0
+    assert f"running: process {os.getpid()} on" in capsys.readouterr().out.splitlines()[-1]
 
 
 def test_a_store_that_is_written_at_once_has_checksums_too(tmp_path, capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -41,7 +42,9 @@ def _show(result: str, *, quick: bool) -> None:
     from jaxact.sweeping import location as _location
     from jaxact.sweeping.progress import State
 
-    folder = _location.at(result.rstrip("/").removesuffix(f"/{store.STORE}"))
+    # a path may be that of the store as it is seen from within its folder
+    place = result.rstrip("/") if _location.is_url(result) else str(Path(result).absolute())
+    folder = _location.at(place.removesuffix(f"/{store.STORE}"))
     owner = lock.holder(folder)
     rounds = folder.inside(adaptive.ROUNDS)
     if rounds.entries() and adaptive.are_rounds(rounds):

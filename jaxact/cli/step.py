@@ -33,7 +33,8 @@ def main(
     """Simulate the step responses of one or several loops and draw them over each other.
 
     Every option of a loop takes several values; all combinations are drawn: position with its
-    setpoint and the 2 % band, and force. Units are SI, delays in seconds.
+    setpoint and the 2 % band, one for each step that differs, and force. Units are SI, delays in
+    seconds.
 
     examples:
       jaxact step --actuator ideal hyq starleth --delay 0.005
@@ -57,7 +58,7 @@ def main(
     runs = simulate.runs(loop, duration=duration, engine=engine, seed=seed)
     drawn = [run_pictures.step_response(run, name) for run, name in zip(runs, names, strict=True)]
     units = ("rad", "N m") if loop.kind.unit == "rad" else ("m", "N")
-    common = naming.in_common(loop)
+    common = naming.in_common(loop, simulated=True)
     figure = step(drawn, title=title, footer=common, units=units, until=duration)
     theme.write(figure, out, title=title or "jaxact step")
     for response in drawn:

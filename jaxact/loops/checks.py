@@ -255,18 +255,27 @@ def _check_motion(specification: Specification, axes: dict[str, Axis]) -> None:
 
 
 def _check_delays(specification: Specification, axes: dict[str, Axis], rates: np.ndarray) -> None:
-    longest = {
-        name: axes[name].ends[1] if name in axes else specification.nominal[name] for name in DELAYS
+    """Of all joints, and of those that a pattern gives delays of their own."""
+    given = specification.nominal | {
+        name: axis.ends[1] for name, axis in axes.items() if base(name) in DELAYS
     }
-    check_history(longest, float(rates.max()))
+    patterns = dict.fromkeys(name[len(base(name)) :] for name in given if base(name) in DELAYS)
+    for at in patterns:
+        longest = {name: given.get(name + at, given[name]) for name in DELAYS}
+        # what only the model knows is at least 0
+        longest = {name: float(np.nan_to_num(value)) for name, value in longest.items()}
+        check_history(longest, float(rates.max()), at=at)
 
 
-def check_history(values: Mapping[str, float], rate: float, where: str = "") -> None:
+def check_history(
+    values: Mapping[str, float], rate: float, where: str = "", *, at: str = ""
+) -> None:
     """Raise UserError for delays [s] that are longer than what a loop keeps at a control rate [Hz].
 
     Args:
         values: parameters of the loop by name, all delays among them.
         where: what a message begins with.
+        at: `@` and the pattern of the joints whose delays they are; "" for all joints.
     """
     longest = {name: values[name] for name in DELAYS}
     # the command and the output delay are one line
@@ -274,7 +283,7 @@ def check_history(values: Mapping[str, float], rate: float, where: str = "") -> 
     most = LONGEST_HISTORY / rate
     for name, value in longest.items():
         if value > most * (1 + 1e-9):
-            words = "delay + output_delay" if name == OUTPUT_DELAY else name
+            words = f"{DELAY}{at} + {OUTPUT_DELAY}{at}" if name == OUTPUT_DELAY else name + at
             raise UserError(
                 f"{where}{words} = {value:g}: a loop's history holds {LONGEST_HISTORY} control"
                 f" periods; allowed: up to {most:g} s at {rate:g} Hz"

@@ -120,8 +120,7 @@ def _read(path: Path) -> dict[str, Any]:
             raise UserError("is not a file; give the path of a TOML specification")
         if path.stat().st_size > _LARGEST_FILE:
             raise UserError(f"is larger than {_LARGEST_FILE:,} bytes; is it a TOML specification?")
-        # Some editors begin a file with a byte order mark.
-        return _loads(path.read_text(encoding="utf-8-sig"))
+        return _loads(path.read_text(encoding="utf-8-sig"))  # some editors begin it with a mark
     except UnicodeDecodeError:
         raise UserError("is not UTF-8 text; give the path of a TOML specification") from None
     except (OSError, ValueError) as error:
@@ -192,13 +191,12 @@ def _apply(document: dict[str, Any], override: str) -> str:
     if not equals or not all(keys):
         raise UserError(f"{shown(override)}: write it as key=value, e.g. kp=400")
     value = _literal(text.strip(), override)
-    if "@" in given:
-        # a pattern may hold dots
+    if "@" in given:  # a pattern may hold dots
         section, dot, rest = given.strip().partition(".")
         keys = [section, rest] if dot and section in SECTIONS[:2] else [given.strip()]
     if keys == ["damping"] and value in ("joint", "drive"):
         raise UserError(f"{shown(override)}: of a robot, write it as plant.damping={value}")
-    _say_rotary(document, keys[-1:])
+    _say_rotary(document, keys)
     if len(keys) == 1 and keys[0] not in (*OPTIONS, *SECTIONS, DRIVE):
         name = canonical(keys[0])
         if not known(name) and name != "actuator":
@@ -215,6 +213,7 @@ def _apply(document: dict[str, Any], override: str) -> str:
         if not isinstance(table, dict):
             raise UserError(f"{shown(override)}: {key} is not a table, it has no keys in it")
     table[keys[-1]] = value
+    document |= _canonical(document)  # a whole section may have been given
     return ".".join(keys)
 
 

@@ -28,6 +28,7 @@ from jaxact.parameters import (
 )
 from jaxact.plotting import wording
 from jaxact.status import Verdict
+from jaxact.sweeping.store import parameter
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -124,9 +125,7 @@ def _percent(share: float) -> str:
 
 
 def _parameter(results: xr.Dataset, name: str) -> np.ndarray:
-    if name in results.coords:
-        return np.asarray(results.coords[name].values, dtype=float)
-    return np.asarray(float(json.loads(results.attrs["parameters"])[name]))
+    return np.asarray(parameter(results, name).values, dtype=float)
 
 
 def loop(

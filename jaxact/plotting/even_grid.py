@@ -32,7 +32,7 @@ def resampled(results: xr.Dataset) -> xr.Dataset:
     said = json.loads(results.attrs["adaptive"])
     axes = json.loads(results.attrs["specification"])["axes"]
     cases, names = said["cases"], said["refined"]
-    listed = [list(dict.fromkeys(axes[name])) for name in cases]
+    listed = [_listed(name, axes[name]) for name in cases]
     even = {name: _even(axes[name], _CELLS[len(names)]) for name in names}
     wanted = np.stack(
         np.meshgrid(*(_places(even[name], axes[name]) for name in names), indexing="ij"), axis=-1
@@ -60,6 +60,19 @@ def resampled(results: xr.Dataset) -> xr.Dataset:
     for name in grid.coords:
         grid[name].attrs.update(results[name].attrs)
     return _with_servo(grid, results).transpose(*axes)
+
+
+def of_cases(results: xr.Dataset, part: xr.Dataset) -> xr.Dataset:
+    """The samples of an adaptive sweep whose cases are in a part of its even grid."""
+    mine = np.ones(results.sizes["sample"], bool)
+    for name in json.loads(results.attrs["adaptive"])["cases"]:
+        mine &= np.isin(results[name].values, np.atleast_1d(part[name].values))
+    return results.isel(sample=mine)
+
+
+def _listed(name: str, given: list) -> list:
+    """Distinct values of a list of a specification, whose JSON has infinity as a string."""
+    return list(dict.fromkeys(given if name == "actuator" else map(float, given)))
 
 
 def _even(axis: dict, cells: int) -> np.ndarray:

@@ -86,7 +86,7 @@ def draw(
     longest = max((r.run.time for r in responses), key=lambda time: float(time[-1]))
     _, label = seconds_or_milliseconds(longest)
     scale = 1e3 if label == "time [ms]" else 1.0
-    _setpoint(upper, responses[0].run, scale, band)
+    _setpoints(upper, [response.run for response in responses], scale, band)
     for index, response in enumerate(responses):
         line = theme.style(index) | ({} if response.stable else {"linewidth": 0.9})
         time = response.run.time * scale
@@ -94,14 +94,14 @@ def draw(
         lower.plot(time, response.run.force, zorder=3, **line)
     calm = [r for r in responses if r.stable]
     if len(calm) < len(responses):
-        _limit(upper, [r.run.position for r in calm] + [responses[0].run.setpoint])
+        _limit(upper, [r.run.position for r in calm] + [r.run.setpoint for r in responses])
         _limit(lower, [r.run.force for r in calm] or [responses[0].run.command[:1]])
-    least = spans(
-        longest, [r.run.position for r in calm or responses], responses[0].run.setpoint,
-        [r.run.force for r in calm or responses], unit=units[0],
-    )  # fmt: skip
-    widen(upper, least.position)
-    widen(lower, least.force)
+    least = [
+        spans(longest, [r.run.position], r.run.setpoint, [r.run.force], unit=units[0])
+        for r in calm or responses
+    ]
+    widen(upper, max(span.position for span in least))
+    widen(lower, max(span.force for span in least))
     upper.set_ylabel(f"position [{units[0]}]")
     lower.set_ylabel(f"force [{units[1]}]")
     lower.axhline(0.0, color=theme.FAINT, linewidth=0.6, zorder=1)
@@ -111,14 +111,24 @@ def draw(
         panel.grid(visible=True)
 
 
-def _setpoint(axes: Axes, run: Joint, scale: float, band: float) -> None:
-    final, start = float(run.setpoint[-1]), float(run.position[0])
-    half = band * abs(final - start)
-    axes.axhspan(final - half, final + half, color="#E4E4E4", zorder=0)
-    axes.plot(
-        run.time * scale, run.setpoint, "--", color=theme.INK, linewidth=1.0, zorder=2,
-        label=f"setpoint, band of ±{band:.0%}",
-    )  # fmt: skip
+def _setpoints(axes: Axes, runs: Sequence[Joint], scale: float, band: float) -> None:
+    """One setpoint and its band for each step: grey where loops share it, else in their colour."""
+    steps: dict[tuple[float, float], list[int]] = {}
+    for index, run in enumerate(runs):
+        steps.setdefault((float(run.setpoint[-1]), float(run.position[0])), []).append(index)
+    several = len(steps) > 1
+    dashed = {"linestyle": "--", "linewidth": 1.0, "zorder": 2}
+    for (final, start), loops in steps.items():
+        own = several and len(loops) == 1
+        color = str(theme.style(loops[0])["color"]) if own else theme.INK
+        shade = theme.shade(color, 0.75) if own else "#E4E4E4"
+        half, run = band * abs(final - start), runs[loops[0]]
+        axes.axhspan(final - half, final + half, color=shade, alpha=0.6 if own else 1.0, zorder=0)
+        if own:  # bands of different starts lie on each other
+            axes.hlines([final - half, final + half], *run.time[[0, -1]] * scale, color, lw=0.6)
+        axes.plot(run.time * scale, run.setpoint, color=color, **dashed)
+    label = f"{'setpoints, bands' if several else 'setpoint, band'} of ±{band:.0%}"
+    axes.plot([], [], color=theme.INK, label=label, **dashed)  # of the legend
 
 
 def _limit(axes: Axes, arrays: list[np.ndarray]) -> None:

@@ -30,7 +30,7 @@ from jaxact.sweeping.layout import Layout
 from jaxact.sweeping.location import Location
 from jaxact.sweeping.planning import Planned
 from jaxact.sweeping.progress import State, Store
-from jaxact.sweeping.refinement import Lattice, Refinement
+from jaxact.sweeping.refinement import RULE, Lattice, Refinement
 from jaxact.sweeping.variables import of_margins, variables_of
 
 if TYPE_CHECKING:
@@ -254,7 +254,7 @@ def _round_plan(planned: Planned, samples: Samples) -> Planned:
 
 def _more(planned: Planned, width: float) -> dict[str, object]:
     """Further parts of the identity."""
-    return {"width": width, "loops": planned.loops}
+    return {"width": width, "refinement": RULE, "loops": planned.loops}
 
 
 @dataclass(frozen=True)

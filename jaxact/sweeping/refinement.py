@@ -1,8 +1,8 @@
 """Which points of a fine grid are worth computing: those around a border, found by halving cells.
 
 Cells whose corners disagree are halved along every axis until they are fine enough; so is a cell
-whose neighbour's finer points on their common side disagree with it. Nothing is simulated here:
-`new points -> what is there` goes back and forth, round by round.
+whose neighbour's finer points on their common side disagree with it, whichever was there first.
+Nothing is simulated here: `new points -> what is there` goes back and forth, round by round.
 
 Points are whole numbers on the finest lattice; a point of case c with places p is the number
 c * (points of the lattice) + (place in C order).
@@ -14,6 +14,10 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+
+# Which points are asked for. Rounds are known by their number, so that a sweep that was begun by
+# another rule cannot be continued.
+RULE = 2
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,7 @@ class Refinement:
     """Points known so far, and the cells that hold them.
 
     Each `tell` takes what is at the points last asked for; `ask` gives those to compute next, none
-    when the border is fine enough.
+    when the border is fine enough. A cell that stays coarse agrees with every point known on it.
     """
 
     def __init__(self, lattice: Lattice) -> None:
@@ -109,6 +113,11 @@ class Refinement:
 
     def _at(self, points: np.ndarray) -> np.ndarray:
         return self._codes[np.searchsorted(self._points, points)]
+
+    def _known(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which points are known, and what is at them where they are; shape of the points."""
+        at = np.minimum(np.searchsorted(self._points, points), self._points.size - 1)
+        return self._points[at] == points, self._codes[at]
 
     def _corners(self, cells: np.ndarray, level: int) -> np.ndarray:
         """The corners of cells, shape (cells, 2^axes)."""
@@ -148,6 +157,7 @@ class Refinement:
         for level, cells in self._fresh.items():
             codes = self._at(self._corners(cells, level))
             calm = np.all(codes == codes[:, :1], axis=1)
+            calm[calm] = ~self._crossed(level, cells[calm], codes[calm, 0])
             self._add_calm(level, cells[calm], codes[calm, 0])
             if level < self._lattice.levels:
                 split[level] = np.concatenate([split.get(level, cells[:0]), cells[~calm]])
@@ -156,8 +166,42 @@ class Refinement:
         }
         corners = [self._corners(cells, level).ravel() for level, cells in fresh.items()]
         wanted = np.unique(np.concatenate(corners)) if corners else np.zeros(0, np.int64)
-        at = np.minimum(np.searchsorted(self._points, wanted), self._points.size - 1)
-        return fresh, wanted[self._points[at] != wanted]
+        return fresh, wanted[~self._known(wanted)[0]]
+
+    def _crossed(self, level: int, cells: np.ndarray, inside: np.ndarray) -> np.ndarray:
+        """Which cells have a known point on their sides that disagrees with their corners.
+
+        Points of a level are on a side only where those of the level before are, so that only the
+        halves of cells with such points are looked at further.
+
+        Args:
+            level: of the cells.
+            cells: their lowest corners, shape (n,).
+            inside: what is at their corners, shape (n,).
+
+        Returns:
+            Shape (n,).
+        """
+        crossed = np.zeros(cells.size, bool)
+        owner = np.arange(cells.size)
+        while level < self._lattice.levels and cells.size:
+            points = self._between(cells, level)
+            known, codes = self._known(points)
+            wrong = np.any(known & (codes != inside[owner, None]), axis=1)
+            crossed[owner[wrong]] = True
+            there = np.any(known, axis=1)
+            halves = self._halves(cells[there], level)
+            owner = np.tile(owner[there], halves.size // max(int(np.sum(there)), 1))
+            cells, level = halves, level + 1
+        return crossed
+
+    def _between(self, cells: np.ndarray, level: int) -> np.ndarray:
+        """Corners that the halves of cells have and they themselves have not, shape (cells, n)."""
+        case, low = self._lattice.places(cells)
+        step, finer = self._lattice.step(level), self._lattice.step(level + 1)
+        ranges = [range(0, int(s) + 1, int(f)) for s, f in zip(step, finer, strict=True)]
+        offsets = [np.array(o) for o in itertools.product(*ranges) if np.any(np.array(o) % step)]
+        return np.stack([self._lattice.points(case, low + o) for o in offsets], axis=1)
 
     def _add_calm(self, level: int, cells: np.ndarray, codes: np.ndarray) -> None:
         known, inside = self._calm[level]

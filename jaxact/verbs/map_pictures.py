@@ -177,8 +177,12 @@ def page(
     Returns:
         The figure, its small print, and its kind.
     """
-    computed = results if even_grid.refined(results) else _panels.part_of(results, _picked(select))
+    given = results
     arrangement, results = _arranged(results, kind, x, y, select, facet)
+    if even_grid.refined(given):
+        computed = even_grid.of_cases(given, arrangement.data)
+    else:
+        computed = _panels.part_of(given, _picked(select))
     variable = _field.usual(results) if variable is None else variable
     _field.field(results, variable)  # a misspelt name is told before anything is computed
     known = map_lines.boundaries(arrangement)

@@ -12,6 +12,7 @@ from jaxact.loops import conversion
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Specification
 from jaxact.parameters import (
+    CONTROL_RATE,
     FEEDFORWARD,
     GAIN_SCALE,
     KD,
@@ -147,8 +148,13 @@ def of_pictures(loop: ControlLoop) -> Loops:
     return Loops(loops.values, tuple(names), loops.unit)
 
 
-def in_common(loop: ControlLoop) -> str:
-    """What all loops have in common: gains, mass, actuator, delay, and how velocity is had."""
+def in_common(loop: ControlLoop, *, simulated: bool = False) -> str:
+    """What all loops have in common: gains, mass, actuator, delay, and how velocity is had.
+
+    Args:
+        loop: a joint's, or a batch.
+        simulated: say the control rate, too, which a loop in continuous time has not.
+    """
     loops = named(loop)
     own, words = loops.values, []
     for name in (KP, KD, MASS, *OF_JOINT):
@@ -160,6 +166,8 @@ def in_common(loop: ControlLoop) -> str:
         words.append(f"gain scale {scale[0]:g}")
     if len(loops) > 1:  # a single one is named by its actuator and its delay
         words += _common_words({name: v[0] for name, v in own.items() if _common(v)})
+    if simulated and _common(own[CONTROL_RATE]):
+        words.append(f"control at {quantity(own[CONTROL_RATE][0], 'Hz')}")
     cutoff = own[VELOCITY_FILTER]
     how = ["differenced"] if loop.kind.velocity == "differenced" else []
     if _common(cutoff) and np.isfinite(cutoff[0]):

@@ -241,9 +241,9 @@ def _read(axes: Mapping[str, Any], sampling: Sampling | None) -> dict[str, Axis]
         if not known(name) and name != "actuator":
             from jaxact.errors import nearest
 
-            raise UserError(
-                f"{given}: unknown parameter; {nearest(given, (*PARAMETERS, 'actuator'), ALIASES)}"
-            )
+            also = (*ALIASES, *(sweep.__kwdefaults__ or ()))
+            known_names = nearest(given, (*PARAMETERS, "actuator"), also)
+            raise UserError(f"{given}: unknown parameter; {known_names}")
         if name in found:
             raise UserError(f"{given}: the same parameter is given twice; remove one")
         listed = value if isinstance(value, dict) else _listed(given, value)

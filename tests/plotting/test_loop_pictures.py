@@ -1,5 +1,6 @@
 """The pictures of single loops: margins stand where they are, nothing else is invented."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -137,6 +138,43 @@ def test_an_unstable_step_does_not_set_the_range(tmp_path):
     theme.write(figure, tmp_path / "step.png", title="t")
     alone = step([StepResponse("wild", wild, stable=False)])
     assert np.isfinite(alone.axes[0].get_ylim()).all()
+
+
+def _steps(axes):
+    """Setpoints drawn with their colour, and heights of the bands around them."""
+    dashed = [line for line in axes.lines if line.get_linestyle() == "--" and line.get_zorder() < 3]
+    drawn = [line for line in dashed if len(line.get_ydata())]
+    setpoints = [(line.get_ydata()[-1], line.get_color()) for line in drawn]
+    return setpoints, [patch.get_height() for patch in axes.patches]
+
+
+def test_every_step_has_its_setpoint_and_its_band_in_the_colour_of_its_loop():
+    time = np.arange(400) * 1e-3
+    rise = 1 - np.exp(-time / 0.05)
+    low = StepResponse("low", _joint(0.1 * rise))
+    high = StepResponse("high", replace(_joint(0.3 * rise), setpoint=np.full_like(time, 0.3)))
+    colors = [theme.style(index)["color"] for index in range(2)]
+    figure = step([low, high])
+    setpoints, bands = _steps(figure.axes[0])
+    assert setpoints == [(0.1, colors[0]), (0.3, colors[1])]
+    np.testing.assert_allclose(bands, [2 * 0.02 * 0.1, 2 * 0.02 * 0.3])
+    assert _legend(figure)[0] == "setpoints, bands of ±2%"
+    begun_apart = StepResponse("near", _joint(0.05 + 0.05 * rise))
+    setpoints, bands = _steps(step([low, begun_apart]).axes[0])
+    assert setpoints == [(0.1, colors[0]), (0.1, colors[1])]
+    np.testing.assert_allclose(bands, [2 * 0.02 * 0.1, 2 * 0.02 * 0.05])
+    shared = step([low, low])
+    assert _steps(shared.axes[0])[0] == [(0.1, theme.INK)]
+    assert _legend(shared)[0] == "setpoint, band of ±2%"
+
+
+def test_an_unstable_step_leaves_room_for_the_setpoints_of_all():
+    time = np.arange(400) * 1e-3
+    wild = _joint(0.1 * 1.5 ** np.arange(400.0))
+    high = replace(_joint(2.0 * (1 - np.exp(-time / 0.5))), setpoint=np.full_like(time, 2.0))
+    figure = step([StepResponse("wild", wild, stable=False), StepResponse("high", high)])
+    low, top = figure.axes[0].get_ylim()
+    assert low < 0.1 and 2.0 < top < 10.0
 
 
 def test_styles_differ_in_grey_too():

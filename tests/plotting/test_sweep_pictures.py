@@ -1,6 +1,7 @@
 """The pictures of a sweep: what is drawn, and that it can be read without colour."""
 
 import itertools
+import json
 
 import numpy as np
 import pytest
@@ -211,6 +212,9 @@ def test_small_print_counts_and_places_disagreements():
 
 def test_small_print_says_what_theory_leaves_out(grid):
     assert caption.linear_only(grid) == ""
+    older = json.loads(grid.attrs["parameters"])
+    del older["stall_force"], older["position_bias_walk"]  # newer than the store
+    assert caption.linear_only(grid.assign_attrs(parameters=json.dumps(older))) == ""
     assert "without its force limit" in caption.linear_only(dataset(DRAWN))
     assert caption.simulated(grid).startswith("Simulated: exact mass plant, control at 1 kHz")
 

@@ -17,6 +17,7 @@ from jaxact.plotting import even_grid
 from jaxact.plotting.panels import arrange
 from jaxact.sweeping import adaptive, execution, location, opening, store
 from jaxact.sweeping.refinement import Lattice, Refinement
+from jaxact.verbs import map_pictures
 
 TEXT = """
 [parameters]
@@ -83,6 +84,38 @@ def test_a_bulge_between_coarse_points_is_followed_into_its_neighbour():
     known = set(_refined(lattice, inside).tolist())
     top = np.array([[int(1.5 * 32), int(2.5 * 32) - 1], [int(1.5 * 32), int(2.5 * 32)]])
     assert known.issuperset(lattice.points(np.zeros(2, int), top).tolist())
+
+
+def _cells_left_coarse(known, codes, halvings):
+    """Blocks of points, known and what is there, of all cells that are not halved."""
+    for level in range(halvings):
+        step = 2 ** (halvings - level)
+        corners = known[::step, ::step]
+        whole = corners[1:, 1:] & corners[1:, :-1] & corners[:-1, 1:] & corners[:-1, :-1]
+        # only the halves of a cell have its centre for a corner
+        halved = known[step // 2 :: step, step // 2 :: step]
+        for i, j in np.argwhere(whole & ~halved) * step:
+            block = slice(i, i + step + 1), slice(j, j + step + 1)
+            yield known[block], codes[block]
+
+
+def test_no_cell_that_stays_coarse_holds_a_point_that_disagrees():
+    """Whether the neighbour's finer points were there before the cell, or came after it."""
+    lattice = Lattice(cases=1, cells=(7, 7), halvings=(5, 5))
+    at = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, n) for n in lattice.shape], indexing="ij"))
+    chance = np.random.default_rng(1)
+    cells = 0
+    for _ in range(6):
+        waves, phases = chance.normal(size=(4, 2)) * 15, chance.uniform(0, 6, 4)
+        fields = np.sin(np.tensordot(waves, at, 1) + phases[:, None, None])
+        codes = fields.sum(axis=0) > 0.7 * chance.normal()
+        points = _refined(lattice, lambda case, places, codes=codes: codes[tuple(places.T)])
+        known = np.zeros(lattice.size, bool)
+        known[points] = True
+        for there, inside in _cells_left_coarse(known.reshape(lattice.shape), codes, 5):
+            assert np.all(inside[there] == inside[0, 0])
+            cells += 1
+    assert cells > 1000
 
 
 @pytest.mark.parametrize("axes", [1, 3])
@@ -197,6 +230,49 @@ def test_an_interrupted_refinement_comes_to_the_same_points(whole, tmp_path):
     _sweep(tmp_path, resume=True, upto=0)
     with pytest.raises(UserError, match="width"):
         _sweep(tmp_path, resume=True, width=0.1)
+
+
+def test_one_begun_by_another_rule_of_refinement_is_not_continued(tmp_path, monkeypatch):
+    """Its rounds are of other points, and are known by their numbers only."""
+    with monkeypatch.context() as before:
+        before.setattr(adaptive, "RULE", 1)
+        with pytest.raises(KeyboardInterrupt):
+            _sweep(tmp_path, upto=2)
+    there = contents(tmp_path)
+    with pytest.raises(UserError, match="refinement = 1 there, 2 here; .* begin anew"):
+        _sweep(tmp_path, resume=True, upto=0)
+    assert contents(tmp_path) == there
+
+
+@pytest.fixture(scope="module")
+def filtered(tmp_path_factory):
+    """Of two cutoffs, the second of them infinite, which JSON has as a string."""
+    folder = tmp_path_factory.mktemp("filtered")
+    text = TEXT.replace("delay = [0.0, 0.005]", "velocity_filter = [100.0, inf]")
+    _sweep(folder, text='velocity = "differenced"\n' + text.replace("13", "7"), width=0.3)
+    return opening.open_result(folder).load()
+
+
+def test_a_case_without_a_filter_is_drawn_beside_one_with(filtered):
+    grid = even_grid.resampled(filtered)
+    assert grid["velocity_filter"].values.tolist() == [100.0, np.inf]
+    of_each = [np.sum(filtered["velocity_filter"].values == cutoff) for cutoff in (100.0, np.inf)]
+    assert all(of_each) and sum(of_each) == filtered.sizes["sample"]
+    panels = arrange(grid).panels
+    assert [panel.caption for panel in panels] == [
+        "velocity filter 100 rad/s", "velocity filter ∞"
+    ]  # fmt: skip
+
+
+def test_the_small_print_is_of_the_cases_that_are_shown(filtered, monkeypatch):
+    compared = []
+    monkeypatch.setattr(map_pictures.agreement, "sweep_agreement", compared.append)
+    monkeypatch.setattr(map_pictures.map_lines, "boundaries", lambda arrangement: [None])
+    mine = int(np.sum(np.isinf(filtered["velocity_filter"].values)))
+    _, footer, _ = map_pictures.page(filtered, select={"velocity_filter": np.inf})
+    assert f", {mine:,} loops." in footer
+    assert [results.sizes["sample"] for results in compared] == [mine]
+    assert np.isinf(compared[0]["velocity_filter"].values).all()
 
 
 def test_a_grid_that_misses_the_stable_region_says_so(tmp_path):

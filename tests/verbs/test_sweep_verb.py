@@ -102,6 +102,8 @@ def test_progress_is_told(loop):
     "given, said",
     [
         ({"kq": [1.0]}, "unknown parameter"),
+        ({"stifness": [1.0]}, "stifness: unknown parameter; did you mean 'stiffness'"),
+        ({"duraton": 1.0}, "duraton: unknown parameter; did you mean 'duration'"),
         ({"kp": {"min": 0.0, "max": 1.0, "num": 3, "spacing": "log"}}, "no logarithm"),
         ({"kp": [-1e12]}, "out of range"),
         ({"kp": [1.0], "width": 0.1}, "adaptive"),
