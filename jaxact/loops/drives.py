@@ -135,6 +135,16 @@ class IdentifiedDrive:
         return said + own + over
 
     @property
+    def strength(self) -> tuple[float, float]:
+        """The ends of the 95 % interval of its gain as factors on it, (1, 1) where it is known."""
+        gain = abs(self.numbers.get("gain", 1.0))
+        low, high = self.intervals.get("gain", (gain, gain))
+        if low * high <= 0.0:
+            return 1.0, 1.0
+        weak, strong = sorted((abs(low) / gain, abs(high) / gain))
+        return weak, strong
+
+    @property
     def uncertainty(self) -> dict[str, tuple[float, float] | str]:
         """The 95 % intervals as `jaxact.tune` takes them: wn and zeta as factors.
 
@@ -150,9 +160,7 @@ class IdentifiedDrive:
         for name, own in ((DELAY, DELAY), ("viscous", JOINT_DAMPING), ("gravity", JOINT_STIFFNESS)):
             if name in self.intervals and own in self.joint:
                 found[own] = self.intervals[name]
-        low, high = self.intervals.get("gain", (1.0, 1.0))
-        gain = abs(self.numbers.get("gain", 1.0))
-        weak, strong = sorted((abs(low) / gain, abs(high) / gain)) if low * high > 0 else (1.0, 1.0)
+        weak, strong = self.strength
         light, heavy = (
             end / self.numbers.get("inertia", 1.0)
             for end in self.intervals.get("inertia", (self.numbers.get("inertia", 1.0),) * 2)
@@ -181,10 +189,11 @@ class IdentifiedDrive:
         # All that is not drawn is what it was; a gain of the drive scales the controller's.
         drawn = dict(self.numbers) | self.spread.draw(self.numbers, number, seed)
         own = parameters_of(drawn, self.plant)
-        share = np.abs(drawn["gain"]) / abs(self.numbers["gain"]) if "gain" in drawn else 1.0
-        scaled = (GAIN_SCALE,) if GAIN_SCALE in self.joint else (KP, KD)
-        gains = {name: self.joint[name] * share for name in scaled if name in self.joint}
-        return {**self.joint, **{n: v for n, v in own.items() if n in self.joint}, **gains}
+        kept = {**self.joint, **{n: v for n, v in own.items() if n in self.joint}}
+        if "gain" not in drawn:
+            return kept
+        share = np.abs(drawn["gain"]) / abs(self.numbers["gain"])
+        return {**kept, GAIN_SCALE: self.joint.get(GAIN_SCALE, 1.0) * share}
 
 
 def parameters_of(numbers: Mapping[str, Any], plant: str) -> dict[str, Any]:
