@@ -234,7 +234,7 @@ def _of_joint(
         nominal = joined(nominal, drawn)
     else:
         box = read_box(uncertainty, FIELDS)
-        middle = inside(box, loop.values, loop.parameters, loop.kind.unit)
+        middle, box = inside(box, loop.values, loop.parameters, loop.kind.unit)
         nominal = nominal_of(loop.replace(**middle), sampled)
         if not box.uncertain:
             check_uncertain("", loop, samples, goal.risk)
@@ -335,9 +335,10 @@ def _of_robot(
     middles: list[dict[str, float]] = []
     for place, (name, one) in enumerate(named):
         told(f"settling and linearising {name}", place, len(named))
-        middles.append(amid(one, box))
-        own = dataclasses.replace(one, parameters={**one.parameters, **middles[-1]})
-        situations.append(situation(own, name, box))
+        middle, around = amid(one, box)
+        middles.append(middle)
+        own = dataclasses.replace(one, parameters={**one.parameters, **middle})
+        situations.append(situation(own, name, around))
     chosen = group(tuple(groups), situations[0].names)
     tuned = search.tune(
         situations, goal, chosen, number=samples or search.SAMPLES, seed=seed,
