@@ -28,6 +28,7 @@ from jaxact.loops.drives import ROBOT, IdentifiedDrive
 from jaxact.parameters import (
     DELAY,
     FORCE_LIMIT,
+    GAIN_SCALE,
     JOINT_DAMPING,
     KD,
     KP,
@@ -267,7 +268,7 @@ def _with_gains(drive: IdentifiedDrive, log: Log, asked: Mapping[str, Any]) -> L
         return replace(_differencing(drive, log), gains=(None, None), signals=signals)
     kp, kd = log.gains
     if kp is None and KP in drive.joint and SETPOINT in log:
-        gain = abs(drive.numbers.get("gain", 1.0))
+        gain = abs(drive.numbers.get("gain", 1.0)) / drive.joint.get(GAIN_SCALE, 1.0)
         kp, kd = drive.joint[KP] / gain, drive.joint.get(KD, 0.0) / gain
         log = _differencing(drive, log)
     kp, kd = asked.get(KP, kp), asked.get(KD, kd)

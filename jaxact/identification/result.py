@@ -96,8 +96,9 @@ class Identified(Reportable):
         gain, (kp, kd) = abs(numbers.get("gain", 1.0)), log.gains
         if self.plant != "none" and kp is not None:
             # A controller whose command was not recorded may have units of its own.
-            values |= {KP: gain * kp, KD: gain * (kd or 0.0)}
-        elif gain != 1.0:
+            own, gain = (1.0, gain) if "command" in log else (gain, 1.0)
+            values |= {KP: own * kp, KD: own * (kd or 0.0)}
+        if gain != 1.0:
             values[GAIN_SCALE] = gain
         limit = self._command_limit()
         if limit is not None and WN not in values:  # nothing but a delay and a gain behind it

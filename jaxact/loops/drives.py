@@ -147,8 +147,7 @@ class IdentifiedDrive:
         over = over if number > 1 else []
         if self.plant == ROBOT:
             return own + over
-        force = "N m" if self.unit == "rad" else "N"
-        force = f"{self.unit}/s^2" if self.per_inertia else force
+        force = f"{self.unit}/s^2" if self.per_inertia else self._force
         dry = self.numbers.get("coulomb", 0.0)
         said = self.beyond_a_loop
         if robot and self.per_inertia:
@@ -163,15 +162,26 @@ class IdentifiedDrive:
         return said + own + over
 
     @property
+    def _force(self) -> str:
+        return "N m" if self.unit == "rad" else "N"
+
+    @property
     def beyond_a_loop(self) -> list[str]:
         """The friction and the limit that it has and no loop does, in words."""
         said = [words for name, words in _FRICTION.items() if self.numbers.get(name)]
         limit = self.document.get("command_limit", self.numbers.get("command_limit"))
         # Behind a delay and a gain alone it is one of the force.
         if limit and (FORCE_LIMIT not in self.joint or WN in self.joint):
-            force = "N m" if self.unit == "rad" else "N"
-            said.append(f"a limit of its command of {limit:.3g} {force}")
+            said.append(f"a limit of its command of {limit:.3g} {self._force}")
         return said
+
+    @property
+    def strength(self) -> tuple[float, float]:
+        """The ends of the 95 % interval of its gain as factors on it, (1, 1) where it is known."""
+        gain = abs(self.numbers.get("gain", 1.0))
+        low, high = self.intervals.get("gain", (gain, gain))
+        weak, strong = sorted((abs(low) / gain, abs(high) / gain))
+        return (weak, strong) if low * high > 0.0 else (1.0, 1.0)
 
     @property
     def uncertainty(self) -> dict[str, tuple[float, float] | str]:
@@ -191,13 +201,9 @@ class IdentifiedDrive:
                 low, high = self.intervals[name]
                 size = self.joint[MASS] if self.per_inertia and own != DELAY else 1.0
                 found[own] = size * low, size * high
-        low, high = self.intervals.get("gain", (1.0, 1.0))
-        gain = abs(self.numbers.get("gain", 1.0))
-        weak, strong = sorted((abs(low) / gain, abs(high) / gain)) if low * high > 0 else (1.0, 1.0)
-        light, heavy = (
-            end / self.numbers.get("inertia", 1.0)
-            for end in self.intervals.get("inertia", (self.numbers.get("inertia", 1.0),) * 2)
-        )
+        weak, strong = self.strength
+        usual = self.numbers.get("inertia", 1.0)
+        light, heavy = (end / usual for end in self.intervals.get("inertia", (usual, usual)))
         if {"gain", "inertia"} & set(self.intervals) and not self.per_inertia:
             found[MASS] = f"{light / strong!r}x..{heavy / weak!r}x"
         return found
@@ -224,11 +230,13 @@ class IdentifiedDrive:
         own = parameters_of(drawn, self.plant)
         if self.per_inertia:
             own = per_inertia.multiplied(own, self.joint[MASS]) | {MASS: self.joint[MASS]}
-        share = np.abs(drawn["gain"]) / abs(self.numbers["gain"]) if "gain" in drawn else 1.0
-        scaled = {GAIN_SCALE} if GAIN_SCALE in self.joint else {KP, KD}
-        scaled = ({FORCE_LIMIT} if KP in self.numbers else {*scaled, FORCE_LIMIT}) - {*self.numbers}
-        gains = {name: self.joint[name] * share for name in scaled if name in self.joint}
-        return {**self.joint, **{n: v for n, v in own.items() if n in self.joint}, **gains}
+        kept = {**self.joint, **{n: v for n, v in own.items() if n in self.joint}}
+        if "gain" not in drawn or KP in self.numbers:
+            return kept
+        share = np.abs(drawn["gain"]) / abs(self.numbers["gain"])
+        if FORCE_LIMIT in self.joint and FORCE_LIMIT not in self.numbers:
+            kept[FORCE_LIMIT] = share * self.joint[FORCE_LIMIT]
+        return {**kept, GAIN_SCALE: self.joint.get(GAIN_SCALE, 1.0) * share}
 
 
 def load_drive(path: str | os.PathLike[str]) -> IdentifiedDrive:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -66,6 +66,11 @@ class Range:
     def known(self) -> bool:
         """Whether it has no width: what it is of has this one value, and is not uncertain."""
         return self.low == self.high
+
+    def leaves_out(self, value: float) -> bool:
+        """Whether a value, in the unit of the ends, is outside by more than rounding."""
+        room = _ROUNDING * max(abs(self.low), abs(self.high))
+        return not self.low - room <= value <= self.high + room
 
     def ends(self, given: Mapping[str, float]) -> dict[str, tuple[float, float]]:
         """The ends of every key of the parameter, in its unit.
@@ -213,7 +218,7 @@ def inside(
     given: Mapping[str, float],
     defaults: Mapping[str, float],
     unit: str | None = None,
-) -> dict[str, float]:
+) -> tuple[dict[str, float], Box]:
     """What a loop must have to be among those that a box holds, of what it was not given.
 
     Args:
@@ -223,22 +228,27 @@ def inside(
         unit: of the joint's position, None for m.
 
     Returns:
-        The middle of every range that leaves out the default.
+        The middle of every range that leaves out the default; and the box, the same one, whose
+        factors are on these values.
 
     Raises:
         UserError: a range leaves out the value given, so that its certificate is not of this loop.
     """
-    found = {}
+    found: dict[str, float] = {}
+    ranges: list[Range] = []
     for one in box.ranges:
-        own = 1.0 if one.factor else given.get(one.name, defaults.get(one.name))
-        room = _ROUNDING * max(abs(one.low), abs(one.high))
-        if own is None or one.low - room <= float(own) <= one.high + room:
-            continue
-        if one.name in given:
-            raise UserError(f"`uncertainty` {one.name}: {_left_out(one, float(own), unit)}")
-        if not one.factor:
-            found[one.name] = 0.5 * (one.low + one.high)
-    return found
+        own = given.get(one.name, defaults.get(one.name))
+        if own is not None and one.leaves_out(1.0 if one.factor else float(own)):
+            if one.name in given:
+                raise UserError(f"`uncertainty` {one.name}: {_left_out(one, float(own), unit)}")
+            middle = 0.5 * (one.low + one.high)
+            if not one.factor:
+                found[one.name] = middle
+            elif math.isfinite(own) and own:  # what no factor changes is refused with the ends
+                found[one.name] = middle * float(own)
+                one = replace(one, low=one.low / middle, high=one.high / middle)
+        ranges.append(one)
+    return found, Box(tuple(ranges))
 
 
 def _left_out(one: Range, own: float, joint: str | None) -> str:

@@ -125,7 +125,7 @@ def _nominal(tuned: Tuned) -> dict[str, Any]:
     return {"name": "nominal", **_of_member(tuned, ensemble(**plant, sampling=sampling), 0)}
 
 
-def _of_member(tuned: Tuned, members: Any, index: int) -> dict[str, float]:
+def _of_member(tuned: Tuned, members: Any, index: int) -> dict[str, Any]:
     """A plant with the tuned gains by short name, as a table of loops has it."""
     from jaxact.tuning.joint.ensemble import FIELDS, PARAMETERS
 
@@ -138,6 +138,8 @@ def _of_member(tuned: Tuned, members: Any, index: int) -> dict[str, float]:
     sampling = members.sampling
     if sampling.control_period is not None:
         found[CONTROL_RATE] = 1.0 / sampling.control_period
+    if sampling.velocity != "sampled":
+        found["velocity"] = sampling.velocity
     if math.isfinite(sampling.velocity_filter):
         found[VELOCITY_FILTER] = sampling.velocity_filter
     return found
@@ -184,7 +186,7 @@ def _of_joint(tuned: Tuned) -> dict[str, Any]:
     if sampling.control_period is not None:
         assumed |= {"control_period": sampling.control_period, "velocity": sampling.velocity}
     if math.isfinite(sampling.velocity_filter):
-        assumed |= {VELOCITY_FILTER: sampling.velocity_filter}
+        assumed |= {"velocity": sampling.velocity, VELOCITY_FILTER: sampling.velocity_filter}
     return assumed
 
 

@@ -34,7 +34,7 @@ from jaxact.tuning.joint.ensemble import FIELDS, joined
 from jaxact.tuning.joint.response import TIMED
 from jaxact.tuning.optimise import Descent
 from jaxact.tuning.result import Tuned
-from jaxact.verbs import notebook, showing
+from jaxact.verbs import notebook, showing, unsure_gain
 from jaxact.verbs.goals import check_options, check_uncertain, goal_of, ranges_of
 from jaxact.verbs.plants import demand_at_once, drawn_of, nominal_of
 
@@ -187,18 +187,26 @@ def intervals(drive: IdentifiedDrive, loop: ControlLoop, ranges: str = "") -> st
     found = drive.uncertainty
     if loop.kind.plant is not None:
         found = {name: span for name, span in found.items() if name not in (MASS, JOINT_STIFFNESS)}
+        unsure_gain.tell_left_out(drive)
     own = {
         name: span
         for name, span in found.items()
-        if name not in given
-        and (name not in drive.joint or np.all(loop.parameters[name] == drive.joint[name]))
+        if name not in given and (name not in drive.joint or _has(loop, name, drive.joint[name]))
     }
+    if MASS in found and not {*own, *given} & {MASS} and (moved := unsure_gain.as_inertia(drive)):
+        own[MASS] = moved  # the inertia is the loop's own
     if len(own) > _MOST_OPEN:
         raise UserError(
             f"`uncertainty`: {drive.name} leaves {len(own)} numbers open, and their box has too"
             " many corners; give ranges of your own, or identify fewer groups of joints"
         )
     return ",".join(part for part in (ranges_of(own), ranges) if part)
+
+
+def _has(loop: ControlLoop, name: str, value: float) -> bool:
+    """Whether a loop has this value of a parameter, by its key."""
+    own = loop.parameters
+    return name in own and bool(np.all(own[name] == value))
 
 
 def _of_joint(
@@ -228,7 +236,7 @@ def _of_joint(
         nominal = joined(nominal, drawn)
     else:
         box = read_box(uncertainty, FIELDS)
-        middle = inside(box, loop.values, loop.parameters, loop.kind.unit)
+        middle, box = inside(box, loop.values, loop.parameters, loop.kind.unit)
         nominal = nominal_of(loop.replace(**middle), sampled)
         if not box.uncertain:
             check_uncertain("", loop, samples, goal.risk)
@@ -329,9 +337,10 @@ def _of_robot(
     middles: list[dict[str, float]] = []
     for place, (name, one) in enumerate(named):
         told(f"settling and linearising {name}", place, len(named))
-        middles.append(amid(one, box))
-        own = dataclasses.replace(one, parameters={**one.parameters, **middles[-1]})
-        situations.append(situation(own, name, box))
+        middle, around = amid(one, box)
+        middles.append(middle)
+        own = dataclasses.replace(one, parameters={**one.parameters, **middle})
+        situations.append(situation(own, name, around))
     chosen = group(tuple(groups), situations[0].names)
     tuned = search.tune(
         situations, goal, chosen, number=samples or search.SAMPLES, seed=seed,

@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from jaxact.analysis.boundary.boundary import continuous_boundary, sampled_boundary
 from jaxact.errors import UserError
 from jaxact.loops import conversion
-from jaxact.parameters import CONTROL_RATE, DELAY, MASS, OF_JOINT, WN, ZETA
+from jaxact.parameters import DELAY, MASS, OF_JOINT, WN, ZETA
 from jaxact.plotting import convergence as _convergence
 from jaxact.plotting import robot_gains as _gains
 from jaxact.plotting import robot_tuning as _bands
@@ -221,8 +221,7 @@ def _demand(best: Any, *, robot: bool | None = None) -> OfRobot | None:
 
 def before_and_after(tuned: Tuned, loop: ControlLoop) -> list[LoopResponse]:
     """Frequency responses of a joint with both pairs of gains; blue, as everywhere, is after."""
-    sampled = CONTROL_RATE in loop.values
-    drawn = _responses.responses(with_gains(tuned, loop), sampled=sampled)
+    drawn = _responses.responses(with_gains(tuned, loop), sampled=not tuned.continuous)
     return sorted(drawn, key=lambda response: -(response.loop or 0))
 
 

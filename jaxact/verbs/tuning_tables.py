@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxact.parameters import CONTROL_RATE, KD, KP, PAYLOAD
+from jaxact.parameters import KD, KP, PAYLOAD
 from jaxact.plotting.wording import quantity
 from jaxact.tuning.report import report
 from jaxact.tuning.result import UNSAMPLED
@@ -48,7 +48,7 @@ class Joint:
     def report(self) -> dict[str, Any]:
         """The result as plain values, with the nominal loop's margins before and after."""
         loops = with_gains(self.tuned, self.nominal)
-        found = margins(loops, sampled=CONTROL_RATE in loops.values).rows
+        found = margins(loops, sampled=not self.tuned.continuous).rows
         names = (*ALWAYS[:2], *MARGINS, *ALWAYS[2:])
         rows = [{name: plain(name, found, i) for name in names} for i in range(len(loops))]
         before = rows[0] if self.tuned.before is not None else None

@@ -11,8 +11,10 @@ from jaxact.parameters import base
 from jaxact.tuning.box import Box, Range, inside
 
 
-def amid(specification: Specification, box: Box) -> dict[str, float]:
+def amid(specification: Specification, box: Box) -> tuple[dict[str, float], Box]:
     """The middle of every range that leaves out what some joint has by default, by its key.
+
+    And the box, the same one, whose factors are on these values.
 
     Args:
         specification: of a robot.
@@ -27,7 +29,10 @@ def amid(specification: Specification, box: Box) -> dict[str, float]:
     for one in box.ranges:
         values = values_of(specification, one)
         beyond = np.maximum(one.low - values, values - one.high)
-        known = given if _is_given(specification, one) else defaults
+        is_given = _is_given(specification, one)
+        if one.factor and not is_given and np.ptp(values):
+            continue  # no one value is the middle of all: refused with the ends
+        known = given if is_given else defaults
         known[one.name] = float(values[np.argmax(beyond)])
     return inside(box, given, defaults)
 
