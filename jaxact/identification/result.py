@@ -102,7 +102,8 @@ class Identified(Reportable):
             values[GAIN_SCALE] = gain
         limit = self._command_limit()
         if limit is not None and WN not in values:  # nothing but a delay and a gain behind it
-            values[FORCE_LIMIT] = min(gain * limit, values.get(FORCE_LIMIT, math.inf))
+            strength = abs(numbers.get("gain", 1.0))
+            values[FORCE_LIMIT] = min(strength * limit, values.get(FORCE_LIMIT, math.inf))
         quanta = self.inspections[0].quanta
         if "position" in quanta:
             values[POSITION_RESOLUTION] = quanta["position"]

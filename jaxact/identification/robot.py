@@ -27,7 +27,8 @@ from jaxact.identification.report import estimate
 from jaxact.identification.result import Identified
 from jaxact.identification.verdict import MOST_CORRELATED, Level
 from jaxact.loops import drives
-from jaxact.loops.drives import OFFSET, ROBOT, IdentifiedDrive
+from jaxact.loops.drives import ROBOT, IdentifiedDrive
+from jaxact.loops.unmodelled import OFFSET
 from jaxact.parameters import (
     CONTROL_RATE,
     DELAY,

@@ -20,6 +20,7 @@ from jaxact.errors import UserError
 from jaxact.loops import per_inertia
 from jaxact.loops.model_numbers import parameters_of
 from jaxact.loops.spread import Spread
+from jaxact.loops.unmodelled import UNMODELLED
 from jaxact.parameters import (
     DELAY,
     FORCE_LIMIT,
@@ -50,15 +51,6 @@ NOT_ENOUGH = "not good enough"
 """The verdict on a drive that should not be used."""
 # What a joint of a robot has from its model, and not from the bench on which its drive was.
 _OF_BENCH = (MASS, KP, KD, JOINT_STIFFNESS)
-OFFSET = "a constant force"
-"""What is said of an offset. Every joint of a robot has one: of its encoder, or of cables."""
-_FRICTION = {
-    "viscous_asymmetry": "viscous friction that differs by direction",
-    "coulomb_asymmetry": "dry friction that differs by direction",
-    "loaded": "friction that grows with the drive's force",
-    "stribeck": "larger friction at rest",
-    "offset": OFFSET,
-}
 
 
 @dataclass(frozen=True)
@@ -147,14 +139,13 @@ class IdentifiedDrive:
         over = over if number > 1 else []
         if self.plant == ROBOT:
             return own + over
-        force = f"{self.unit}/s^2" if self.per_inertia else self._force
         dry = self.numbers.get("coulomb", 0.0)
         said = self.beyond_a_loop
         if robot and self.per_inertia:
             rubs = dry or self.numbers.get("viscous")
             said = ["friction, which is known per unit of inertia only"] if rubs else []
         elif dry and not robot:
-            said = [f"dry friction of {dry:.3g} {force}", *said]
+            said = [f"dry friction of {dry:.3g} {self._force}", *said]
         if robot:
             moved = {MASS: INERTIA if self.unit == "rad" else MASS, JOINT_STIFFNESS: "gravity"}
             said += [f"its joint's {words}" for name, words in moved.items() if name in self.joint]
@@ -163,12 +154,13 @@ class IdentifiedDrive:
 
     @property
     def _force(self) -> str:
-        return "N m" if self.unit == "rad" else "N"
+        force = "N m" if self.unit == "rad" else "N"
+        return f"{self.unit}/s^2" if self.per_inertia else force
 
     @property
     def beyond_a_loop(self) -> list[str]:
         """The friction and the limit that it has and no loop does, in words."""
-        said = [words for name, words in _FRICTION.items() if self.numbers.get(name)]
+        said = [words for name, words in UNMODELLED.items() if self.numbers.get(name)]
         limit = self.document.get("command_limit", self.numbers.get("command_limit"))
         # Behind a delay and a gain alone it is one of the force.
         if limit and (FORCE_LIMIT not in self.joint or WN in self.joint):
