@@ -18,8 +18,8 @@ from jaxact.loops.control_loop import ControlLoop
 from jaxact.loops.specification import Specification
 from jaxact.parameters import CONTROL_RATE, GAIN_SCALE, KD, KP, LINEAR, SETPOINT_DELAY
 from jaxact.reports.page import Content
-from jaxact.status import Verdict
-from jaxact.verbs import naming, report_specification
+from jaxact.sweeping import variables
+from jaxact.verbs import naming, report_specification, report_sweep
 from jaxact.verbs.margins import BothMargins, LoopMargins
 
 if TYPE_CHECKING:
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 # A window where no sweep has one: so far around the gains, to either side.
 _AROUND = 30.0
 _MOST_LOOPS = 200
-# Of a sweep: so many with all their numbers take half a megabyte.
-_MOST_CELLS = 30_000
-_IN_A_CELL = ("growth_rate", "limit_cycle_amplitude", "limit_cycle_frequency")
 ROBOT = "these are results of a robot; report its model, its specification or its margins instead"
 OF_LOOP = (*LINEAR, SETPOINT_DELAY, CONTROL_RATE)
 
@@ -48,7 +45,7 @@ class Subject:
         window: ranges of kp and kd of the map, none for those around the gains.
         points: gains to mark, by name.
         simulated: it is of a sweep, whose loops are sampled; else those with a control rate are.
-        cells: what was simulated over kp and kd, None for nothing.
+        cells: what was simulated over kp and kd without their common factor, None for nothing.
     """
 
     loop: ControlLoop
@@ -103,7 +100,7 @@ def of_subject(found: Subject) -> Content:
         "unit": found.loop.kind.unit,
         "window": {name: list(ends) for name, ends in window.items()},
         "points": [{"name": name, KP: kp, KD: kd} for name, (kp, kd) in points.items()],
-        "cells": found.cells,
+        "cells": found.cells and {**found.cells, "scale": named.values[GAIN_SCALE].tolist()},
     }
     return Content(
         title=found.title
@@ -160,54 +157,35 @@ def _of_sweep(results: xr.Dataset) -> Subject:
     text = results.attrs.get("specification_toml")
     if text is None:
         raise UserError("these results are not of a sweep: they do not say how they were made")
-    specification = reading.parse(text)
-    found = _of_specification(specification, specification.text)
-    there = found.window and "verdict" in results
-    return dataclasses.replace(found, cells=_cells(results) if there else None)
-
-
-def _cells(results: xr.Dataset) -> dict[str, Any]:
-    """What was simulated, thinned out to what a page can hold: rows of kd, of each of the loops.
-
-    A verdict is a digit, or a dash where there is none yet.
-    """
-    size = results["verdict"].size
-    stride = max(1, int(np.ceil(np.sqrt(size / _MOST_CELLS))))
-    thin = results[["verdict", *(name for name in _IN_A_CELL if name in results)]]
-    thin = thin.isel({KP: slice(None, None, stride), KD: slice(None, None, stride)})
-    others = [name for name in thin["verdict"].dims if name not in (KP, KD)]
-    shape = (-1, thin.sizes[KD] * thin.sizes[KP])
-
-    def rows(name: str) -> np.ndarray:
-        return thin[name].transpose(*others, KD, KP).values.reshape(shape)
-
-    known = {status.value for status in Verdict}
-    verdicts = [
-        "".join(str(code) if code in known else "-" for code in row) for row in rows("verdict")
-    ]
-    numbers = {
-        name: [[float(f"{x:.3g}") if np.isfinite(x) else None for x in row] for row in rows(name)]
-        for name in thin.data_vars
-        if name != "verdict" and bool(np.isfinite(thin[name]).any())
-    }
-    ends = {name: thin[name].values.tolist() for name in (KP, KD)}
-    return {**ends, "verdicts": verdicts, **{str(name): own for name, own in numbers.items()}}
+    whole = reading.parse(text)
+    if "verdict" not in results:
+        return _of_specification(whole, whole.text)
+    own = report_sweep.own(whole, results)
+    # Of margins the verdicts are those of the exact boundary, and nothing was simulated.
+    simulated = variables.KIND not in results.attrs
+    found = dataclasses.replace(_of_specification(own, whole.text), simulated=simulated)
+    there = simulated and found.window
+    return dataclasses.replace(found, cells=report_sweep.cells(own, results) if there else None)
 
 
 def _of_specification(specification: Specification, text: str) -> Subject:
     """The loops beside the gains that are swept, whose ranges are the map's.
 
+    Gains are those at the joint, with their common factor.
+
     Args:
         text: of the specification, as it is shown.
     """
-    window = {axis.name: axis.ends for axis in specification.axes if axis.name in (KP, KD)}
+    nominal, axes = specification.nominal, specification.axes
+    scaling = [axis.ends for axis in axes if axis.name == GAIN_SCALE]
+    low, high = scaling[0] if scaling else (nominal[GAIN_SCALE],) * 2
+    ends = {axis.name: axis.ends for axis in axes if axis.name in (KP, KD)}
+    window = {name: (low * least, high * most) for name, (least, most) in ends.items()}
     if any(low <= 0.0 or low >= high for low, high in window.values()) or len(window) < 2:
         window = {}
-    kept = () if specification.sampling else specification.axes
-    others = tuple(axis for axis in kept if axis.name not in (KP, KD))
+    others = tuple(axis for axis in axes if axis.name not in (KP, KD) and not axis.sampled)
     alone = dataclasses.replace(specification, axes=others or (NO_AXIS,), sampling=None)
-    loop = loop_of(alone)
-    nominal = specification.nominal
-    points = {"nominal": (float(nominal[KP]), float(nominal[KD]))}
-    sweep = specification.axes != (NO_AXIS,)
-    return Subject(loop, specification.description, text, window, points, simulated=sweep)
+    scale = float(nominal[GAIN_SCALE])
+    points = {"nominal": (scale * float(nominal[KP]), scale * float(nominal[KD]))}
+    sweep = axes != (NO_AXIS,)
+    return Subject(loop_of(alone), specification.description, text, window, points, simulated=sweep)

@@ -18,8 +18,9 @@ from jaxact.loops import conversion, joint_units, reading, robots, toml
 from jaxact.loops.axes import NO_AXIS
 from jaxact.loops.building import loop_of, robot
 from jaxact.loops.control_loop import ControlLoop
+from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Plant, Specification
-from jaxact.parameters import KD, KP
+from jaxact.parameters import KD, KP, OF_PLANT, PARAMETERS, base
 from jaxact.reports.page import Content
 from jaxact.robot_margins.open_loop import OpenPlant, open_loops
 from jaxact.tuning.document import document as tuning_document
@@ -46,6 +47,8 @@ _OF_PLANT = (
     "friction",
     "gains",
 )
+# What all loops have beside their parameters, and their margins depend on.
+_OPTIONS = ("physics_step", "integrator_correction")
 # What of a joint's name says which side it is on: FL_hip, left_hip, hip_l, r_sho_pitch.
 _SIDE = re.compile(
     r"(?i)(?:^|(?<=[_\-. ]))(?:[fhrb]?[lr]|[lr][fhrb]|left|right|front|rear|hind|back)(?=$|[_\-. ])"
@@ -162,23 +165,44 @@ def _embedded(
             stored.append(made)
         return plants[key]
 
-    opened = open_loops(specification, conversion.samples(loop), RATES)
+    samples = conversion.samples(loop)
+    opened = open_loops(specification, samples, RATES)
+    changes = _changes(specification, samples)
     rows = [
         {
             "name": label,
             "drives": {name: array.tolist() for name, array in one.drives.items()},
             "rate": one.rate,
+            "changes": changed,
             "plants": {f"{rate:.10g}": number(plant) for rate, plant in one.plants.items()},
         }
-        for label, one in zip(labels, opened, strict=True)
+        for label, one, changed in zip(labels, opened, changes, strict=True)
     ]
+    options = {name: getattr(loop.kind, name) for name in _OPTIONS}
     return {
         "joints": list(names),
         "groups": groups(names),
         "velocity": loop.kind.velocity,
+        "options": {name: value for name, value in options.items() if value},
         "loops": rows,
         "plants": stored,
     }
+
+
+def _changes(specification: Specification, samples: Samples) -> list[dict[str, float]]:
+    """What each loop changes in its robot's model, by key, later ones over earlier ones."""
+    keys = [key for key in specification.nominal if base(key) in OF_PLANT]
+    columns = samples.take(np.arange(len(samples)), keys)
+    # A key of some joints is not a number in a loop that does not have it.
+    return [
+        {
+            key: float(columns[key][row])
+            for key in keys
+            if not np.isnan(columns[key][row])
+            and ("@" in key or columns[key][row] != PARAMETERS[key].default)
+        }
+        for row in range(len(samples))
+    ]
 
 
 def _plant(plant: OpenPlant) -> dict[str, Any]:

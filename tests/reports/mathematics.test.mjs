@@ -192,6 +192,30 @@ test("beside the boundary one side is stable", () => {
   }
 });
 
+test("level lines of the gain margin know where a sampled loop is real, and no factor below 1", () => {
+  // Ideal at 500 Hz: L(-1) = -kd T / (2 m), so that the gain margin is 2 m / (kd T).
+  const p = { ...BARE, control_rate: 500 };
+  const { loop, window, cached } = prepared(sampledLoop, p, 10, 437, 1.05);
+  const { values } = fields(loop, cached, window, "gain_margin", 2);
+  near(Math.exp(values[0]), (2 * 0.7 * 500) / window.kd[0], "gain margin");
+  const still = prepared(continuousLoop, { ...BARE, joint_stiffness: -100 }, 200, 20, 1.05);
+  const topples = fields(still.loop, still.cached, still.window, "gain_margin", 2);
+  assert.ok(topples.values.every((x) => x > 2), `${topples.values}`);
+});
+
+test("a setpoint's delay is linear between ticks", () => {
+  // By jaxact.simulate at ticks 0 to 7, in float64.
+  const p = { ...BARE, wn: 110, zeta: 0.9, delay: 0.001, control_rate: 100 };
+  const simulated = {
+    0.025: [0, 0, 0, 0.00067, 0.00993, 0.04516, 0.1212, 0.24157],
+    0.024: [0, 0, 0, 0.0008, 0.01165, 0.05048, 0.13108, 0.25577],
+  };
+  for (const [late, wanted] of Object.entries(simulated)) {
+    const { position } = stepResponse({ ...p, setpoint_delay: Number(late) }, 400, 20, 7);
+    wanted.forEach((x, i) => assert.ok(Math.abs(position[i] - x) < 1e-5, `${late} ${i}: ${position[i]}`));
+  }
+});
+
 test("level lines pass where the margin has the level", () => {
   const p = { ...BARE, wn: 110, zeta: 0.9, delay: 0.001 };
   const { loop, window, cached } = prepared(continuousLoop, p, 400, 20, 5);

@@ -59,7 +59,7 @@ def test_a_large_sweep_is_thinned_out_to_the_budget(maps, tmp_path):
     names = ("verdict", "growth_rate", "limit_cycle_amplitude", "limit_cycle_frequency")
     columns = {name: (("kp", "kd", "actuator"), generator.normal(size=shape)) for name in names[1:]}
     columns["verdict"] = (("kp", "kd", "actuator"), generator.integers(-1, 4, size=shape))
-    large = xr.Dataset(columns, {"kp": kp, "kd": kd}, maps.attrs)
+    large = xr.Dataset(columns, {"kp": kp, "kd": kd, "actuator": maps.actuator}, maps.attrs)
     report = jx.report(large, tmp_path / "large.html")
     assert report.path.stat().st_size < LARGEST
     cells = data_of(report)["cells"]

@@ -14,8 +14,9 @@ export function edgesOf(values) {
 }
 
 /** Draw the cells of one loop into a frame: a path for each verdict, of runs along kp. */
-export function drawCells(place, { kp, kd, verdicts }, loop) {
-  const [xs, ys] = [edgesOf(kp).map(place.x), edgesOf(kd).map(place.y)];
+export function drawCells(place, { kp, kd, scale, verdicts }, loop) {
+  const xs = edgesOf(kp).map((x) => place.x(scale[loop] * x));
+  const ys = edgesOf(kd).map((y) => place.y(scale[loop] * y));
   const paths = {};
   const codes = verdicts[loop];
   for (let row = 0; row < kd.length; row++) {
@@ -39,19 +40,23 @@ const nearest = (values, x) =>
     return distance(i) < distance(best) ? i : best;
   }, 0);
 
-/** The cell that is nearest to a point: {kp, kd, verdict, growth, amplitude, frequency}. */
-export function cellAt({ kp, kd, verdicts, ...numbers }, loop, point) {
-  const [column, row] = [nearest(kp, point.kp), nearest(kd, point.kd)];
+/** The cell that is nearest to a point: {kp, kd, near, verdict, growth, amplitude, frequency}. */
+export function cellAt({ kp, kd, scale, near, verdicts, ...numbers }, loop, point) {
+  const factor = scale[loop];
+  const [column, row] = [nearest(kp, point.kp / factor), nearest(kd, point.kd / factor)];
   const at = row * kp.length + column;
   const code = verdicts[loop][at];
-  const found = { kp: kp[column], kd: kd[row], verdict: code === "-" ? null : VERDICTS[code] };
+  const verdict = code === "-" ? null : VERDICTS[code];
+  const found = { kp: factor * kp[column], kd: factor * kd[row], near, verdict };
   for (const [name, values] of Object.entries(numbers)) found[name] = values[loop][at];
   return found;
 }
 
 /** What was simulated in a cell, in words. */
-export function cellWords({ kp, kd, verdict, growth_rate, limit_cycle_amplitude, limit_cycle_frequency }, unit) {
-  const there = `Simulated at kp ${short(kp)}, kd ${short(kd)}, the nearest cell:`;
+export function cellWords({ kp, kd, near, verdict, growth_rate, limit_cycle_amplitude, limit_cycle_frequency }, unit) {
+  const there = near
+    ? `Simulated nearest to kp ${short(kp)}, kd ${short(kd)}:`
+    : `Simulated at kp ${short(kp)}, kd ${short(kd)}, the nearest cell:`;
   if (verdict === null) return `${there} not yet.`;
   const grows =
     growth_rate === null ? "" : `; growth rate ${short(growth_rate, 3)} 1/s`;

@@ -58,9 +58,21 @@ export function start(data, host, drawn = () => {}) {
     clearTimeout(sharpening);
   }
 
+  /** Lines of the delay margin are of continuous time: a sampled loop's takes too long for a map. */
+  function offer(which) {
+    const choice = by("quantity");
+    const delay = choice.querySelector("option[value=delay_margin]");
+    delay.disabled = which === "sampled";
+    if (delay.disabled && delay.selected) {
+      choice.value = "sensitivity_peak";
+      forgetMap();
+    }
+  }
+
   /** The map, first of a few gains, and of many as soon as no slider moves any more. */
   function map() {
     const which = kind();
+    offer(which);
     const { loop, cached } = plantOf(which);
     const quantity = by("quantity").value;
     plants[which].edges ??= boundary(loop, cached, window);

@@ -48,7 +48,7 @@ export function fields(loop, cached, window, quantity, count) {
       const near = modulus(cached, kp, kd);
       distance[at] = stable ? near : -near;
       if (!stable) return;
-      values[at] = quantity === "sensitivity_peak" ? near : crossings(cached, kp, kd, quantity);
+      values[at] = quantity === "sensitivity_peak" ? near : crossings(cached, kp, kd, quantity, loop.sampled);
     }),
   );
   return { values, distance };
@@ -68,7 +68,7 @@ function modulus({ w, ar, ai, br, bi, cr, ci }, kp, kd) {
 }
 
 /** ln of the gain margin, the phase margin [rad] or the delay margin [s], between frequencies. */
-function crossings({ w, ar, ai, br, bi, cr, ci }, kp, kd, quantity) {
+function crossings({ w, ar, ai, br, bi, cr, ci }, kp, kd, quantity, sampled) {
   let least = quantity === "phase_margin" ? Math.PI : 1e3;
   let [before, beforeRe, beforeIm] = [0, 0, 0];
   for (let i = 0; i < w.length; i++) {
@@ -82,8 +82,7 @@ function crossings({ w, ar, ai, br, bi, cr, ci }, kp, kd, quantity) {
     if (i > 0 && quantity === "gain_margin") {
       if (beforeIm > 0 !== im > 0) {
         const part = beforeIm / (beforeIm - im);
-        const there = beforeRe + part * (re - beforeRe);
-        if (there > 0) least = Math.min(least, Math.abs(Math.log(there)));
+        least = Math.min(least, logFactor(beforeRe + part * (re - beforeRe)));
       }
     } else if (i > 0 && before > 0 !== excess > 0) {
       const part = before / (before - excess);
@@ -97,8 +96,13 @@ function crossings({ w, ar, ai, br, bi, cr, ci }, kp, kd, quantity) {
     }
     [before, beforeRe, beforeIm] = [excess, re, im];
   }
+  // At the last frequency, z = -1, a sampled loop is real.
+  if (sampled && quantity === "gain_margin") least = Math.min(least, logFactor(beforeRe));
   return least;
 }
+
+/** ln of the factor above 1 that takes -L, real there, to 1; Infinity where none does. */
+const logFactor = (there) => (there > 0 && there < 1 ? -Math.log(there) : Infinity);
 
 /**
  * Segments [x0, y0, x1, y1] of a level line, in cells of the grid (marching squares).

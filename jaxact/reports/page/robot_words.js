@@ -177,7 +177,7 @@ export const groupRows = (groups, drives) =>
 
 /** Values by key that say what the joints have: once where they have it in common. */
 function values(data, state, drives) {
-  const found = [["control_rate", Number(state.rate)]];
+  const found = [["control_rate", Number(state.rate)], ...Object.entries(data.loops[state.loop].changes)];
   const names = ["kp", "kd", "wn", "zeta", "delay", "measurement_delay", "output_delay", "velocity_filter"];
   for (const name of names) {
     const own = drives[name];
@@ -192,9 +192,8 @@ function values(data, state, drives) {
   return found;
 }
 
+// Of what no model brings: anything else is said, as the model may have it otherwise.
 const DEFAULTS = {
-  wn: Infinity,
-  delay: 0,
   measurement_delay: 0,
   output_delay: 0,
   velocity_filter: Infinity,
@@ -207,9 +206,10 @@ const quoted = (text) => (/^[\w@%+=:,./-]+$/.test(text) ? text : `'${text.replac
 export function command(data, state, drives) {
   const plain = [];
   const own = [];
-  for (const [key, value] of values(data, state, drives)) {
-    if (key.includes("@")) own.push(`--set ${quoted(`${key}=${written(value)}`)}`);
-    else plain.push(`--${key.replaceAll("_", "-")} ${written(value)}`);
+  for (const [key, value] of [...values(data, state, drives), ...Object.entries(data.options)]) {
+    if (key in drives || key === "control_rate") {
+      plain.push(`--${key.replaceAll("_", "-")} ${written(value)}`);
+    } else own.push(`--set ${quoted(`${key}=${written(value)}`)}`);
   }
   const velocity = data.velocity === "sampled" ? [] : [`--velocity ${data.velocity}`];
   return ["jaxact margins", ...data.mounting.map(quoted), ...plain, ...own, ...velocity].join(" ");
@@ -220,6 +220,8 @@ export function toml(data, state, drives) {
   const lines = values(data, state, drives).map(
     ([key, value]) => `${key.includes("@") ? JSON.stringify(key) : key} = ${written(value)}`,
   );
-  const velocity = data.velocity === "sampled" ? "" : `velocity = "${data.velocity}"\n`;
-  return `# jaxact margins --spec FILE\n${velocity}${data.plant}\n[parameters]\n${lines.join("\n")}`;
+  const velocity = data.velocity === "sampled" ? [] : [`velocity = "${data.velocity}"\n`];
+  const options = Object.entries(data.options).map(([name, value]) => `${name} = ${value}\n`);
+  const head = [...velocity, ...options].join("");
+  return `# jaxact margins --spec FILE\n${head}${data.plant}\n[parameters]\n${lines.join("\n")}`;
 }

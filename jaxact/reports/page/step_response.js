@@ -12,6 +12,9 @@ export function ticksOf({ control_rate: rate }, root) {
   return Math.min(Math.ceil(time * rate), MOST_TICKS);
 }
 
+/** A number of periods, whole where it is so within rounding. */
+const wholeOrNot = (x) => (Math.abs(x - Math.round(x)) < 1e-9 * (1 + x) ? Math.round(x) : x);
+
 /**
  * Position of the joint at every control tick after a unit step at t = 0, from rest; the loop is
  * linear. Returns {time [s], position [-], command [N/m]}, `ticks` + 1 values each.
@@ -25,7 +28,7 @@ export function stepResponse(p, kp, kd, ticks) {
   const ahead = p.measurement_delay / period;
   const whole = Math.floor(ahead);
   const part = (ahead - whole) * period;
-  const late = Math.round(p.setpoint_delay / period);
+  const late = wholeOrNot(p.setpoint_delay / period);
   const pole = Math.exp(-p.velocity_filter * period);
   const commands = [];
   const held = (i) => (i < 0 ? 0 : commands[i]);
@@ -39,7 +42,8 @@ export function stepResponse(p, kp, kd, ticks) {
       estimate = x[1];
     }
     before = x[0];
-    const goal = tick >= late ? 1 : 0;
+    // The setpoint is linear between ticks, 0 before the step.
+    const goal = Math.min(Math.max(tick - late + 1, 0), 1);
     commands.push(kp * (goal - x[0]) - kd * estimate);
     seen.push(x);
     const [old, now] = [held(tick - steps - 1), held(tick - steps)];
