@@ -410,3 +410,18 @@ def test_margins_of_a_specification_are_a_map_to_plot(capsys):
     for variable in ("sampled_delay_margin", "growth_rate"):
         said = _said(capsys, "plot", "m.zarr", "--variable", variable, "--out", "map.png")
         assert "Exact margins, sampled, control at 500 Hz" in said
+
+
+@pytest.mark.exhaustive
+def test_a_store_of_margins_has_the_velocity_that_they_are_of(capsys):
+    Path("s.toml").write_text(
+        '[parameters]\nactuator = "starleth"\ncontrol_rate = 200.0\n[axes]\nkp = [100.0, 400.0]\n'
+    )
+    _said(capsys, "margins", "--loops", "s.toml", "--velocity", "differenced", "--store", "m.zarr")
+    import xarray
+
+    store = xarray.open_zarr("m.zarr")
+    assert reading.parse(store.attrs["specification_toml"]).velocity == "differenced"
+    own = jx.joint(kp=[100.0, 400.0], actuator="starleth", control_rate=200, velocity="differenced")
+    found = jx.margins(own, sampled=True).sensitivity_peak
+    np.testing.assert_allclose(store["sampled_sensitivity_peak"], found)

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 import jaxact as jx
 from jaxact.analysis.robot import disk, limits, multiloop
-from jaxact.analysis.robot.margins import robot_margins
+from jaxact.analysis.robot.margins import _of_joint, robot_margins
 from jaxact.analysis.robot.modes import Robot
 from jaxact.errors import UserError
 
@@ -140,3 +140,14 @@ def test_of_legs_that_are_alike_the_first_to_shake_bounds_the_gains():
 
     first = brentq(radius, 1.2, 1.4, xtol=1e-12)
     assert found.margins.whole.gain_margin == pytest.approx(first, rel=1e-7)
+
+
+def test_a_factor_on_gains_that_is_rounding_is_none():
+    """-1/L = S / (S - 1) where S is 0 but for its last digits."""
+    at, none = np.array([0.1, 0.2]), (np.array([]), np.array([]))
+    for small, expected in ((-1e-14, 0.0), (-1e-6, 1e-6)):
+        crossed = at, np.array([small, 2.0])
+        peak = np.array([1.5, 1.2, 1.0])
+        found = _of_joint("j", 1e-3, crossed, none, peak, at[[0, 1, 1]])
+        assert found.gain_reduction_margin == pytest.approx(expected, rel=1e-5)
+        assert found.gain_margin == 2.0

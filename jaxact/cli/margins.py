@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -113,7 +113,8 @@ def main(
         _files.write(csv, lambda file: file.write(text.encode()))
     if store is not None:
         grid = loops is not None and listed.rows(loops) is None
-        specification = reading.load(loops) if grid else None
+        # Of what a file of axes says only the velocity can be given otherwise.
+        specification = replace(reading.load(loops), velocity=loop.kind.velocity) if grid else None
         with atomic_store.destination(store, overwrite=overwrite) as partial:
             atomic_store.write(margin_tables.store(loop, found.found, specification), partial)
     print(found.to_json() if json else found)

@@ -72,17 +72,18 @@ def text(loop: ControlLoop, found: Mapping[str, Metrics]) -> str:
         found: by the prefix of their names, "" or "sampled_".
     """
     loops = naming.named(loop)
-    shown = {
-        prefix: own if prefix else _of_factors(loops.values, own) for prefix, own in found.items()
-    }
-    return tables(loops.labels, loops.values[CONTROL_RATE], shown)
+    return tables(loops.labels, loops.values[CONTROL_RATE], found)
 
 
-def _of_factors(values: Mapping[str, np.ndarray], metrics: Metrics) -> Metrics:
+def of_factors(values: Mapping[str, np.ndarray], metrics: Metrics) -> Metrics:
     """The metrics, with -inf for the distance where no common factor on the gains stabilises.
 
     It is then that of slowing the loop down, see `jaxact.analysis.joint.margins.Margins`, which a
-    reader of a table would take for a factor.
+    reader of a table or a file would take for a factor.
+
+    Args:
+        values: every parameter of the loops by its short name, shape (n,) each.
+        metrics: of the loops in continuous time.
     """
     servo = 2.0 * values[ZETA] / values[WN]
     beyond = values[KD] <= values[KP] * (conversion.total_delay(values) + servo)

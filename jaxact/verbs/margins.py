@@ -96,9 +96,14 @@ class LoopMargins(Reportable):
         return of_values(_flat(self.loop), self.loop.kind.velocity if self.sampled else None)
 
     @property
+    def written(self) -> dict[str, np.ndarray]:
+        """`rows` as tables and files have them, see `jaxact.verbs.margin_tables.of_factors`."""
+        return self.rows if self.sampled else margin_tables.of_factors(_flat(self.loop), self.rows)
+
+    @property
     def found(self) -> dict[str, dict[str, np.ndarray]]:
-        """`rows` by the prefix of their names, as `jaxact.verbs.margin_tables` takes them."""
-        return {"sampled_" if self.sampled else "": self.rows}
+        """`written` by the prefix of their names, as `jaxact.verbs.margin_tables` takes them."""
+        return {"sampled_" if self.sampled else "": self.written}
 
     def to_json(self) -> str:
         """A JSON object for each loop, one a line; null where a metric means nothing."""
@@ -106,7 +111,7 @@ class LoopMargins(Reportable):
 
     def to_xarray(self) -> xr.Dataset:
         """All metrics as variables with units, over the batch's dimensions."""
-        return margin_tables.dataset(self.loop, self.rows)
+        return margin_tables.dataset(self.loop, self.written)
 
     def to_pandas(self) -> pd.DataFrame:
         """All metrics, one loop a row, beside what tells the loops apart."""

@@ -15,6 +15,7 @@ from jaxact.loops import conversion
 from jaxact.parameters import (
     CONTROL_RATE,
     GAIN_SCALE,
+    JOINT_DAMPING,
     JOINT_STIFFNESS,
     KD,
     KP,
@@ -165,11 +166,21 @@ def _sampled(loops: Loops, found: dict[str, np.ndarray], index: int, velocity: s
         label=_label(loops.labels[index], f"sampled at {rate}"),
         frequency=w,
         open_loop=open_loop,
-        phase=turned - 360.0 * round((turned[0] + 180.0) / 360.0),
+        phase=turned - 360.0 * round((turned[0] - _beginning(values, w[0])) / 360.0),
         margins=_finite(found, index),
         stable=bool(found["stable"][index]),
         nyquist_frequency=nyquist,
     )
+
+
+def _beginning(values: Mapping[str, float], w: float) -> float:
+    """The phase of the loop in continuous time at a low frequency, but for its lags [deg].
+
+    L(jw) = (kp + kd jw) / (k - m w^2 + c jw)
+    """
+    lead = math.atan2(values[KD] * w, values[KP])
+    own = math.atan2(values[JOINT_DAMPING] * w, values[JOINT_STIFFNESS] - values[MASS] * w * w)
+    return math.degrees(lead - own)
 
 
 def _finite(found: Mapping[str, np.ndarray], index: int) -> dict[str, float]:

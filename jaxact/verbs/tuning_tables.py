@@ -48,7 +48,7 @@ class Joint:
     def report(self) -> dict[str, Any]:
         """The result as plain values, with the nominal loop's margins before and after."""
         loops = with_gains(self.tuned, self.nominal)
-        found = margins(loops, sampled=not self.tuned.continuous).rows
+        found = margins(loops, sampled=not self.tuned.continuous).written
         names = (*ALWAYS[:2], *MARGINS, *ALWAYS[2:])
         rows = [{name: plain(name, found, i) for name in names} for i in range(len(loops))]
         before = rows[0] if self.tuned.before is not None else None

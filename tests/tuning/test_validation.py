@@ -121,6 +121,8 @@ def test_what_a_specification_says_of_errors_and_pushes_is_kept():
     assert exposed(given, duration=6.0, push=False).push is None
     bare = replace(given, parameters={}, push=None)
     assert USUAL.items() <= exposed(bare).parameters.items()
+    of_one = replace(bare, parameters={**bare.parameters, "position_noise@j": 1e-3})
+    assert not {*USUAL} & {*exposed(of_one, push=False).parameters}
     assert exposed(bare).push == usual_push(robots.scene(bare.plant), 2.0)
     with pytest.raises(UserError, match="first quarter"):
         exposed(given, duration=0.5)

@@ -1,5 +1,7 @@
 """What a hurried person gives the verbs: a line that says what to do, never a wrong answer."""
 
+import json
+
 import jax
 import numpy as np
 import pandas as pd
@@ -9,6 +11,7 @@ from matplotlib import pyplot
 from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
+from jaxact.verbs import margin_tables
 
 LOOP = jx.joint(mass=0.7, kp=400, kd=20, actuator="starleth", delay=1e-3)
 NOTHING_HELPS = LOOP.replace(kp=4000)  # kd/kp is below the lag
@@ -175,7 +178,13 @@ def test_no_factor_is_printed_where_no_factor_helps():
     factors = np.geomspace(1e-4, 1.0, 40)
     many = LOOP.replace(kp=4000 * factors, kd=20 * factors)
     assert not np.any(jx.margins(many).stable)
-    assert "log gain to boundary -∞" in " ".join(str(jx.margins(NOTHING_HELPS)).split())
+    none = jx.margins(NOTHING_HELPS)
+    assert "log gain to boundary -∞" in " ".join(str(none).split())
+    assert json.loads(none.to_json())["log_gain_to_boundary"] == "-inf"
+    assert float(none.to_xarray()["log_gain_to_boundary"]) == -np.inf
+    assert ",-inf," in margin_tables.csv_text(NOTHING_HELPS, none.found)
+    assert np.isneginf(margin_tables.store(NOTHING_HELPS, none.found)["log_gain_to_boundary"])
+    assert np.isfinite(none.log_gain_to_boundary)  # which a derivative goes along
     helped = jx.margins(LOOP.replace(kp=2000, kd=100))
     factor = float(np.exp(helped.log_gain_to_boundary))
     for around, stable in ((0.99, True), (1.01, False)):

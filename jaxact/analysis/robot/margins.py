@@ -28,6 +28,8 @@ from jaxact.analysis.robot.stability import MARGINAL
 from jaxact.errors import UserError
 
 _TURN = 2.0 * math.pi
+# A factor on gains below this is S = 0, but for the rounding of S: none at all.
+_NO_GAIN = 1e-12
 
 
 @dataclass(frozen=True)
@@ -346,7 +348,7 @@ def _of_joint(
         # -1/L = S / (S - 1) where that is positive
         factor = np.where((value < 0.0) | (value > 1.0), value / (value - 1.0), np.nan)
     up = np.where(factor > 1.0, factor, np.inf)
-    down = np.where(factor < 1.0, factor, 0.0)
+    down = np.where((factor > _NO_GAIN) & (factor < 1.0), factor, 0.0)
     crossover = at[np.argmin(up)] / period if np.isfinite(up).any() else math.inf
     turned_at, turned = gain
     nearest = int(np.argmin(np.abs(turned))) if turned.size else None

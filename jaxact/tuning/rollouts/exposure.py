@@ -21,6 +21,7 @@ from jaxact.parameters import (
     POSITION_RESOLUTION,
     VELOCITY_NOISE,
     VELOCITY_RESOLUTION,
+    base,
 )
 
 USUAL: Mapping[str, float] = {
@@ -29,7 +30,8 @@ USUAL: Mapping[str, float] = {
     VELOCITY_RESOLUTION: 5e-3,  # [rad/s or m/s]
     VELOCITY_NOISE: 1e-2,
 }
-"""Errors of usual joint sensors; a specification that gives any error is taken to give all."""
+"""Errors of usual joint sensors; a specification that gives any error, be it of some joints only,
+is taken to give all."""
 
 _DURATION = 2.0  # [s]
 # The velocity that the push gives the body at once [m/s], and how long it takes at most [s].
@@ -54,7 +56,7 @@ def exposed(
     """
     seconds = _DURATION if duration is None else duration
     parameters = dict(specification.parameters)
-    if not any(parameters.get(name) for name in ERRORS):
+    if not any(value for key, value in parameters.items() if base(key) in ERRORS):
         parameters |= USUAL
     given = specification.push if push else None
     if push and given is None:
