@@ -11,7 +11,9 @@ from robots import HOPPER
 import jaxact as jx
 from jaxact.cli import _warnings
 from jaxact.loops import reading, robots
+from jaxact.loops.samples import expand
 from jaxact.simulation import engines
+from jaxact.simulation.weak_joints import tell_weak
 
 TEXT = '[plant]\nmodel = "hopper.xml"\n{posture}[parameters]\nkp = 60\n[axes]\nkd = [2.0]\n'
 
@@ -34,13 +36,13 @@ def _creeping(monkeypatch, residual):
 
 
 def test_a_robot_at_rest_is_not_warned_of(asked, capsys):
-    _warnings.posture(asked().plant)
+    _warnings.posture(asked())
     assert capsys.readouterr() == ("", "")
 
 
 def test_a_robot_that_creeps_after_settling_is(asked, monkeypatch, capsys):
     _creeping(monkeypatch, 0.054)
-    _warnings.posture(asked().plant)
+    _warnings.posture(asked())
     out, said = capsys.readouterr()
     assert out == "" and said.count("\n") == 1
     assert said.startswith("jaxact: warning: the robot still creeps") and "0.054" in said
@@ -48,12 +50,12 @@ def test_a_robot_that_creeps_after_settling_is(asked, monkeypatch, capsys):
 
 def test_one_that_starts_from_its_keyframe_as_it_is_was_asked_for(asked, monkeypatch, capsys):
     _creeping(monkeypatch, 9.8)
-    _warnings.posture(asked('posture = "keyframe"\n').plant)
+    _warnings.posture(asked('posture = "keyframe"\n'))
     assert capsys.readouterr() == ("", "")
 
 
 def test_no_robot_no_word(tmp_path, capsys):
-    _warnings.posture(reading.parse("[axes]\nkp = [100]\nkd = [5]\n", tmp_path).plant)
+    _warnings.posture(reading.parse("[axes]\nkp = [100]\nkd = [5]\n", tmp_path))
     assert capsys.readouterr() == ("", "")
 
 
@@ -121,3 +123,21 @@ def test_an_interruption_is_one_line_though_zarr_still_writes(tmp_path):
     )
     assert ran.returncode == 130
     assert ran.stderr.count("\n") == 1 and "interrupted" in ran.stderr
+
+
+def test_joints_that_a_given_limit_makes_too_weak_are_told_once(tmp_path, capsys):
+    """A rod held level, whose weight needs 4.905 N m, behind a motor of 50."""
+    (tmp_path / "rod.xml").write_text(ROD)
+    text = '[plant]\nmodel = "rod.xml"\nposture = "keyframe"\n[parameters]\n{}\n[axes]\nkp = [90]\n'
+    for given, said in (("force_limit = 1", 1), ("force_limit = 9", 0)):
+        asked = reading.parse(text.format(f"kd = 9\n{given}"), tmp_path)
+        with _warnings.as_lines():
+            _warnings.posture(asked)
+            tell_weak(asked.plant, expand(asked).along)  # as the verb does
+        told = capsys.readouterr().err
+        assert told.count("j holds the posture with 4.905 of 1 N m") == told.count("\n") == said
+
+
+ROD = """<mujoco><worldbody><body><joint name="j" axis="0 1 0"/>
+<geom size="0.05" mass="1" pos="0.5 0 0"/></body></worldbody>
+<actuator><motor joint="j" ctrlrange="-50 50"/></actuator></mujoco>"""

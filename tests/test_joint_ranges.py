@@ -7,7 +7,8 @@ from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
 from jaxact.cli import _warnings
-from jaxact.loops import edges, joint_ranges, reading, robots
+from jaxact.loops import conversion, joint_ranges, reading, robots, strength
+from jaxact.simulation.clamping import tell_clamped
 
 KP, KD, SETPOINTS = 60.0, 1.5, (0.4, 1.0)
 SERVO = '<position name="A" joint="a" kp="60" kv="1.5" {}/>'
@@ -149,7 +150,7 @@ def _said(tmp_path, capsys, joint="", force="", angle=0.0):
     path.write_text(PENDULUM.format(joint=joint, force=force, angle=angle))
     text = '[plant]\nmodel = "pendulum.xml"\nkeyframe = "k"\nposture = "keyframe"\n'
     asked = reading.parse(text + "[axes]\ndelay = [0.0]\n", tmp_path)
-    _warnings.posture(asked.plant)
+    _warnings.posture(asked)
     return asked, capsys.readouterr().err
 
 
@@ -160,7 +161,7 @@ def test_a_posture_on_a_limit_of_the_force_is_said(tmp_path, capsys):
     assert "one side only" in said
     weight = float(0.4 * 9.81 * 0.2 * np.sin(0.5))
     asked, said = _said(tmp_path, capsys, force=f'forcerange="-9 {weight!r}"', angle=0.5)
-    assert edges.on_limits(robots.scene(asked.plant)) and said.count("\n") == 1
+    assert strength.on_limits(robots.scene(asked.plant), {}) and said.count("\n") == 1
     assert _said(tmp_path, capsys, force='forcerange="-0.01 2"')[1] == ""
 
 
@@ -171,3 +172,19 @@ def test_a_posture_at_the_end_of_a_joints_range_is_said(tmp_path, capsys):
     assert _said(tmp_path, capsys, joint='range="-1 60"')[1] == ""
     _, said = _said(tmp_path, capsys, joint='range="2 60"')
     assert "is outside its range" in said and "at the end" not in said
+
+
+def test_setpoints_that_are_clamped_are_told_where_some_loops_have_none_of_their_own(tmp_path):
+    """NaN is a loop without a value of its own: there the value of all joints counts."""
+    loop = _loop("both sides", tmp_path)
+    asked = conversion.specification(loop)
+    along = {name: np.array([value]) for name, value in asked.nominal.items()}
+    own = {"setpoint@a": np.array([np.nan, 0.9])}
+    with pytest.warns(jx.InexactWarning, match=r"asked to go to 0\.9"):
+        tell_clamped(asked, along | own)
+    own = {"setpoint@a": np.array([np.nan, 0.1])}
+    with pytest.warns(jx.InexactWarning, match=r"asked to go to -0\.7"):
+        tell_clamped(
+            asked, along | {"setpoint": np.array([-0.7]), "setpoint@a": own["setpoint@a"] - 0.8}
+        )
+    tell_clamped(asked, along | {"setpoint": np.array([0.7]), "setpoint@a": np.array([0.1])})

@@ -206,9 +206,10 @@ def test_a_force_limit_that_does_not_bear_the_payload_is_told(folder):
     need = (MASS + 0.5) * GRAVITY * LENGTH * np.sin(at)
     given = {"payload_body": "hand", "payload": 0.5, "kp": 12.0, "kd": 2.0}
     for limit, leaves in ((1.01 * need, False), (0.99 * need, True)):
-        loop = jx.robot(folder / "rod.xml", keyframe="home", force_limit=limit, **given)
-        text = " ".join(repr(jx.margins(loop)).split())
-        assert (f"j would have to bear {need:.4g}" in text) == leaves
+        for line in ({"force_limit": limit}, {"stall_force": limit, "no_load_speed": 20.0}):
+            loop = jx.robot(folder / "rod.xml", keyframe="home", **line, **given)
+            text = " ".join(repr(jx.margins(loop)).split())
+            assert (f"j would have to bear {need:.4g}" in text) == leaves
 
 
 def test_a_feedforward_that_bears_the_payload_leaves_no_sag(folder):

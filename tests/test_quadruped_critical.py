@@ -10,8 +10,8 @@ from quickly import compiled_quickly as compiled_quickly
 
 from jaxact.loops import reading
 from jaxact.loops.samples import expand
-from jaxact.simulation import plans, spectra
-from jaxact.verbs.render import pair
+from jaxact.simulation import plans, single, spectra
+from jaxact.verbs.render import _runs, pair
 
 FOLDER = Path(__file__).resolve().parent.parent / "experiments" / "quadruped"
 with imported(FOLDER, "critical") as modules:
@@ -75,6 +75,26 @@ def test_the_bare_loop_has_the_same_gains_and_no_drive():
     changed = {name for name in own if own[name] != without[name]}
     assert changed == {"wn", "zeta", "delay", "position_noise", "velocity_filter"}
     assert without["wn"] == np.inf and without["delay"] == 0.0 and without["position_noise"] == 0.0
+
+
+def test_a_bare_loop_sees_a_sampled_velocity(monkeypatch):
+    specification = dataclasses.replace(reading.parse(SPECIFICATION), velocity="differenced")
+    asked = []
+
+    def followed(one, samples):
+        asked.append((one.velocity, samples))
+        return [len(asked)]
+
+    monkeypatch.setattr(single, "simulate_all", followed)
+    assert _runs(specification) == [1, 2]
+    both = pair(specification)
+    assert [velocity for velocity, _ in asked] == ["sampled", "differenced"]
+    for place, (_, alone) in enumerate(asked):
+        assert len(alone) == 1 and alone.first == place
+        assert {k: v[0] for k, v in alone.values.items()} == {
+            k: v[place] for k, v in both.values.items()
+        }
+    assert np.isinf(asked[0][1].values["velocity_filter"])
 
 
 @pytest.mark.exhaustive

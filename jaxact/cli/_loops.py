@@ -11,7 +11,7 @@ from jaxact import engines
 from jaxact.cli import _arguments, _warnings
 from jaxact.cli._arguments import typed
 from jaxact.errors import UserError
-from jaxact.loops import drives
+from jaxact.loops import anew, drives
 from jaxact.loops.drives import DRIVE, IdentifiedDrive
 from jaxact.parameters import (
     CONTROL_RATE,
@@ -191,6 +191,7 @@ def specified(
         base = reading.load(robot.spec, ["axes.feedforward=[0.0]"], file).document
         file = file or drives.named_by(robot.spec)
     own = base.pop("parameters", {})
+    own = {name: value for name, value in own.items() if not anew.replaced(name, given)}
     if "actuator" in given:
         own = {name: value for name, value in own.items() if name not in (WN, ZETA)}
     elif {WN, ZETA} & set(given) and "actuator" in own:

@@ -12,7 +12,7 @@ from jaxact.cli import _options
 from jaxact.errors import GainsWarning, InexactWarning
 
 if TYPE_CHECKING:
-    from jaxact.loops.specification import Plant
+    from jaxact.loops.specification import Plant, Specification
 
 
 class _GainsAtLength(GainsWarning):
@@ -24,12 +24,13 @@ def warn(text: str) -> None:
     print(f"jaxact: warning: {_options.typed(text, 'margins')}", file=sys.stderr)
 
 
-def posture(plant: Plant | None) -> None:
+def posture(specification: Specification) -> None:
     """Warn of a robot whose joints are too weak for its posture, or that creeps; else nothing."""
+    plant = specification.plant
     if plant is None:
         return
     gains(plant)
-    overload(plant)
+    overload(specification)
     from jaxact.loops import robots
     from jaxact.verbs.robot_tables import RESIDUAL
 
@@ -48,7 +49,7 @@ def as_lines() -> Iterator[None]:
 
     Verbs that compute with gains say more of their file themselves, with `gains`.
     """
-    said, unsaid = set(), set()
+    said, told, unsaid = set(), set(), set()
     with warnings.catch_warnings():
         for category in (InexactWarning, GainsWarning):
             warnings.simplefilter("always", category)
@@ -60,7 +61,9 @@ def as_lines() -> Iterator[None]:
                 unsaid.add(text)
             elif issubclass(category, InexactWarning | GainsWarning):
                 said.add(category)
-                warn(text)
+                if text not in told:  # several computations may be behind one command
+                    warn(text)
+                told.add(text)
             else:
                 others(message, category, *where)
 
@@ -97,21 +100,21 @@ def older(result: str) -> None:
         )
 
 
-def overload(plant: Plant | None) -> None:
+def overload(specification: Specification) -> None:
     """Warn of a robot's posture that its joints are too weak to hold, or that limits hold or touch.
 
-    Nothing without a robot.
+    Nothing without a robot. Limits are those of the loops, the narrowest of each joint.
     """
-    if plant is None:
+    if specification.plant is None:
         return
     from jaxact.loops import edges, robots
+    from jaxact.loops.samples import ends
+    from jaxact.simulation.weak_joints import tell_weak
 
-    scene = robots.scene(plant)
+    scene, along = robots.scene(specification.plant), ends(specification)
     if stopped := robots.at_stops(scene.robot, scene.posture.qpos):
         advice = robots.keyframe_advice(robots.keyframes_within(scene.robot))
         warn(f"{robots.held_by_limits(stopped)}; {advice}")
-    for line in edges.said(scene):
+    for line in edges.said(scene, along):
         warn(line)
-    weak = robots.overloaded(scene)
-    if weak:
-        warn(robots.too_weak(weak))
+    tell_weak(specification.plant, along)

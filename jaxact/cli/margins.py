@@ -145,7 +145,7 @@ def _of_robot(robot: Robot, given: dict[str, Any], velocity: str | None, *, json
         phase("looking for what dry friction holds")
         _ = found.stiction  # printed too
     _warnings.gains(loop.kind.plant)
-    _warnings.overload(loop.kind.plant)
+    _warnings.overload(specification)
     print(found.to_json() if json else _options.typed(repr(found), "margins"))
     if robot.out is not None:
         from jaxact.plotting.robot import whole_robot

@@ -129,7 +129,7 @@ def main(
         loop_of(specification), duration=specification.duration, engine=specification.engine,
         precision=specification.precision, seed=specification.seed,
     )[0]  # fmt: skip
-    _warnings.posture(specification.plant)
+    _warnings.posture(specification)
     _write(run, specification, place, out, csv, npz)
     held = None
     if specification.plant is not None and run.results["growth_rate"] > 0.0:

@@ -123,7 +123,7 @@ def main(
         resume=run.resume, overwrite=run.overwrite, adaptive=run.adaptive, width=run.width
     )
     folder = location.at(out if out is not None else Path("results") / specification.stem)
-    _warnings.posture(asked.plant)
+    _warnings.posture(asked)
 
     def say(text: str) -> None:
         if not quiet:

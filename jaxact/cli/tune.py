@@ -256,6 +256,7 @@ def main(
         drive = load_drive(given[DRIVE])
     unsure = _unsure.uncertainty(search, drive, loops[0], given)
 
+    from jaxact.loops import conversion
     from jaxact.tuning.course import NOTHING, ahead
     from jaxact.verbs import tuning_tables
 
@@ -277,7 +278,7 @@ def main(
 
         result, document = _signals.to_the_end(reported)
     for one in loops:
-        _warnings.posture(one.kind.plant)
+        _warnings.posture(conversion.linear_specification(one))
     strength = float(loops[0].values.get(GAIN_SCALE, 1.0)) if drive is not None else 1.0
     if strength != 1.0:
         document["drive_gain"] = strength

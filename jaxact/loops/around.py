@@ -256,4 +256,4 @@ def _names(loop: ControlLoop | Drive) -> tuple[str, ...]:
         return ()
     from jaxact.loops import robots  # as above
 
-    return tuple(joint.name for joint in robots.read(loop.kind.plant).joints)
+    return tuple(joint.name for joint in robots.driven(loop.kind.plant).joints)

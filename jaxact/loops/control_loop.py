@@ -21,6 +21,7 @@ import jax
 import numpy as np
 
 from jaxact.errors import UserError
+from jaxact.loops import anew
 from jaxact.loops.checks import OF_VELOCITY, check_velocity
 from jaxact.loops.given import check_step, names_of, read
 from jaxact.loops.reading import TABLE_READERS
@@ -108,6 +109,9 @@ class ControlLoop:
     def replace(self, **changes: Any) -> ControlLoop:
         """The same loop with other parameters, or of another kind.
 
+        What is given counts, whatever else the loop has of the same parameters: of a robot, a
+        number for all joints before those that some had, and of patterns the newest first.
+
         Args:
             changes: as for `jaxact.joint`; of a robot also those of `jaxact.robot`.
 
@@ -123,7 +127,7 @@ class ControlLoop:
             mounted = {name: changes.pop(name) for name in names}
             kind = dataclasses.replace(kind, plant=dataclasses.replace(kind.plant, **mounted))
         given = read(changes, robot=kind.plant is not None, unit=kind.unit)
-        return made({**self.values, **given}, kind)
+        return made(anew.over(self.values, given), kind)
 
     def named(self, *names: str) -> ControlLoop:
         """The same loops under these names, one for each, in C order of the batch."""
@@ -212,7 +216,24 @@ class ControlLoop:
         return f"<{head}: {', '.join(parts) or 'all parameters at their defaults'}{several}>"
 
 
-jax.tree_util.register_dataclass(ControlLoop, data_fields=["values"], meta_fields=["kind"])
+_VALUES = jax.tree_util.GetAttrKey("values")
+
+
+def _flat(loop: ControlLoop) -> tuple[tuple[tuple[Any, Any]], tuple[Kind, tuple[str, ...]]]:
+    """JAX sorts the keys of a dictionary; those for some joints count in their order."""
+    patterns = tuple(key for key in loop.values if "@" in key)
+    return ((_VALUES, loop.values),), (loop.kind, patterns)
+
+
+def _unflat(kept: tuple[Kind, tuple[str, ...]], leaves: tuple[Any]) -> ControlLoop:
+    kind, patterns = kept
+    (values,) = leaves
+    if isinstance(values, dict):  # JAX may put something else in its place
+        values = values | {key: values.pop(key) for key in patterns if key in values}
+    return ControlLoop(values, kind)
+
+
+jax.tree_util.register_pytree_with_keys(ControlLoop, _flat, _unflat)
 
 
 def made(values: dict[str, Any], kind: Kind) -> ControlLoop:

@@ -188,10 +188,24 @@ def specification(loop: ControlLoop, **options: Any) -> Specification:
             "a robot, a simulation or a tuning cannot be traced: call it outside jit, vmap and "
             "grad; a batch (kp=[500, 600]) is computed at once"
         )
-    fixed = {name: float(v) for name, v in loop.values.items() if not np.ndim(v)}
+    fixed = fixed_in(loop.values)
     axes = tuple(_axis(name, np.asarray(v)) for name, v in loop.values.items() if np.ndim(v))
     options.setdefault("engine", engines.MASS.name if loop.kind.plant is None else "auto")
     return described(**loop.kind.specified, **options, parameters=fixed, axes=axes or (NO_AXIS,))
+
+
+def fixed_in(values: Mapping[str, Any]) -> dict[str, float]:
+    """The fixed parameters of a specification of a loop with these values.
+
+    Of what varies for some joints the first value is among them, with its key in its place: which
+    of several keys counts follows from their order.
+
+    Args:
+        values: by key, numbers or arrays.
+    """
+    return {
+        name: float(np.ravel(v)[0]) for name, v in values.items() if not np.ndim(v) or "@" in name
+    }
 
 
 def linear_specification(loop: ControlLoop, **options: Any) -> Specification:

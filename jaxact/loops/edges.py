@@ -6,20 +6,24 @@ for both; simulations do not.
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 
-from jaxact.loops import joint_ranges
+from jaxact.loops import strength
 from jaxact.loops.robots import BEYOND, Scene, beyond_ranges
-from jaxact.robots.robot import Joint, Robot
+from jaxact.loops.strength import Along
+from jaxact.robots.robot import Robot
 
 # Within its range by less than this share of it, a joint is at its end.
 _AT_END = 1e-6
 _SEEN = "which linear metrics do not see; simulations do"
 
 
-def said(scene: Scene) -> list[str]:
-    """Of the driven joints at the end of their ranges, and of those whose force is, a line each."""
+def said(scene: Scene, along: Along) -> list[str]:
+    """Of the driven joints at the end of their ranges, and of those whose force is, a line each.
+
+    Args:
+        scene, along: as for `jaxact.loops.strength.limits`.
+    """
     lines = []
     ends = at_ends(scene.robot, scene.posture.qpos)
     if ends:
@@ -28,7 +32,7 @@ def said(scene: Scene) -> list[str]:
             f"{ends[0]}{are} at the end of the range at this posture, where a limit acts to one"
             f" side only, {_SEEN}"
         )
-    forces = on_limits(scene)
+    forces = strength.on_limits(scene, along)
     if forces:
         more = f" (and {len(forces) - 1} more)" if len(forces) > 1 else ""
         lines.append(f"{forces[0]}{more}: it can exert more to one side only, {_SEEN}")
@@ -50,18 +54,3 @@ def at_ends(robot: Robot, qpos: np.ndarray) -> tuple[str, ...]:
         for told, beyond, width in beyond_ranges(robot, qpos)
         if -_AT_END * width <= beyond <= BEYOND * width
     )
-
-
-def on_limits(scene: Scene) -> tuple[str, ...]:
-    """The driven joints that hold the posture with exactly a limit of their force, in words."""
-    return tuple(
-        f"{joint.name} holds the posture with {abs(force):.3g} {_unit(scene.robot, joint)}, a limit"
-        f" of its force ({joint.force_low:.4g} to {joint.force_high:.4g})"
-        for joint, force in zip(scene.robot.joints, scene.posture.force, strict=True)
-        if joint_ranges.on_limit(joint, float(force))
-    )
-
-
-def _unit(robot: Robot, joint: Joint) -> str:
-    hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
-    return "N m" if robot.model.jnt_type[joint.joint] == hinge else "N"

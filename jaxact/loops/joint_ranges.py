@@ -23,21 +23,9 @@ RANGES = (LOWEST_FORCE, HIGHEST_FORCE, LOWEST_SETPOINT, HIGHEST_SETPOINT)
 """Keys of these ranges among the parameters of a robot's drives."""
 
 
-# Share of a range of forces within which a settled posture's force is the end of it.
-_ROUNDING = 1e-6
-
-
 def one_sided(joint: Joint) -> bool:
     """Whether a joint's force limit differs by direction, which `force_limit` cannot say."""
     return joint.force_low != -joint.force_high
-
-
-def on_limit(joint: Joint, force: float) -> bool:
-    """Whether a force [N or N m] is a limit of a joint's, but for rounding."""
-    width = joint.force_high - joint.force_low
-    near = _ROUNDING * (width if np.isfinite(width) else max(abs(force), 1.0))
-    ends = (joint.force_low, joint.force_high)
-    return any(bool(np.isfinite(end)) and abs(force - end) <= near for end in ends)
 
 
 def of(robot: Robot, position: np.ndarray) -> dict[str, np.ndarray]:

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from jaxact import engines
 from jaxact.errors import UserError, nearest, shown
-from jaxact.loops import checks, drives
+from jaxact.loops import anew, checks, drives, toml
 from jaxact.loops.axes import read_axis
 from jaxact.loops.drives import DRIVE
 from jaxact.loops.specification import (
@@ -41,7 +41,6 @@ from jaxact.parameters import (
     known,
 )
 
-_LARGEST_FILE = 500_000
 _WORD = re.compile(r"[^\W\d][\w.-]*")
 Section = TypeVar("Section")
 
@@ -58,7 +57,7 @@ def load(path: Path, overrides: Sequence[str] = (), drive: Path | None = None) -
         UserError: it names the file or the override, the key, what was given, what is allowed.
     """
     try:
-        document = _canonical(_read(path))
+        document = _canonical(toml.read(path))
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
     overridden = _overridden(document, overrides)
@@ -81,7 +80,7 @@ def parse(text: str, folder: Path = Path(), overrides: Sequence[str] = ()) -> Sp
     Raises:
         UserError: as `load`.
     """
-    document = _canonical(_loads(text))
+    document = _canonical(toml.loads(text))
     _overridden(document, overrides)
     return _checked(document, folder)
 
@@ -110,31 +109,6 @@ def _blames(message: str, overridden: Iterable[str]) -> bool:
         full.startswith(key) or key.startswith(full) or key in full.split(".")
         for full in overridden
     )
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        if not path.exists():
-            raise UserError("no such file; give the path of a TOML specification")
-        if not path.is_file():
-            raise UserError("is not a file; give the path of a TOML specification")
-        if path.stat().st_size > _LARGEST_FILE:
-            raise UserError(f"is larger than {_LARGEST_FILE:,} bytes; is it a TOML specification?")
-        return _loads(path.read_text(encoding="utf-8-sig"))  # some editors begin it with a mark
-    except UnicodeDecodeError:
-        raise UserError("is not UTF-8 text; give the path of a TOML specification") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise UserError(f"cannot be read ({reason})") from None
-
-
-def _loads(text: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        # ValueError: TOMLDecodeError, and integers of more digits than Python converts
-        reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
-        raise UserError(f"is not valid TOML: {reason[:200]}") from None
 
 
 def _canonical(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -204,9 +178,13 @@ def _apply(document: dict[str, Any], override: str) -> str:
         varied = isinstance(value, list | dict)
         if not varied:
             document["axes"].pop(name, None)
+        elif "@" in name:  # a fixed value would keep its place among others
+            document["parameters"].pop(name, None)
         keys = ["axes" if varied else "parameters", name]
     elif len(keys) > 1 and keys[0] in SECTIONS[:2]:
         keys[1] = canonical(keys[1])
+    if len(keys) == 2 and keys[0] in SECTIONS[:2]:  # given anew: the last key counts
+        _drop_replaced(document, *keys)
     table = document
     for key in keys[:-1]:
         table = table.setdefault(key, {})
@@ -215,6 +193,14 @@ def _apply(document: dict[str, Any], override: str) -> str:
     table[keys[-1]] = value
     document |= _canonical(document)  # a whole section may have been given
     return ".".join(keys)
+
+
+def _drop_replaced(document: dict[str, Any], section: str, name: str) -> None:
+    """Leave out what a parameter that goes to this section replaces."""
+    for part in SECTIONS[:2]:
+        for key in _keys(document[part]):
+            if anew.replaced(key, (name,)) and (key != name or part == section):
+                del document[part][key]
 
 
 def _literal(text: str, override: str) -> Any:

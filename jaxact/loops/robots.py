@@ -95,14 +95,24 @@ def scene(plant: Plant) -> Scene:
         UserError: the file, the keyframe, a pattern or a body is wrong, or the robot does not come
             to rest.
     """
-    robot = files.once_read(plant, lambda: read(plant))
-    _model.demand(robot, "mujoco")
+    robot = driven(plant)
     key = (robot.digest, plant)
     if key not in _POSTURES:
         find = _posture.settled if plant.posture == "settled" else _posture.given
         _POSTURES.clear()
         _POSTURES[key] = find(robot)
     return Scene(robot, _POSTURES[key], bodies.payload_body(robot, plant.payload_body))
+
+
+def driven(plant: Plant) -> Robot:
+    """The robot of a specification, all of whose actuators can be driven.
+
+    Raises:
+        UserError: one cannot, and as `read`.
+    """
+    robot = files.once_read(plant, lambda: read(plant))
+    _model.demand(robot, "mujoco")
+    return robot
 
 
 def read(plant: Plant) -> Robot:
@@ -132,33 +142,6 @@ def linearised(scene: Scene, plant: Plant | None) -> Scene:
         return scene
     robot, posture = _friction.moving(scene.robot, scene.posture)
     return replace(scene, robot=robot, posture=posture)
-
-
-def overloaded(scene: Scene) -> tuple[str, ...]:
-    """The driven joints that hold the posture with more than they can exert, and how much.
-
-    Those that are outside their ranges push against their limits, and are not counted.
-    """
-    found = []
-    stopped = {text.partition(" (")[0] for text in at_stops(scene.robot, scene.posture.qpos)}
-    hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
-    for joint, force in zip(scene.robot.joints, scene.posture.force, strict=True):
-        within = joint.force_low <= force <= joint.force_high
-        if joint.name not in stopped and not within and not joint_ranges.on_limit(joint, force):
-            limit = joint.force_high if force > 0.0 else joint.force_low
-            unit = "N m" if scene.robot.model.jnt_type[joint.joint] == hinge else "N"
-            found.append(
-                f"{joint.name} holds the posture with {abs(force):.4g} of {abs(limit):.4g} {unit}"
-            )
-    return tuple(found)
-
-
-def too_weak(joints: Sequence[str]) -> str:
-    """A line on joints from `overloaded`."""
-    return (
-        f"{', '.join(joints)}: more than the model's joints can exert; linear metrics are those "
-        "of joints that could, simulations saturate"
-    )
 
 
 # Beyond its range by more than this share of it, a joint is held by its limit: one that rests
@@ -298,6 +281,35 @@ def check(scene: Scene, keys: Sequence[str], given: set[str]) -> None:
             )
 
 
+def check_values(scene: Scene, keys: Sequence[str], along: Mapping[str, np.ndarray]) -> None:
+    """As `check`, and what varies does so for some joint.
+
+    Args:
+        scene: the robot.
+        keys: of parameters for some joints; later ones win over earlier ones.
+        along: values by key, any shape.
+
+    Raises:
+        UserError: as `check`, or later keys have all the joints of one that varies, which would
+            change nothing.
+    """
+    check(scene, keys, {name for name, values in along.items() if not np.isnan(values).any()})
+    every = np.full(len(scene.labels), True)
+    left = {base(key): every for key in keys}
+    for key in (*reversed(keys), *left):
+        which = matched(scene, key) if "@" in key else every
+        free, missing = left[base(key)], np.isnan(along[key])
+        known = along[key][~missing]
+        if known.size and known.min() < known.max() and not (which & free).any():
+            others = [one for one in keys if base(one) == base(key) and one != key]
+            raise UserError(
+                f"{key}: varies, and changes no joint, since {' and '.join(others)} has each of"
+                " them; vary that instead, or leave one of the two out"
+            )
+        if not missing.any():
+            left[base(key)] = free & ~which
+
+
 def check_integrator(scene: Scene) -> None:
     """The model's integrator has positions and velocities apart, so that it can be corrected for.
 
@@ -318,7 +330,7 @@ def each_joint(
     Args:
         values: by key, shape () each; NaN where the model's own counts.
         defaults: from `brought`.
-        masks: from `matched`, of every key for some joints.
+        masks: from `matched`, of every key for some joints, in order: JAX sorts those of `values`.
 
     Returns:
         By name, shape () or (joints,), with the ranges of the joints. Later keys win over earlier
@@ -330,8 +342,8 @@ def each_joint(
         if name in defaults:
             value = jnp.where(jnp.isnan(value), jnp.asarray(defaults[name], value.dtype), value)
         found[name] = value
-    for key in (key for key in values if "@" in key):
-        value, which = values[key], masks[key]
+    for key, which in masks.items():
+        value = values[key]
         found[base(key)] = jnp.where(which & ~jnp.isnan(value), value, found[base(key)])
     return found
 
@@ -344,9 +356,9 @@ def of_drives(plant: Plant, values: Mapping[str, Any]) -> dict[str, Any]:
         values: by key, shape () each; NaN where the model's own counts.
 
     Raises:
-        UserError: as `read` and `check`.
+        UserError: as `driven` and `check`.
     """
-    robot = read(plant)
+    robot = driven(plant)
     placed = Scene(robot, _posture.given(robot), bodies.payload_body(robot, None))
     keys = [key for key in values if "@" in key]
     given = {

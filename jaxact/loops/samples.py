@@ -112,6 +112,16 @@ def expand(specification: Specification) -> Samples:
     return Samples(along, dims, shape, coords)
 
 
+def ends(specification: Specification) -> dict[str, np.ndarray]:
+    """Smallest and largest value of every parameter by key, without drawing any sample.
+
+    Of `actuator` nothing: wn and zeta are its fixed ones.
+    """
+    values = {name: np.array([value]) for name, value in specification.nominal.items()}
+    varied = (axis for axis in specification.axes if axis.name != "actuator")
+    return values | {axis.name: np.array(axis.ends) for axis in varied}
+
+
 def explicit(
     specification: Specification, columns: dict[str, np.ndarray], *, first: int = 0
 ) -> Samples:

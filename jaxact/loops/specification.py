@@ -212,19 +212,20 @@ class Specification:
         """Value of every parameter where no axis varies it.
 
         Of a robot, what its model may bring is not a number (NaN) where nothing is given; values of
-        some joints only follow those of all.
+        some joints only follow those of all, and axes of some joints what is fixed, unless they
+        have a value among the parameters, whose place they keep.
         """
         values = {name: parameter.default for name, parameter in PARAMETERS.items()}
         if self.robot:
             values |= {name: math.nan for name in OF_MODEL} | OF_ROBOTS
-        # A key of an axis is a parameter of some joints, which has no value of its own elsewhere.
-        values |= {axis.name: math.nan for axis in self.axes if "@" in axis.name}
         for name, value in self.parameters.items():
             if isinstance(value, str):
                 values[WN], values[ZETA] = PRESETS[value]
             else:
                 values[name] = value
-        return values
+        # A key of an axis is a parameter of some joints, which has no value of its own elsewhere.
+        own = (axis.name for axis in self.axes if "@" in axis.name)
+        return values | {name: math.nan for name in own if name not in values}
 
     @property
     def document(self) -> dict[str, Any]:

@@ -1,13 +1,50 @@
-"""Writing TOML: the standard library reads it only. Just what a specification can hold."""
+"""TOML: reading it as a user's file, and writing just what a specification can hold."""
 
 from __future__ import annotations
 
 import json
 import re
+import tomllib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+from jaxact.errors import UserError
+
+_LARGEST_FILE = 500_000
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def read(path: Path) -> dict[str, Any]:
+    """The document in a file of a specification.
+
+    Raises:
+        UserError: there is no such file, or it is not TOML.
+    """
+    try:
+        if not path.exists():
+            raise UserError("no such file; give the path of a TOML specification")
+        if not path.is_file():
+            raise UserError("is not a file; give the path of a TOML specification")
+        if path.stat().st_size > _LARGEST_FILE:
+            raise UserError(f"is larger than {_LARGEST_FILE:,} bytes; is it a TOML specification?")
+        # Some editors begin a file with a byte order mark.
+        return loads(path.read_text(encoding="utf-8-sig"))
+    except UnicodeDecodeError:
+        raise UserError("is not UTF-8 text; give the path of a TOML specification") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise UserError(f"cannot be read ({reason})") from None
+
+
+def loads(text: str) -> dict[str, Any]:
+    """The document that TOML text is; raises UserError where it is none."""
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        # ValueError: TOMLDecodeError, and integers of more digits than Python converts
+        reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
+        raise UserError(f"is not valid TOML: {reason[:200]}") from None
 
 
 def dumps(document: Mapping[str, Any]) -> str:

@@ -21,7 +21,7 @@ from jaxact import parameters
 from jaxact.analysis.robot import modes
 from jaxact.analysis.robot.delay import DelayBorne
 from jaxact.errors import UserError
-from jaxact.loops import edges, robots
+from jaxact.loops import edges, robots, strength
 from jaxact.loops.samples import Samples
 from jaxact.loops.specification import Plant, Specification
 from jaxact.parameters import CONTROL_RATE
@@ -65,7 +65,7 @@ class OnStand:
         friction_unit: of it.
         outside: joints outside their ranges, see `jaxact.loops.robots.at_stops`.
         edges: what is said of joints on a limit, from `jaxact.loops.edges.said`.
-        weak: joints too weak for the posture, from `jaxact.loops.robots.overloaded`.
+        weak: joints too weak for the posture, from `jaxact.loops.strength.overloaded`.
         free: with its base free, where it is.
         falls: why there is no such loop: the robot does not come to rest; "" where there is.
     """
@@ -157,6 +157,7 @@ def on_stand(
     free, falls = _free(plant, of) if mounting.floats(robot) else (None, "")
     # What its joints carry is less on a stand than where it stands.
     scenes = [robots.scene(each) for each in ([stand] if free is None else [stand, plant])]
+    along = {name: np.array([value]) for name, value in drive.items()}
     return OnStand(
         drive=dict(drive),
         as_it_is=of(stand),
@@ -166,8 +167,8 @@ def on_stand(
         friction=friction.largest(robot.model),
         friction_unit=friction_unit(robot.model),
         outside=outside,
-        edges=tuple(dict.fromkeys(line for scene in scenes for line in edges.said(scene))),
-        weak=robots.overloaded(scenes[-1]),
+        edges=tuple(dict.fromkeys(line for scene in scenes for line in edges.said(scene, along))),
+        weak=strength.overloaded(scenes[-1], along),
         free=free,
         falls=falls,
     )

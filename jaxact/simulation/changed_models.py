@@ -28,6 +28,7 @@ from jaxact.parameters import (
     KP,
     PARAMETERS,
     PAYLOAD,
+    STALL_FORCE,
 )
 from jaxact.plants import linearize
 from jaxact.robots import posture as _posture
@@ -121,7 +122,7 @@ def _of_joints(*, case: Case, setting: Setting, joints: int) -> Callable[[Any], 
 
     def one(row: Mapping[str, jax.Array]) -> jax.Array:
         own = kernel.resolved(made, row)
-        limit = own[FORCE_LIMIT]
+        limit = jnp.minimum(own[FORCE_LIMIT], own[STALL_FORCE])
         parts = (
             own[KP],
             own[FEEDFORWARD],

@@ -34,8 +34,12 @@ def tell_clamped(specification: Specification, along: Mapping[str, np.ndarray]) 
     low, high = np.zeros_like(positions), np.zeros_like(positions)
     for key in sorted((key for key in along if base(key) == SETPOINT), key=lambda key: "@" in key):
         which = robots.matched(scene, key) if "@" in key else np.full(positions.shape, True)
-        low = np.where(which, np.min(along[key]), low)
-        high = np.where(which, np.max(along[key]), high)
+        values, missing = along[key], np.isnan(along[key])
+        least = np.min(values, where=~missing, initial=np.inf)
+        most = np.max(values, where=~missing, initial=-np.inf)
+        if missing.any():  # there the value before it counts
+            least, most = np.minimum(least, low), np.maximum(most, high)
+        low, high = np.where(which, least, low), np.where(which, most, high)
     asked = positions + np.stack([low, high])
     motion = specification.motion
     if motion is not None and motion.kind == "file":

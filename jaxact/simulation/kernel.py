@@ -148,8 +148,7 @@ def occurring(setting: Setting, along: Mapping[str, np.ndarray]) -> Mapping[str,
     from jaxact.loops import bodies, robots  # as above
 
     scene = robots.scene(setting.plant)
-    given = {name for name, values in along.items() if not np.isnan(values).any()}
-    robots.check(scene, setting.keys, given)
+    robots.check_values(scene, setting.keys, along)
     if setting.corrected:
         robots.check_integrator(scene)
     if np.any(np.nan_to_num(along[PAYLOAD]) > 0.0):

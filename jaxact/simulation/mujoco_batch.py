@@ -35,6 +35,7 @@ from jaxact.parameters import (
     KP,
     PAYLOAD,
     SETPOINT,
+    base,
 )
 from jaxact.plants import softness, variation
 from jaxact.plants.mujoco import Impulse, JointPush, Simulations
@@ -46,6 +47,7 @@ from jaxact.simulation.batch_rollout import BatchState
 from jaxact.simulation.kernel import Case
 from jaxact.simulation.metrics import Metrics
 from jaxact.simulation.rollout import RolloutOptions
+from jaxact.simulation.starts import Outcomes
 from jaxact.simulation.trajectory import Trajectory
 from jaxact.simulation.verdicts import Judgement
 
@@ -61,13 +63,12 @@ def template(case: Case, setting: Setting) -> Template:
 def at_joints(case: Case, setting: Setting, values: Mapping[str, np.ndarray], name: str):
     """A change of the model for every sample and joint, shape (n, joints)."""
     made = template(case, setting)
-    keys = [key for key in values if key.partition("@")[0] == name]
     joints = len(made.scene.labels) if made.scene is not None else 1
     found = np.repeat(np.asarray(values[name], float)[:, None], joints, axis=1)
-    for key in keys:
-        if key != name:
+    for key, which in made.masks.items():  # in order, the last that matches counts
+        if base(key) == name:
             mine = np.asarray(values[key], float)[:, None]
-            found = np.where(made.masks[key] & ~np.isnan(mine), mine, found)
+            found = np.where(which & ~np.isnan(mine), mine, found)
     return found
 
 
@@ -287,7 +288,7 @@ def followed(
     seed: int,
     numbers: np.ndarray,
     push: JointPush | None = None,
-) -> tuple[Metrics, Trajectory, Judgement]:
+) -> tuple[Metrics, Trajectory, Outcomes]:
     """Metrics of a few samples, and every physics step; see `jaxact.simulation.trajectory.follow`.
 
     Args:

@@ -22,8 +22,8 @@ from jaxact.simulation import trajectory as _trajectory
 from jaxact.simulation.falling import fall
 from jaxact.simulation.kernel import Case
 from jaxact.simulation.metrics import Metrics
+from jaxact.simulation.starts import Outcomes
 from jaxact.simulation.trajectory import Trajectory
-from jaxact.simulation.verdicts import Judgement
 from jaxact.status import Verdict
 
 # Physics steps whose trajectory is kept; each is seven numbers a joint.
@@ -56,6 +56,7 @@ class Start:
         resting: it had come to rest; what neither moves nor rests decays.
         amplitude, frequency: of that motion [m or rad], [rad/s].
         narrowing, widening: it was still getting smaller, or wider.
+        joint: number of the joint whose motion that is, the one that moves most.
     """
 
     name: str
@@ -66,6 +67,7 @@ class Start:
     frequency: float
     narrowing: bool = False
     widening: bool = False
+    joint: int = 0
 
 
 @dataclass(frozen=True)
@@ -181,7 +183,7 @@ def each(
                 )
 
 
-def _started(case: Case, judged: Judgement, place: int) -> tuple[Start, ...]:
+def _started(case: Case, judged: Outcomes, place: int) -> tuple[Start, ...]:
     """What came of each start of the loop at this place of a batch."""
     names = ("", *(name for name in case.starts if name != starts.LINEAR))
     return tuple(
@@ -194,6 +196,7 @@ def _started(case: Case, judged: Judgement, place: int) -> tuple[Start, ...]:
             frequency=float(judged.frequency[place, row]),
             narrowing=bool(judged.narrowing[place, row]),
             widening=bool(judged.widening[place, row]),
+            joint=0 if judged.joint is None else int(judged.joint[place, row]),
         )
         for row, name in enumerate(names)
     )
@@ -205,7 +208,7 @@ def _followed(
     values: dict[str, np.ndarray],
     growth: np.ndarray,
     numbers: np.ndarray,
-) -> tuple[Metrics, Trajectory, Judgement]:
+) -> tuple[Metrics, Trajectory, Outcomes]:
     """Metrics, trajectories, time (loops, steps), and starts (loops, starts) of some samples.
 
     Args:
@@ -236,7 +239,7 @@ def _in_jax(
     growth: np.ndarray,
     seed: int,
     numbers: np.ndarray,
-) -> tuple[Metrics, Trajectory, Judgement]:
+) -> tuple[Metrics, Trajectory, Outcomes]:
     """The counterpart of `jaxact.simulation.mujoco_batch.followed` for plants in JAX."""
 
     dtype = jnp.result_type(float)
@@ -251,7 +254,7 @@ def _in_jax(
 @building
 def _all(
     *, case: Case, setting: Setting, devices: int = 1
-) -> Callable[..., tuple[Metrics, Trajectory, Judgement]]:
+) -> Callable[..., tuple[Metrics, Trajectory, Outcomes]]:
     del devices
     template = kernel.template_of(case, setting, "metrics")
 
@@ -268,7 +271,7 @@ def _one(
     growth_rate: jax.Array,
     seed: jax.Array,
     number: jax.Array,
-) -> tuple[Metrics, Trajectory, Judgement]:
+) -> tuple[Metrics, Trajectory, Outcomes]:
     """What `jaxact.simulation.kernel.metrics` gives, the trajectory, and what came of each start.
 
     Arguments as there. The starts are the loop's own and `Case.starts`, without that for noise, the

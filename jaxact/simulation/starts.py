@@ -21,7 +21,7 @@ is not the encoder's, the small steps are one or two counts longer, so that some
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -218,15 +218,28 @@ def above_noise(rest: jax.Array, sustained: jax.Array, growth_rate: jax.Array) -
     return jnp.where(growth_rate < 0.0, jnp.maximum(rest, _ABOVE_NOISE * sustained), rest)
 
 
-def listed(own: Judgement, others: Judgement | None) -> Judgement:
-    """The loop's own start and the others, shape (starts,): of several joints the worst."""
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Outcomes(Judgement):
+    """What came of each start of a loop, of all its joints together; each of shape (starts,).
+
+    Attributes:
+        joint: number of the one whose amplitude and frequency these are, the one that moves most;
+            None where there is but one.
+    """
+
+    joint: jax.Array | None = None
+
+
+def listed(own: Judgement, others: Judgement | None) -> Outcomes:
+    """The loop's own start and the others: of several joints the worst."""
     rows = jax.tree.map(lambda leaf: leaf[None], own)
     if others is not None:
         rows = jax.tree.map(lambda *both: jnp.concatenate(both), rows, others)
-    return of_joints(rows) if own.verdict.ndim else rows
+    return of_joints(rows) if own.verdict.ndim else Outcomes(**vars(rows))
 
 
-def of_joints(rows: Judgement) -> Judgement:
+def of_joints(rows: Judgement) -> Outcomes:
     """What the joint that moves most has come to: the last axis is that of the joints."""
     moved = jnp.where(rows.moving, rows.amplitude, -1.0)
     most = jnp.argmax(moved, axis=-1)[..., None]
@@ -235,7 +248,7 @@ def of_joints(rows: Judgement) -> Judgement:
         return jnp.take_along_axis(leaf, most, axis=-1)[..., 0]
 
     known = jnp.where(verdicts.idle(rows), Verdict.STABLE, rows.verdict)
-    return Judgement(
+    return Outcomes(
         verdict=verdicts.worst(known, axis=-1),
         moving=jnp.any(rows.moving, axis=-1),
         resting=jnp.all(rows.resting, axis=-1),
@@ -243,6 +256,7 @@ def of_joints(rows: Judgement) -> Judgement:
         widening=its(rows.widening),
         amplitude=its(rows.amplitude),
         frequency=its(rows.frequency),
+        joint=most[..., 0],
     )
 
 

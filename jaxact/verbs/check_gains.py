@@ -127,11 +127,11 @@ def _who(loop: Loop) -> tuple[str, bool]:
 
 
 def _of_limits(known: OnStand) -> list[str]:
-    from jaxact.loops import robots
+    from jaxact.loops import robots, strength
 
     found = [f"{line}." for line in known.edges]
     if known.weak:
-        found.append(f"{robots.too_weak(known.weak)}.")
+        found.append(f"{strength.too_weak(known.weak)}.")
     if known.outside:
         found.insert(0, f"{robots.held_by_limits(known.outside)}; {robots.keyframe_advice(())}.")
     return found

@@ -18,6 +18,7 @@ from jaxact.parameters import KD, KP
 from jaxact.reportable import Reportable
 from jaxact.robot_margins import whole_robot
 from jaxact.robot_margins.whole_robot import WholeRobot
+from jaxact.simulation.weak_joints import tell_weak
 from jaxact.verbs import naming, notebook, robot_tables
 
 if TYPE_CHECKING:
@@ -166,7 +167,9 @@ def margins_of_robot(loop: ControlLoop, engine: str = "mujoco") -> RobotLoopMarg
         TypeError: the loop is traced.
     """
     own = conversion.linear_specification(loop, engine=engine)
-    found = tuple(whole_robot.evaluate(own, conversion.samples(loop)))
+    samples = conversion.samples(loop)
+    tell_weak(own.plant, samples.along)
+    found = tuple(whole_robot.evaluate(own, samples))
     shape = loop.shape
     metrics = {
         name: np.array([getattr(one.margins, name) for one in found], kind).reshape(shape)[()]

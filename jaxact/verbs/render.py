@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from jaxact.loops.control_loop import ControlLoop
     from jaxact.plotting.film import Motion
     from jaxact.robots.robot import Robot
+    from jaxact.simulation.single import Single
 
 LABELS = "bare: ideal actuators", "with the drive model"
 MOST_FRAMES = 3000
@@ -225,12 +227,12 @@ def _simulated(
     """Both motions from their start, and a line on each of what came out."""
     from jaxact.loops import conversion
     from jaxact.plotting.film import Motion
-    from jaxact.simulation import engines, single
+    from jaxact.simulation import engines
     from jaxact.status import Verdict
 
     asked = engines.resolved(conversion.specification(loop, **options))
     motions, outcomes = [], []
-    for label, run in zip(labels, single.simulate_all(asked, pair(asked)), strict=True):
+    for label, run in zip(labels, _runs(asked), strict=True):
         path = run.trajectory
         assert path.configuration is not None
         ticks = path.time[:: len(path.time) // len(path.configuration)]
@@ -238,6 +240,28 @@ def _simulated(
         rate, verdict = run.results["growth_rate"], Verdict(int(run.results["verdict"]))
         outcomes.append(f"{label}: {verdict.label}, growth rate {rate:.3g} 1/s")
     return motions, tuple(outcomes)
+
+
+def _runs(specification: Specification) -> list[Single]:
+    """What the two loops of `pair` did; an ideal drive has its velocity from a sensor."""
+    from jaxact.simulation import single
+
+    both = pair(specification)
+    if specification.velocity == "sampled":
+        return single.simulate_all(specification, both)
+    ideal = dataclasses.replace(specification, velocity="sampled")
+    return [
+        run
+        for place, one in enumerate((ideal, specification))
+        for run in single.simulate_all(one, _alone(both, place))
+    ]
+
+
+def _alone(samples: Samples, place: int) -> Samples:
+    """One of several samples, with its own random numbers."""
+    along = {name: np.array([values[place]]) for name, values in samples.values.items()}
+    first = samples.first + place
+    return dataclasses.replace(samples, along=along, shape=(1,), coords={}, first=first)
 
 
 def pair(specification: Specification) -> Samples:

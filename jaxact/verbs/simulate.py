@@ -15,6 +15,7 @@ from jaxact.loops.samples import Samples
 from jaxact.simulation import engines, single
 from jaxact.simulation.clamping import tell_clamped
 from jaxact.simulation.keyframe_velocity import tell_keyframe_velocity
+from jaxact.simulation.weak_joints import tell_weak
 from jaxact.status import Verdict
 from jaxact.sweeping.variables import VARIABLES
 from jaxact.units import joint_units
@@ -93,6 +94,7 @@ def runs(
     samples = conversion.samples(loop)
     tell_clamped(asked, samples.along)
     tell_keyframe_velocity(asked)
+    tell_weak(asked.plant, samples.along)
     return single.simulate_all(asked, samples)
 
 

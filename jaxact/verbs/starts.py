@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from jaxact.parameters import (
 )
 
 if TYPE_CHECKING:
-    from jaxact.simulation.single import Single, Start
+    from jaxact.simulation.single import Joint, Single, Start
 
 _NAMES = {
     "": "its own start",
@@ -60,10 +60,10 @@ def lines(run: Single) -> list[str]:
     if len(run.starts) == 1:
         return [_ON_ITS_WAY] if _on_its_way(run) else [_MAY_CREEP] if _unturned(run) else []
     stable = verdict == Verdict.STABLE
-    rotary, rubs = run.rotary[0], _rubs(run)
+    rubs = _rubs(run)
     groups: dict[str, list[str]] = {}
     for start in starts:
-        end = _end(start, rotary, rubs, stable)
+        end = _end(start, run.joints, rubs, stable)
         if verdict == Verdict.LIMIT_CYCLE and end == Verdict.UNSTABLE.label:
             end = "still growing"
         groups.setdefault(end, []).append(_NAMES[start.name])
@@ -108,6 +108,7 @@ def document(run: Single) -> list[dict[str, Any]]:
     return [
         {
             "start": start.name or "own",
+            "joint": run.joints[start.joint].name,
             "verdict": start.verdict.label,
             "moving": start.moving,
             "amplitude": plain(start.amplitude),
@@ -268,7 +269,7 @@ def _rubs(run: Single) -> bool:
     return any(start.name == "slide" for start in run.starts)
 
 
-def _end(start: Start, rotary: bool, rubs: bool, stable: bool) -> str:
+def _end(start: Start, joints: Sequence[Joint], rubs: bool, stable: bool) -> str:
     from jaxact.plotting.wording import quantity
     from jaxact.status import Verdict
 
@@ -283,7 +284,9 @@ def _end(start: Start, rotary: bool, rubs: bool, stable: bool) -> str:
         return "fallen"
     if not start.moving:
         return "at rest" if start.resting else "decaying"
-    size = quantity(float(f"{start.amplitude:.3g}"), "rad" if rotary else "m")
+    joint = joints[start.joint]
+    size = quantity(float(f"{start.amplitude:.3g}"), "rad" if joint.rotary else "m")
+    size += f" ({joint.name})" * (len(joints) > 1)
     if stable:  # as the other starts show
         return f"moving by {size}, within a count,"
     at = f" at {start.frequency:.3g} rad/s" if np.isfinite(start.frequency) else ""

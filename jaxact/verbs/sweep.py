@@ -16,16 +16,17 @@ from pydantic import ValidationError
 
 from jaxact import engines
 from jaxact.errors import UserError
-from jaxact.loops import reading
+from jaxact.loops import anew, reading
 from jaxact.loops.axes import SPACINGS, Axis, check_range, read_axis
 from jaxact.loops.control_loop import ControlLoop, demand, is_traced
-from jaxact.loops.conversion import described, preset_axis
+from jaxact.loops.conversion import described, fixed_in, preset_axis
 from jaxact.loops.samples import expand
 from jaxact.loops.specification import Sampling, Specification
 from jaxact.parameters import ALIASES, PARAMETERS, WN, ZETA, canonical, known
 from jaxact.simulation.clamping import tell_clamped
 from jaxact.simulation.engines import tell_inexact
 from jaxact.simulation.keyframe_velocity import tell_keyframe_velocity
+from jaxact.simulation.weak_joints import tell_weak
 from jaxact.sweeping import execution, location
 from jaxact.verbs import showing
 from jaxact.verbs.sweep_options import Say, computed_by, options, settled
@@ -121,7 +122,8 @@ def sweep(
             numbers of loops done and in all.
         axes: parameter, by either name, or `actuator` -> what it is varied over: a list, a tuple or
             an array of its values, each of them a loop, or a range from `jaxact.log` or
-            `jaxact.linear`: `kp=(100, 400)` are two values, not what lies between them.
+            `jaxact.linear`: `kp=(100, 400)` are two values, not what lies between them. They count
+            before what the loop has of the same parameters, that of some joints as well.
 
     Returns:
         The results as the command line keeps them: growth rate, verdict and metrics over the axes
@@ -148,8 +150,10 @@ def sweep(
     if asked.engine == engines.ROBOT_IN_MJX.name:
         tell_inexact(asked.plant)
     if asked.plant is not None:
-        tell_clamped(asked, expand(asked).along)
+        along = expand(asked).along
+        tell_clamped(asked, along)
         tell_keyframe_velocity(asked)
+        tell_weak(asked.plant, along)
     from jaxact.verbs import results  # with xarray, which is slow to import
 
     by = computed_by(how, workers=workers, address=address, budget=memory, say=say)
@@ -183,8 +187,10 @@ def _asked(
         demand(loop)
     own = loop if isinstance(loop, Specification) else reading.load(Path(loop))
     drawn = own.sampling if sampling is None else sampling
-    varied = {axis.name: axis for axis in own.axes} | _read(axes, drawn)
-    changed = {"axes": tuple(varied.values()), "sampling": drawn, **options}
+    named = _read(axes, drawn)
+    varied = anew.over({axis.name: axis for axis in own.axes}, named)
+    fixed = {name: v for name, v in own.parameters.items() if not anew.replaced(name, named)}
+    changed = {"parameters": fixed, "axes": tuple(varied.values()), "sampling": drawn, **options}
     fields = {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}
     return described(**(fields | changed))
 
@@ -197,9 +203,13 @@ def _of_loop(
         raise TypeError("a sweep cannot be traced; call it outside jit and grad")
     engines.check_name(options.get("engine"), robot=loop.kind.plant is not None, margins=True)
     named = _read(axes, sampling)
-    replaced = {WN, ZETA} if "actuator" in named else set()
-    values = {name: v for name, v in loop.values.items() if name not in replaced}
-    fixed = {name: float(value) for name, value in values.items() if not np.ndim(value)}
+    preset = {WN, ZETA} if "actuator" in named else set()
+    values = {
+        name: value
+        for name, value in loop.values.items()
+        if name not in preset and not anew.replaced(name, named)
+    }
+    fixed = fixed_in(values)
     varied = _own_axes({n: np.asarray(v, float) for n, v in values.items() if np.ndim(v)}, named)
     if not varied and not named:
         raise UserError("nothing varies; give an axis, e.g. kp = jaxact.log(10, 1e5, 64)")

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import re
 
 import mujoco
 import numpy as np
@@ -11,8 +12,8 @@ from quickly import optimised_fully
 from robots import HOPPER, PENDULUM, QUADRUPED, sagged
 
 from jaxact.errors import UserError
-from jaxact.loops import reading, robots
-from jaxact.loops.samples import expand
+from jaxact.loops import reading, robots, strength
+from jaxact.loops.samples import ends, expand
 from jaxact.plants.mjx import plant as mjx
 from jaxact.robots import model as models
 from jaxact.simulation import engines, execute, kernel, plans, single
@@ -374,10 +375,24 @@ def test_loops_of_other_control_rates_are_what_they_are_alone(folder):
 def test_joints_that_are_too_weak_for_their_posture_are_named(folder):
     text = """<mujoco><worldbody><body><joint name="j" axis="0 1 0"/>
         <geom size="0.05" mass="2" pos="0.5 0 0"/></body></worldbody>
-        <actuator><motor joint="j" forcerange="-{} {}" forcelimited="true"/></actuator></mujoco>"""
-    said = []
-    for limit in (5, 20):
-        (folder / "arm.xml").write_text(text.format(limit, limit))
-        asked = _parsed(folder, 'model = "arm.xml"\nposture = "keyframe"', "kp = 90\nkd = 9")
-        said.append(robots.overloaded(robots.scene(asked.plant)))
-    assert said == [("j holds the posture with 9.81 of 5 N m",), ()]
+        <actuator><motor joint="j" forcerange="{} {}" forcelimited="true"/></actuator></mujoco>"""
+    line = "stall_force = {}\nno_load_speed = 9"
+    cases = (  # of the model, of the drive, and the least that there is at standstill
+        ((-5, 5), "", 5), ((-20, 20), "", None), ((-5, 5), "force_limit = 20", None),
+        ((-20, 20), "force_limit = 4", 4), ((-20, 20), line.format(3), 3),
+        ((-20, 20), f"force_limit = 2\n{line.format(3)}", 2), ((-20, 20), line.format(10), None),
+        ((-6, 20), "force_limit = 40", 6), ((-6, 20), "force_limit = 4", 4),
+        ((-20, 20), "force_limit = 4\nforce_limit@j = 15", None),
+        ((-20, 20), "force_limit = 15\nforce_limit@.* = 15\nforce_limit@j = 1.5", 1.5),
+    )  # fmt: skip
+    for (low, high), given, limit in cases:
+        (folder / "arm.xml").write_text(text.format(low, high))
+        drive = "kp = 90\nkd = 9\n" + re.sub(r"(\w+@\S+)", r'"\1"', given)
+        asked = _parsed(folder, 'model = "arm.xml"\nposture = "keyframe"', drive)
+        weak = strength.overloaded(robots.scene(asked.plant), ends(asked))
+        said = () if limit is None else (f"j holds the posture with 9.81 of {limit} N m",)
+        assert weak == said, given
+    swept = _parsed(folder, 'model = "arm.xml"', "kp = 90\nkd = 9", "force_limit = [50, 7, 20]")
+    assert [end.tolist() for end in strength.limits(robots.scene(swept.plant), ends(swept))] == [
+        [-7.0], [7.0]
+    ]  # fmt: skip

@@ -401,3 +401,16 @@ def test_the_force_is_the_mean_over_the_physics_step():
     t = H * np.arange(7)
     integral = u * (t + (t + 2.0 / w) * np.exp(-w * t))
     np.testing.assert_allclose(found, np.diff(integral) / H, rtol=1e-4)
+
+
+def test_a_robot_with_an_actuator_that_is_refused_is_not_driven_without_it(tmp_path):
+    text = """<mujoco><worldbody><body><joint name="a"/><geom size=".1"/><body><joint name="b"/>
+        <geom size=".1"/></body></body></worldbody><actuator><motor joint="a"/>
+        <muscle joint="b" lengthrange="0 1"/></actuator></mujoco>"""
+    (tmp_path / "arm.xml").write_text(text)
+    loop = jx.robot(tmp_path / "arm.xml", kp=50.0, kd=5.0)
+    around = {"measure": lambda state: state, "physics_step": 1e-3}
+    with pytest.raises(UserError, match="actuator 1: it is a muscle; name other joints"):
+        jx.drive_around(lambda state, force: state, loop, **around)
+    driven = jx.drive_around(lambda state, force: state, loop.replace(joints=("a",)), **around)
+    assert driven.prepared.plant.joints == 1

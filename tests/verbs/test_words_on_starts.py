@@ -11,6 +11,8 @@ from quickly import compiled_quickly as compiled_quickly
 from jaxact.loops import reading
 from jaxact.simulation import single
 from jaxact.simulation.single import Joint, Single, Start
+from jaxact.simulation.starts import of_joints
+from jaxact.simulation.verdicts import Judgement
 from jaxact.status import Verdict
 from jaxact.verbs import starts
 
@@ -125,3 +127,26 @@ def test_what_is_still_under_way_at_the_end_is_said():
         own = (Start("", Verdict.STABLE, False, False, 0.1, frequency),)
         run = Single(None, {"verdict": 0.0}, {}, (Joint("joint", False),), own)
         assert ("a longer one tells" in " ".join(starts.lines(run))) == said
+
+
+def test_a_limit_cycle_has_the_unit_and_the_name_of_the_joint_that_moves():
+    """The one that moves most of a slide at rest and a hinge that goes on."""
+    shape = (2, 2)  # starts, joints
+    rows = Judgement(
+        verdict=np.array([[0, 0], [0, int(Verdict.LIMIT_CYCLE)]]),
+        moving=np.array([[False, False], [False, True]]),
+        resting=np.array([[True, True], [True, False]]),
+        narrowing=np.zeros(shape, bool),
+        widening=np.zeros(shape, bool),
+        amplitude=np.array([[0.0, 0.0], [0.3, 0.05]]),
+        frequency=np.full(shape, 8.0),
+    )
+    found = of_joints(rows)
+    assert found.joint.tolist()[1] == 1
+    kick = Start("kick", Verdict.LIMIT_CYCLE, True, False, float(found.amplitude[1]), 8.0, joint=1)
+    run = _run(Verdict.LIMIT_CYCLE, -1.0, ("", Verdict.STABLE, False))
+    joints = (Joint("rail", False), Joint("hinge", True))
+    run = replace(run, joints=joints, starts=(*run.starts, kick))
+    (line,) = starts.lines(run)
+    assert "limit cycle of 0.05 rad (hinge) at 8 rad/s after a small kick" in line
+    assert starts.document(run)[1]["joint"] == "hinge"
