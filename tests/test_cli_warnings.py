@@ -12,8 +12,8 @@ import jaxact as jx
 from jaxact.cli import _warnings
 from jaxact.loops import reading, robots
 from jaxact.loops.samples import expand
+from jaxact.loops.weak_joints import tell_weak
 from jaxact.simulation import engines
-from jaxact.simulation.weak_joints import tell_weak
 
 TEXT = '[plant]\nmodel = "hopper.xml"\n{posture}[parameters]\nkp = 60\n[axes]\nkd = [2.0]\n'
 

@@ -109,7 +109,7 @@ def overload(specification: Specification) -> None:
         return
     from jaxact.loops import edges, robots
     from jaxact.loops.samples import ends
-    from jaxact.simulation.weak_joints import tell_weak
+    from jaxact.loops.weak_joints import tell_weak
 
     scene, along = robots.scene(specification.plant), ends(specification)
     if stopped := robots.at_stops(scene.robot, scene.posture.qpos):

@@ -14,11 +14,11 @@ from jaxact.analysis.robot.margins import JointMargins, WholeMargins
 from jaxact.analysis.robot.one_thread import one_thread
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
+from jaxact.loops.weak_joints import tell_weak
 from jaxact.parameters import KD, KP
 from jaxact.reportable import Reportable
 from jaxact.robot_margins import whole_robot
 from jaxact.robot_margins.whole_robot import WholeRobot
-from jaxact.simulation.weak_joints import tell_weak
 from jaxact.verbs import naming, notebook, robot_tables
 
 if TYPE_CHECKING:

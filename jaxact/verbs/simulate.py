@@ -12,10 +12,10 @@ from jaxact.errors import UserError
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop, demand
 from jaxact.loops.samples import Samples
+from jaxact.loops.weak_joints import tell_weak
 from jaxact.simulation import engines, single
 from jaxact.simulation.clamping import tell_clamped
 from jaxact.simulation.keyframe_velocity import tell_keyframe_velocity
-from jaxact.simulation.weak_joints import tell_weak
 from jaxact.status import Verdict
 from jaxact.sweeping.variables import VARIABLES
 from jaxact.units import joint_units

@@ -22,11 +22,11 @@ from jaxact.loops.control_loop import ControlLoop, demand, is_traced
 from jaxact.loops.conversion import described, fixed_in, preset_axis
 from jaxact.loops.samples import expand
 from jaxact.loops.specification import Sampling, Specification
+from jaxact.loops.weak_joints import tell_weak
 from jaxact.parameters import ALIASES, PARAMETERS, WN, ZETA, canonical, known
 from jaxact.simulation.clamping import tell_clamped
 from jaxact.simulation.engines import tell_inexact
 from jaxact.simulation.keyframe_velocity import tell_keyframe_velocity
-from jaxact.simulation.weak_joints import tell_weak
 from jaxact.sweeping import execution, location
 from jaxact.verbs import showing
 from jaxact.verbs.sweep_options import Say, computed_by, options, settled
