@@ -98,7 +98,9 @@ class LoopMargins(Reportable):
     @property
     def written(self) -> dict[str, np.ndarray]:
         """`rows` as tables and files have them, see `jaxact.verbs.margin_tables.of_factors`."""
-        return self.rows if self.sampled else margin_tables.of_factors(_flat(self.loop), self.rows)
+        if self.sampled:
+            return self.rows
+        return dict(margin_tables.of_factors(_flat(self.loop), self.rows))
 
     @property
     def found(self) -> dict[str, dict[str, np.ndarray]]:

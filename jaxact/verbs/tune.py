@@ -230,7 +230,8 @@ def _of_joint(
     nominal = nominal_of(loop, sampled)
     start = _start_of_joint(loop)
     how = None if steps is None else Descent(steps=steps)
-    box, middle = KNOWN, {}
+    box = KNOWN
+    middle: dict[str, float] = {}
     if isinstance(uncertainty, ControlLoop):
         drawn = drawn_of(uncertainty, loop, nominal.sampling, timed=goal.metric in TIMED)
         nominal = joined(nominal, drawn)
