@@ -342,8 +342,8 @@ def each_joint(
         if name in defaults:
             value = jnp.where(jnp.isnan(value), jnp.asarray(defaults[name], value.dtype), value)
         found[name] = value
-    for key, which in masks.items():
-        value = values[key]
+    for key in sorted((key for key in values if "@" in key), key=[*masks].index):
+        value, which = values[key], masks[key]
         found[base(key)] = jnp.where(which & ~jnp.isnan(value), value, found[base(key)])
     return found
 

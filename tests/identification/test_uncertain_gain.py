@@ -28,7 +28,7 @@ def _loop(log):
     """The loop that is written of a drive with these numbers, identified on this log."""
     own = SimpleNamespace(
         ladder=SimpleNamespace(fitted=[log]), _numbers=lambda: NUMBERS, plant="mass",
-        inspections=[SimpleNamespace(quanta={})], control_rate=None,
+        inspections=[SimpleNamespace(quanta={})], control_rate=None, _command_limit=lambda: None,
     )  # fmt: skip
     return Identified._loop_values(own)
 
