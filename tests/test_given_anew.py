@@ -67,6 +67,7 @@ def test_patterns_count_in_their_order_in_what_is_compiled_too(arm):
         assert found["kp"].tolist() == [200.0 if order[1] == "kp@.*" else 50.0, 200.0]
 
 
+@pytest.mark.exhaustive
 def test_the_setpoint_of_a_simulation_is_that_of_every_joint(arm):
     loop = jx.robot(arm, kp={"a": 50.0, ".*": 200.0}, kd=5.0, setpoint={"a": 0.2, "b": 0.3})
     run = jx.simulate(loop, setpoint=0.1, duration=0.02, engine="mujoco")

@@ -52,6 +52,7 @@ def test_a_robot_that_follows_a_sine_is_stable(arm, sine):
     assert "the verdict is of small motions" in run.report
 
 
+@pytest.mark.exhaustive
 def test_a_sweep_of_robots_that_follow_a_sine_has_the_verdicts_of_small_motions(arm, sine):
     robot = jx.robot(arm, kd=KD, delay=0.02, **sine)
     swept = jx.sweep(robot, kp=[KP, 2000.0], duration=1.0)

@@ -84,10 +84,18 @@ def _is_robot(subject: Any) -> bool:
         path = Path(subject)
         described = path.suffix == ".toml" and path.is_file()
         text = path.read_text(encoding="utf-8-sig", errors="replace") if described else ""
-        return path.suffix.lower() in _MODELS or "[plant]" in text
+        return path.suffix.lower() in _MODELS or _has_plant(text)
     text = getattr(subject, "attrs", {}).get("specification_toml", "")
     own = hasattr(subject, "of_joints") or getattr(subject, "robot", None) is not None
-    return own or "[plant]" in text
+    return own or _has_plant(text)
+
+
+def _has_plant(text: str) -> bool:
+    """Whether a specification is of a robot; what is not TOML is refused by who reads it."""
+    try:
+        return "plant" in tomllib.loads(text)
+    except (ValueError, RecursionError):
+        return False
 
 
 def _content(subject: Any) -> page.Content:

@@ -12,6 +12,7 @@ from command_line import jaxact
 
 import jaxact as jx
 from jaxact.loops import toml
+from jaxact.verbs.report import _is_robot
 
 SWEEP = """
 description = "<script>alert(1)</script> & \\"quotes\\""
@@ -176,3 +177,18 @@ def test_the_command_writes_and_says_so(tmp_path):
     assert "<h3>Command</h3>" in out.read_text()
     ran = jaxact("report", "sweep.toml", "--kp", "3")
     assert ran.returncode == 2 and ran.stderr.startswith("jaxact: --kp:")
+
+
+@pytest.mark.parametrize(
+    ("text", "robot"),
+    [
+        ('[plant]\nmodel = "arm.xml"\n', True),
+        ('plant = { model = "arm.xml" }\n', True),
+        ("# not a robot's: no [plant] here\n[parameters]\nkp = 400\n", False),
+        ("[plant\n", False),
+    ],
+)
+def test_a_specification_with_a_plant_is_of_a_robot(tmp_path, text, robot):
+    path = tmp_path / "loop.toml"
+    path.write_text(text)
+    assert _is_robot(path) is robot
