@@ -157,3 +157,11 @@ def test_an_axis_of_all_joints_beside_a_fixed_one_of_some_varies_the_others(arm)
     )
     kernel.occurring(asked.setting, expand(asked).along)
     assert [_kp(one) for one in loop_of(asked)] == [(50, 10), (50, 20)]
+
+
+def test_taking_a_loop_apart_leaves_it_as_it_was(arm):
+    loop = jx.robot(arm, kp={"a": 50.0, ".*": 200.0}, kd=1.0)
+    keys = list(loop.values)
+    values, structure = jax.tree.flatten(loop, is_leaf=lambda part: isinstance(part, dict))
+    again = jax.tree.unflatten(structure, values)
+    assert list(loop.values) == keys and loop.values == again.values

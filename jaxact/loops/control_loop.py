@@ -229,7 +229,8 @@ def _unflat(kept: tuple[Kind, tuple[str, ...]], leaves: tuple[Any]) -> ControlLo
     kind, patterns = kept
     (values,) = leaves
     if isinstance(values, dict):  # JAX may put something else in its place
-        values = values | {key: values.pop(key) for key in patterns if key in values}
+        last = {key: values[key] for key in patterns if key in values}
+        values = {key: value for key, value in values.items() if key not in last} | last
     return ControlLoop(values, kind)
 
 
