@@ -357,7 +357,8 @@ def written_out(document: Mapping[str, Any], drive: IdentifiedDrive) -> dict[str
                 f"axes: {drive.name} says gains and friction per unit of an inertia that is not"
                 " known; give one inertia, and vary something else"
             )
-        drive = drive.moving(given)
+        # No feedforward stands for no axis at all, and is none of any unit.
+        drive = drive.moving({name: value for name, value in given.items() if value != [0.0]})
     said = drive.parameters(robot=robot)
     own = filled(said, given)
     # What is varied keeps the drive's number as its nominal one.

@@ -80,6 +80,16 @@ def test_gains_of_an_inertia_that_is_not_given_are_refused(capsys):
     assert "and --kp is not; give the --inertia as well" in capsys.readouterr().err
 
 
+def test_a_drive_is_simulated_per_unit_of_inertia_and_in_front_of_one(capsys):
+    """Of the same motion: forces and inertia have the same factor."""
+    found = []
+    for options in ([], ["--inertia", "0.05"]):
+        assert main(["simulate", "--drive", "servo.toml", *options, "--duration", "0.2"]) == 0
+        found.append(capsys.readouterr().out)
+    rates = [text.split("growth rate")[1].split()[0] for text in found]
+    assert rates[0] == rates[1] and float(rates[0]) < 0.0
+
+
 def test_draws_are_of_the_gains_that_were_identified():
     many = jx.joint(drive="servo.toml", inertia=INERTIA, samples=4000, seed=1)
     np.testing.assert_array_equal(many.mass, INERTIA)
