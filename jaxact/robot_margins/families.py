@@ -135,7 +135,15 @@ def _of_part(shared: SharedResponse, wholes: dict[int, WholeRobot]) -> dict[int,
         else:  # its drives have more than two gains
             found[number] = _alone(whole), whole.margins.whole
     members = margins_of_many(shared, list(together.values()))
-    return found | dict(zip(together, members, strict=True))
+    found |= dict(zip(together, members, strict=True))
+    return {number: _where(wholes[number], one) for number, one in found.items()}
+
+
+def _where(whole: WholeRobot, found: Found) -> Found:
+    """The same of a stable loop, with why the robot does not rest where it is linearised."""
+    if found is None or found[0].unstable_roots:
+        return found
+    return replace(found[0], leaves=whole.leaves), found[1]
 
 
 def _alone(whole: WholeRobot) -> Motion:

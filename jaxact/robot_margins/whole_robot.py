@@ -71,6 +71,12 @@ class WholeRobot:
         return rest(self.case, self.specification.setting, self.values)
 
     @property
+    def leaves(self) -> str:
+        """Why it does not rest with the changes of its model, in words; "" where it does."""
+        moved = set(changed_models.STATIC).intersection(self.case.varied)
+        return self.rest.leaves if moved and self.rest is not None else ""
+
+    @property
     def residual(self) -> float:
         """Largest acceleration where it is linearised [rad/s^2 or m/s^2]; 0 at an equilibrium."""
         return self.nominal_residual if self.rest is None else self.rest.posture.residual

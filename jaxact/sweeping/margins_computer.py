@@ -15,6 +15,7 @@ from jaxact.analysis.robot.one_thread import one_thread
 from jaxact.analysis.robot.processes import Helpers, helping
 from jaxact.errors import UserError
 from jaxact.loops.samples import Samples
+from jaxact.loops.weak_joints import tell_leaving
 from jaxact.parameters import CONTROL_RATE
 from jaxact.status import Verdict
 from jaxact.sweeping.variables import variables
@@ -144,6 +145,7 @@ def _margins(shared: _Shared, numbers: np.ndarray, pool: Helpers) -> dict[str, n
         for number, one in zip(part, found, strict=True)
     }
     found = [by_number[int(number)] for number in numbers]
+    tell_leaving(one[0].leaves for one in found if one is not None)
     rows = {name: np.full(len(found), np.nan) for name in variables(robot=True, margins=True)}
     rate = shared.samples.take(numbers)[CONTROL_RATE]
     for place, one in enumerate(found):

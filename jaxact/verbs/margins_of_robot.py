@@ -14,7 +14,7 @@ from jaxact.analysis.robot.margins import JointMargins, WholeMargins
 from jaxact.analysis.robot.one_thread import one_thread
 from jaxact.loops import conversion
 from jaxact.loops.control_loop import ControlLoop
-from jaxact.loops.weak_joints import tell_weak
+from jaxact.loops.weak_joints import tell_leaving, tell_weak
 from jaxact.parameters import KD, KP
 from jaxact.reportable import Reportable
 from jaxact.robot_margins import whole_robot
@@ -170,6 +170,7 @@ def margins_of_robot(loop: ControlLoop, engine: str = "mujoco") -> RobotLoopMarg
     samples = conversion.samples(loop)
     tell_weak(own.plant, samples.along)
     found = tuple(whole_robot.evaluate(own, samples))
+    tell_leaving(one.leaves for one in found if one.margins.stable)
     shape = loop.shape
     metrics = {
         name: np.array([getattr(one.margins, name) for one in found], kind).reshape(shape)[()]

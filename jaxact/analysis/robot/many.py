@@ -64,6 +64,8 @@ class Motion:
         spectral_radius: largest |root| [-].
         shaking_rate, toppling_rate: of the fastest motion that swings, and that does not [1/s].
         shakes: whether a growing motion swings.
+        leaves: why the robot does not rest where it is linearised, in words; "" where it does, or
+            where that is not asked.
     """
 
     unstable_roots: int
@@ -71,6 +73,7 @@ class Motion:
     shaking_rate: float
     toppling_rate: float
     shakes: bool
+    leaves: str = ""
 
 
 @dataclass(frozen=True)
