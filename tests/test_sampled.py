@@ -162,6 +162,25 @@ def test_radius_is_continuous_and_differentiable_in_the_delay():
         np.testing.assert_allclose((above - below) / 2e-9, slope, rtol=1e-4)
 
 
+@pytest.mark.parametrize("steps", [8, 9, 13])
+def test_the_radius_changes_with_a_delay_of_whole_periods_as_differences_say(steps):
+    """9 ms less 9 times 1 ms is not 0 but negative, by rounding."""
+    values = (100.0, 10.0, 0.7, 110.0, 0.9)
+    delay = steps / 1000
+    assert (delay - steps * PERIOD < 0.0) == (steps != 8)
+
+    def radius(delay):
+        loop = SampledLoop(*map(jnp.asarray, values), delay, jnp.asarray(PERIOD))
+        return spectral_radius(loop, 14)
+
+    ends = [
+        np.abs(np.linalg.eigvals(theory.sampled_matrix((*values, at), PERIOD))).max()
+        for at in (delay - 1e-6, delay + 1e-6)
+    ]
+    slope = float(jax.grad(radius)(delay))
+    np.testing.assert_allclose(slope, (ends[1] - ends[0]) / 2e-6, rtol=1e-3)
+
+
 def test_a_delay_that_does_not_fit_is_not_a_number():
     loop = sampled_loop((400.0, 20.0, 0.7, 110.0, 0.9, 3e-3))
     assert np.isnan(np.asarray(matrix_of(loop, 2))).all()

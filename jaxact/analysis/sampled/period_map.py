@@ -96,7 +96,9 @@ def period_map(loop: SampledLoop) -> tuple[jax.Array, jax.Array, jax.Array, jax.
     """
     period = loop.control_period
     steps = jax.lax.stop_gradient(jnp.floor(loop.delay / period))
-    remainder = _part(loop.delay - steps * period, period)
+    remainder = loop.delay - steps * period
+    # Whole periods of delay but for rounding are no less, and have a derivative.
+    remainder = _part(remainder - jax.lax.stop_gradient(jnp.minimum(remainder, 0.0)), period)
     servo = (loop.mass, loop.natural_frequency, loop.damping_ratio)
     if loop.integrator == "exact":
         times = jnp.stack([period, remainder, period - remainder])
