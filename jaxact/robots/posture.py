@@ -135,7 +135,8 @@ def settled(robot: Robot) -> Posture:
     for sag in (_SAG, np.inf):
         found = _rest(robot, gravity, sag)
         if falls := _fallen(robot, found.qpos):
-            complaints.append(f"{falls} falls from its keyframe before it comes to rest")
+            away = f"{falls} falls from its keyframe, or slides off it,"
+            complaints.append(f"{away} before it comes to rest")
         elif not np.isfinite(found.residual) or found.residual > NEARLY * gravity:
             complaints.append(
                 f"the posture does not come to rest within {LONGEST:g} s (residual acceleration "

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from jaxact.errors import UserError
 from jaxact.robots import model, posture
 
 LEG = """<body name="{name}" pos="{x} {y} 0"><joint name="{name} hip" axis="0 1 0"/>
@@ -62,3 +63,21 @@ def test_bodies_that_overlap_at_the_keyframe_are_named(tmp_path):
     said = posture._overlap(_robot(tmp_path, body.format(height=0.12), ["turn"]))
     assert said == "; body 'world' and body 'link' overlap by 80 mm at the keyframe"
     assert posture._overlap(_robot(tmp_path, body.format(height=0.2), ["turn"])) == ""
+
+
+def test_a_robot_that_slides_down_a_slope_is_not_only_said_to_fall(tmp_path):
+    """In plain MuJoCo it stays upright all the way."""
+    body = (
+        '<geom type="plane" size="9 9 1" friction=".05"/><body pos="0 0 .1"><freejoint/>'
+        '<geom type="box" size=".2 .15 .1" mass="8" friction=".05"/><body pos="0 0 .1">'
+        '<joint name="arm" axis="0 1 0"/><geom size=".02" pos="0 0 .1" mass=".1" contype="0" '
+        'conaffinity="0"/></body></body>'
+    )
+    robot = _robot(tmp_path, body, ["arm"], '<option timestep="0.004" gravity="1 0 -9.8"/>')
+    data = mujoco.MjData(robot.model)
+    for _ in range(500):
+        data.ctrl[0] = -2.0 * data.qpos[7] - 0.05 * data.qvel[6]
+        mujoco.mj_step(robot.model, data)
+    assert data.qpos[0] > 0.3 and data.qpos[3] > 0.999
+    with pytest.raises(UserError, match="falls from its keyframe, or slides off it"):
+        posture.settled(robot)
