@@ -166,7 +166,7 @@ def test_margins_of_a_robot_that_topples_propose_the_stand(capsys):
 
 @pytest.mark.exhaustive
 def test_tuned_gains_say_that_they_hold_the_damping(capsys):
-    quick = ("--starts", "1", "--steps", "20", "--ensemble", "2", "--validate", "0")
+    quick = ("--starts", "1", "--steps", "20", "--validate", "0")
     asked = (
         "--base",
         "fixed",

@@ -16,7 +16,23 @@ from jaxact.cli.main import main
 ROOT = Path(__file__).resolve().parent.parent
 ASKED = ("--model", "arm.xml", "--keyframe", "home", "--actuator", "hyq", "--delay", "0.002",
          "--max-peak", "1.8")  # fmt: skip
-QUICK = ("--starts", "1", "--steps", "20", "--ensemble", "2")
+FEW = ("--starts", "1", "--steps", "20")
+QUICK = (*FEW, "--ensemble", "2")
+PUSHED = """
+duration = 4.0
+[plant]
+model = "arm.xml"
+keyframe = "home"
+[parameters]
+delay = 0.002
+[push]
+body = "lower"
+impulse = [0.0, 0.0, 0.03]
+time = 0.25
+duration = 0.05
+[axes]
+feedforward = [0.0]
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -28,6 +44,7 @@ def folder(tmp_path, monkeypatch):
     motors = arm.replace('<position name="shoulder_servo" joint="shoulder" kp="80" kv="4"/>',
                          '<motor joint="shoulder"/>')  # fmt: skip
     Path("motors.xml").write_text(motors)
+    Path("pushed.toml").write_text(PUSHED)
     Path("bare.xml").write_text("<mujoco><worldbody/></mujoco>")
     return tmp_path
 
@@ -119,7 +136,7 @@ def test_a_robot_is_tuned_certified_simulated_and_written(capsys):
 @pytest.mark.exhaustive
 def test_tables_say_what_is_guaranteed_and_what_cannot_be_met(capsys):
     two = (*ASKED, "--keyframe", "home", "straight")
-    assert main(["tune", *two, *QUICK, "--validate", "0", "--pareto", "2"]) == 0
+    assert main(["tune", *two, *FEW, "--validate", "0", "--pareto", "2"]) == 0
     said = capsys.readouterr().out
     assert "certified: every constraint holds" in said and "N m/rad" in said and "kp before" in said
     assert "2 members" in said and "straight" in said
@@ -127,7 +144,7 @@ def test_tables_say_what_is_guaranteed_and_what_cannot_be_met(capsys):
     # With as many loops, so that nothing is compiled anew.
     two = (*two[: two.index("1.8")], "1.05", *two[two.index("1.8") + 1 :])
     with pytest.raises(SystemExit) as left:
-        main(["tune", *two, "--min-kp", "200", *QUICK, "--validate", "0"])
+        main(["tune", *two, "--min-kp", "200", *FEW, "--validate", "0"])
     said = capsys.readouterr().out
     assert left.value.code == 1 and "does not prove" in said
     assert "NOT certified" in said and "infeasible" in said and "max_peak" in said
@@ -154,6 +171,15 @@ def test_tables_say_what_is_guaranteed_and_what_cannot_be_met(capsys):
         ([*ASKED, "--uncertainty", "joint_friction=0..1"], "sweep it instead"),
         ([*ASKED, "--uncertainty", "wn=1..x"], "not a number"),
         ([*ASKED, "--validate", "-1"], "--validate"),
+        ([*ASKED, "--ensemble", "4"], "--ensemble 4: nothing is uncertain"),
+        (
+            ["--spec", "pushed.toml", "--validate", "1"],
+            "must end within the first quarter of the 1",
+        ),
+        (
+            ["--spec", "pushed.toml", "--tracking-weight", "1"],
+            "must end within the first quarter of the 0.4 s",
+        ),
         ([*ASKED, "--keyframe", "home", "home"], "twice"),
         ([*ASKED, "--keyframe", "jump"], "jump"),
         ([*ASKED, "--spec", "missing.toml"], "is in the specifications"),

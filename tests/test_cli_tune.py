@@ -98,6 +98,8 @@ def test_tracking_a_file(capsys):
         (["--kp", "-1", "--kd", "2"], "--kp"),
         (["--starts", "0"], "--starts"),
         (["--seed", "-1"], "--seed -1"),
+        (["--ensemble", "4"], "--ensemble 4: nothing is uncertain; give --uncertainty"),
+        (["--uncertainty", "mass=0.7..0.7", "--ensemble", "4"], "--ensemble 4: nothing"),
         (["--min-disk-margin", "2"], "--min-disk-margin 2"),
         (["--pareto", "1"], "--pareto"),
         (["--min-kp", "5", "--max-kp", "4"], "above"),

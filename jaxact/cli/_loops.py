@@ -257,3 +257,36 @@ def of_robot(
     if found.plant is None:
         raise UserError(f"{robot.spec}: has no [plant] model; give a robot with --model")
     return found
+
+
+def postures(robot: Any, given: dict[str, Any], velocity: str | None) -> list[ControlLoop]:
+    """The loop of a robot in every posture, each with its name.
+
+    Args:
+        robot: `jaxact.cli.tune.Robot`.
+        given: parameter (or `actuator`) -> its value.
+        velocity: as for `of_robot`.
+
+    Raises:
+        UserError: postures given twice or both ways, and as `specified`.
+    """
+    if len(set(robot.keyframe)) < len(robot.keyframe):
+        raise UserError("--keyframe: the same one is given twice")
+    if robot.spec:
+        for name in ("model", "keyframe"):
+            if getattr(robot, name):
+                raise UserError(f"--{name}: is in the specifications of --spec")
+        named = [(path.stem, robot.one(spec=path)) for path in robot.spec]
+        for name, _ in named:
+            if [other for other, _ in named].count(name) > 1:
+                raise UserError(f"--spec: two files are called {name}; name them differently")
+    else:
+        named = [
+            (key or robot.model.stem, robot.one(model=robot.model, keyframe=key))
+            for key in robot.keyframe or (None,)
+        ]
+    asked = [(name, of_robot(one, given, velocity)) for name, one in named]
+
+    from jaxact.loops.building import loop_of
+
+    return [loop_of(one).named(name) for name, one in asked]

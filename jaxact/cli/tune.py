@@ -251,7 +251,7 @@ def main(
         robot.check(joint)
     _cache.prepare(wanted=not no_cache)
     drive = None if whole else _loops.identified(given.get(DRIVE), given)
-    loops = _postures(robot, given, velocity) if whole else [_joint(given, velocity)]
+    loops = _loops.postures(robot, given, velocity) if whole else [_joint(given, velocity)]
     if whole and DRIVE in given:  # what a robot cannot take of it was said for each posture
         drive = load_drive(given[DRIVE])
     unsure = _unsure.uncertainty(search, drive, loops[0], given)
@@ -349,11 +349,18 @@ def _tuned(
 ) -> Tuned:
     from jaxact.verbs.tune import tune
 
+    if loops[0].kind.plant is not None and robot.validate:
+        from jaxact.tuning.rollouts.exposure import check_push
+
+        for one in loops:  # before a long search for gains that could not be held against it
+            check_push(one.kind.push, robot.validate)
     bounds = {name: value for name, value in vars(goal).items() if value is not UNSET}
     name = bounds.pop("objective")
     samples, steps = (
         None if number == UNSET_NUMBER else number for number in (search.ensemble, search.steps)
     )
+    if not isinstance(unsure, str):  # drawn already, as many as were asked for
+        samples = None
     own = {} if loops[0].kind.plant is None else {
         "groups": robot.groups.split(",") if robot.groups else (),
         "tracking_weight": robot.tracking_weight, "derivative": robot.derivative,
@@ -372,29 +379,3 @@ def _joint(given: dict[str, Any], velocity: str | None) -> ControlLoop:
     if CONTROL_RATE not in loop.values:
         _loops.check_continuous(loop)
     return loop
-
-
-def _postures(robot: Robot, given: dict[str, Any], velocity: str | None) -> list[ControlLoop]:
-    """The loop of the robot in every posture, each with its name."""
-    if len(set(robot.keyframe)) < len(robot.keyframe):
-        raise UserError("--keyframe: the same one is given twice")
-    named: list[tuple[str, _arguments.Robot]] = []
-    if robot.spec:
-        for name in ("model", "keyframe"):
-            if getattr(robot, name):
-                raise UserError(f"--{name}: is in the specifications of --spec")
-        named = [(path.stem, robot.one(spec=path)) for path in robot.spec]
-        for name, _ in named:
-            if [other for other, _ in named].count(name) > 1:
-                raise UserError(f"--spec: two files are called {name}; name them differently")
-    else:
-        assert robot.model is not None
-        named = [
-            (key or robot.model.stem, robot.one(model=robot.model, keyframe=key))
-            for key in robot.keyframe or (None,)
-        ]
-    asked = [(name, _loops.of_robot(one, given, velocity)) for name, one in named]
-
-    from jaxact.loops.building import loop_of
-
-    return [loop_of(one).named(name) for name, one in asked]

@@ -9,6 +9,7 @@ line declares its options with this module.
 
 from __future__ import annotations
 
+import math
 import os
 import tomllib
 from collections.abc import Mapping
@@ -169,11 +170,11 @@ class IdentifiedDrive:
 
     @property
     def strength(self) -> tuple[float, float]:
-        """The ends of the 95 % interval of its gain as factors on it, (1, 1) where it is known."""
+        """The ends of its gain's 95 % interval as factors on it, from 0 where it may be 0."""
         gain = abs(self.numbers.get("gain", 1.0))
         low, high = self.intervals.get("gain", (gain, gain))
         weak, strong = sorted((abs(low) / gain, abs(high) / gain))
-        return (weak, strong) if low * high > 0.0 else (1.0, 1.0)
+        return (weak, strong) if low * high > 0.0 else (0.0, strong)
 
     @property
     def uncertainty(self) -> dict[str, tuple[float, float] | str]:
@@ -197,7 +198,8 @@ class IdentifiedDrive:
         usual = self.numbers.get("inertia", 1.0)
         light, heavy = (end / usual for end in self.intervals.get("inertia", (usual, usual)))
         if {"gain", "inertia"} & set(self.intervals) and not self.per_inertia:
-            found[MASS] = f"{light / strong!r}x..{heavy / weak!r}x"
+            heaviest = heavy / weak if weak else math.inf
+            found[MASS] = f"{light / strong!r}x..{heaviest!r}x"
         return found
 
     def draws(self, number: int, seed: int = 0) -> dict[str, Any]:

@@ -55,7 +55,7 @@ class Certificate:
         bounds_met: kp lies within its bounds.
         binding: members at which a constraint binds.
         members: how many were checked.
-        corners: how many of them are corners of the uncertainty.
+        corners, samples: how many of them are corners of the uncertainty, and samples of it.
         interior: largest excess in the box that was found, None where there is none.
         agreeing: share of the starts that ended within 1 % of the best one's objective.
         gap: how much better brute force did, relative, None if not asked for.
@@ -70,6 +70,7 @@ class Certificate:
     binding: tuple[str, ...]
     members: int
     corners: int = 0
+    samples: int = 0
     interior: float | None = None
     agreeing: float = 1.0
     gap: float | None = None
@@ -158,10 +159,14 @@ def certify(
         binding += [members.name(int(i)) for i in np.flatnonzero(over > -_BINDING)]
     inside = goal.min_kp * (1.0 - 1e-12) <= np.min(kp)
     inside = inside and np.max(kp) <= goal.max_kp * (1.0 + 1e-12)
-    corners = sum("corner " in members.name(i) for i in range(len(members)))
+    # Of a robot the name of a posture comes first.
+    names = [members.name(i).rpartition(", ")[2] for i in range(len(members))]
+    corners, samples = (
+        sum(name.startswith(kind) for name in names) for kind in ("corner ", "sample ")
+    )
     return Certificate(
         bool(found.stable.all()), tuple(checks), bool(inside), tuple(dict.fromkeys(binding)),
-        len(members), corners, interior, valued=found.has(goal.metric),
+        len(members), corners, samples, interior, valued=found.has(goal.metric),
     )  # fmt: skip
 
 
@@ -211,11 +216,12 @@ def sentence(
         if goal.tail and certificate.members > 1:
             of = f"{_counted(goal.tail)} of the {certificate.members} members, which are all stable"
         how = " in continuous time" if continuous else ""
-        words = [f"every constraint holds for {of}, computed exactly{how}"]
-        if certificate.corners:
-            point = "" if certificate.interior is None else " and the worst interior point"
-            words.append(f"{certificate.corners} corners{point} included")
-        return ", ".join(words)
+        found = certificate.members - certificate.corners - certificate.samples
+        which = f"{certificate.samples} samples, {certificate.corners} corners"
+        which += f", {found} interior point{'s' if found > 1 else ''}" if found else ""
+        which = f" ({which})" if certificate.corners else ""
+        point = "" if certificate.interior is None else ", the worst interior point included"
+        return f"every constraint holds for {of}{which}, computed exactly{how}{point}"
     inside = -np.inf if certificate.interior is None else certificate.interior
     if inside > MET and not closest:
         return _inside(certificate, inside)

@@ -87,6 +87,8 @@ def check_options(
 def check_uncertain(uncertain: Any, loop: ControlLoop, samples: int | None, risk: str) -> None:
     """Raise UserError for a risk of one loop or draw, and for an inertia of a joint that slides.
 
+    And for samples of what is known, or of loops that are draws already.
+
     Args:
         uncertain: what is, as for `jaxact.tune`.
         loop: which is tuned.
@@ -94,7 +96,14 @@ def check_uncertain(uncertain: Any, loop: ControlLoop, samples: int | None, risk
         risk: of the goal.
     """
     joint = loop.kind.plant is None
+    if samples is not None and isinstance(uncertain, ControlLoop):
+        raise UserError("`samples`: the loops of `uncertainty` are all that count; leave it out")
     if isinstance(uncertain, str | Mapping) and not uncertain:
+        if samples is not None:
+            raise UserError(
+                f"`samples` {samples}: nothing is uncertain; give `uncertainty`, ranges with a"
+                " width, or leave it out"
+            )
         if joint and risk != WORST:
             raise UserError(f"`risk` {risk}: is over loops, and this is one; give `uncertainty`")
     elif samples == 1 and joint and risk != WORST and not isinstance(uncertain, ControlLoop):

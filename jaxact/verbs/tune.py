@@ -30,7 +30,7 @@ from jaxact.tuning.course import Told, ahead
 from jaxact.tuning.goal import MOST_PEAKS, Goal
 from jaxact.tuning.groups import group
 from jaxact.tuning.joint import search as _joint_search
-from jaxact.tuning.joint.ensemble import FIELDS, joined
+from jaxact.tuning.joint.ensemble import FIELDS, joined, uncertain
 from jaxact.tuning.joint.response import TIMED
 from jaxact.tuning.optimise import Descent
 from jaxact.tuning.result import Tuned
@@ -184,6 +184,8 @@ def intervals(drive: IdentifiedDrive, loop: ControlLoop, ranges: str = "") -> st
     given = {canonical(part.partition("=")[0].strip()) for part in ranges.split(",") if part}
     if loop.kind.plant is None:
         drive = drive.moving({MASS: loop.parameters[MASS]})
+        if MASS not in given and "gain" in drive.intervals:
+            unsure_gain.demand_force(drive)
     found = drive.uncertainty
     if loop.kind.plant is not None:
         found = {name: span for name, span in found.items() if name not in (MASS, JOINT_STIFFNESS)}
@@ -246,8 +248,9 @@ def _of_joint(
         seed=seed, start=start, starts=starts, how=how, verify=verify, told=told,
     )  # fmt: skip
     members: Any = tuned.members
+    plants = uncertain(nominal, box) if box.uncertain else None
     tuned = _with_front(tuned, front, told, lambda: _joint_search.front(
-        members, goal, front, starts=starts, how=how
+        members, goal, front, plants=plants, seed=seed, starts=starts, how=how
     ))  # fmt: skip
     gains = {KP: tuned.kp, KD: tuned.kd}
     scale = {GAIN_SCALE: 1.0} if GAIN_SCALE in loop.values else {}
@@ -325,15 +328,18 @@ def _of_robot(
     from jaxact.tuning.robot import search
     from jaxact.tuning.robot.amid import amid
     from jaxact.tuning.robot.loops import VARIED, situation
+    from jaxact.tuning.rollouts import exposure, tracking
 
     named = _named(loops)
-
     if isinstance(uncertainty, ControlLoop):
         raise UserError("`uncertainty`: of a robot give ranges, or an identified drive")
     box = read_box(uncertainty, VARIED, patterns=True)
-    for _, one in named:
+    if not box.uncertain:
+        check_uncertain("", loops[0], samples, goal.risk)
+    for (_, one), loop in zip(named, loops, strict=True):
         if tracking_weight:  # simulated in MJX
             tell_inexact(one.plant)
+            exposure.check_push(loop.kind.push, tracking.SECONDS)
     situations: list[Situation] = []
     middles: list[dict[str, float]] = []
     for place, (name, one) in enumerate(named):
@@ -341,7 +347,8 @@ def _of_robot(
         middle, around = amid(one, box)
         middles.append(middle)
         own = dataclasses.replace(one, parameters={**one.parameters, **middle})
-        situations.append(situation(own, name, around))
+        # A push counts in rollouts, and not for what is linear.
+        situations.append(situation(own, name, around).pushed(loops[place].kind.push))
     chosen = group(tuple(groups), situations[0].names)
     tuned = search.tune(
         situations, goal, chosen, number=samples or search.SAMPLES, seed=seed,

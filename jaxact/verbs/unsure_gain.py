@@ -4,10 +4,21 @@ from __future__ import annotations
 
 import warnings
 
-from jaxact.errors import InexactWarning
+from jaxact.errors import InexactWarning, UserError
 from jaxact.loops.drives import ROBOT, IdentifiedDrive
 
 KNOWN = (1.0, 1.0)
+
+
+def demand_force(drive: IdentifiedDrive) -> None:
+    """Raise UserError for a drive that may give no force, for which no gains of a joint hold."""
+    weak, strong = drive.strength
+    if not weak > 0.0:
+        raise UserError(
+            f"`uncertainty`: the 95 % interval of the gain of {drive.name} holds 0 (up to "
+            f"{strong:.3g} times what it is taken for), and no gains hold for a drive without "
+            "force; identify it better, or give a range of `mass` or inertia, 0.8x..1.2x"
+        )
 
 
 def as_inertia(drive: IdentifiedDrive) -> str:

@@ -107,6 +107,18 @@ def test_a_robots_box_says_that_it_leaves_an_uncertain_gain_out(tmp_path):
         assert intervals(drive, loop) == "delay=0.0008..0.0012"
 
 
+def test_a_gain_that_may_be_none_is_not_taken_for_known(tmp_path):
+    (tmp_path / "hinge.xml").write_text(HINGE)
+    for ends in ((-0.1, 1.2), (0.0, 1.2)):
+        drive = _drive(_loop(LOG), gain=ends, delay=(8e-4, 1.2e-3))
+        for loop in (jx.joint(drive=drive), jx.joint(drive=drive, inertia=0.05)):
+            with pytest.raises(jx.UserError, match="gain of drive.toml holds 0"):
+                intervals(drive, loop)
+            assert "mass=1..2" in intervals(drive, loop, "mass=1..2")
+        with pytest.warns(jx.InexactWarning, match=r"of its gain, 0 to 1\.33 times"):
+            intervals(drive, jx.robot(tmp_path / "hinge.xml", drive=drive))
+
+
 def test_what_a_robot_says_itself_is_known(tmp_path):
     (tmp_path / "hinge.xml").write_text(HINGE)
     document = {

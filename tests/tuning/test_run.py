@@ -12,11 +12,14 @@ from quickly import compiled_quickly as compiled_quickly
 from jaxact.errors import UserError
 from jaxact.tuning.box import Points, read_box
 from jaxact.tuning.goal import Goal, tail_weights
+from jaxact.tuning.joint import brute
 from jaxact.tuning.joint import problem as joint
 from jaxact.tuning.joint.ensemble import FIELDS, Sampling, ensemble, uncertain
+from jaxact.tuning.joint.exchange import fractions
 from jaxact.tuning.joint.problem import Case
 from jaxact.tuning.joint.response import timed
 from jaxact.tuning.joint.search import STARTS, front, tune, tune_all
+from jaxact.tuning.optimise import Descent
 
 STARLETH = ensemble(0.7, 110.0, 0.9, 1e-3)
 LATE = ensemble(0.7, 110.0, 0.9, 5e-3)
@@ -204,6 +207,59 @@ def test_the_whole_box_is_certified_corners_and_interior():
     fraction = np.random.default_rng(0).uniform(size=(4000, 4))
     inside = uncertain(STARLETH, box).at(Points(fraction, ()))
     assert largest_peaks(inside, tuned.kp, tuned.kd).max() <= 1.6 * (1 + 1e-9)
+
+
+def _peaks(kp, kd, wn, zeta, delay):
+    """Largest of Ms and Mt of a mass of 0.7 kg, on a grid that is dense at the actuator's wn."""
+    w = np.sort(np.append(np.geomspace(1e-2, 1e4, 6000), wn * np.linspace(0.9, 1.1, 6001)))
+    s = 1j * w
+    loop = (kp + kd * s) * np.exp(-s * delay) / (1 + 2 * zeta * s / wn + (s / wn) ** 2)
+    sensitivity = 1.0 / np.abs(1.0 + loop / (0.7 * s * s))
+    return max(sensitivity.max(), np.max(sensitivity * np.abs(loop / (0.7 * s * s))))
+
+
+@pytest.mark.parametrize("zeta", [0.01, 0.004])
+def test_gains_are_found_behind_a_servo_that_rings(zeta):
+    """They are far softer than what its lag alone would allow."""
+    tuned = tune(ensemble(0.7, 70.0, zeta, 3e-3), Goal(max_peak=2.5))
+    assert tuned.certified and _peaks(tuned.kp, tuned.kd, 70.0, zeta, 3e-3) <= 2.5 * (1 + 1e-9)
+    # With more damping the resonance, late by more than half a turn, exceeds 1 and is unstable.
+    damping = np.geomspace(0.2 * tuned.kd, 2.0 * zeta * 70.0 * 0.7, 60)
+    stiffer = [_peaks(1.02 * tuned.kp, kd, 70.0, zeta, 3e-3) for kd in damping]
+    assert min(stiffer) > 2.5
+
+
+def test_a_front_holds_inside_the_box_too():
+    nominal, few = ensemble(0.7, 300.0, 0.05, 2e-3), {"starts": 2, "how": Descent(steps=30)}
+    box = read_box("wn=0.6..1.3,delay=0..8e-3", FIELDS)
+    tuned = tune(nominal, Goal(max_peak=2.0), box, number=2, **few)
+    assert f"(2 samples, 4 corners, {len(tuned.members) - 6} interior point" in tuned.verdict
+    plants = uncertain(nominal, box)
+    points = front(tuned.members, Goal(), 2, plants=plants, **few)
+    for one in (tuned, *points):
+        peaks = [
+            _peaks(one.kp, one.kd, 300.0 * wn, 0.05, delay)
+            for wn in np.linspace(0.6, 1.3, 25)
+            for delay in np.linspace(0.0, 8e-3, 25)
+        ]
+        assert one.certified and max(peaks) <= one.goal.max_peak * (1 + 1e-6)
+
+
+def test_gains_of_brute_force_must_hold_for_the_box(monkeypatch):
+    box = read_box("delay=0..5e-3", FIELDS)
+    own = tune(STARLETH, Goal(max_peak=1.6), box, number=2)
+    x = np.log([1.02 * own.kp, own.kd])
+    monkeypatch.setattr(brute, "brute_force", lambda case: brute.Brute(x[0], x, 1))
+    tuned = tune(STARLETH, Goal(max_peak=1.6), box, number=2, verify=True)
+    assert tuned.certified and tuned.kp == own.kp
+    assert tuned.certificate.gap == pytest.approx(0.02)
+
+
+def test_factors_on_a_negative_stiffness_are_where_they_are():
+    upright = ensemble(0.7, 110.0, 0.9, 1e-3, 0.0, -20.0)
+    plants = uncertain(upright, read_box("joint_stiffness=0.5x..2x,wn=0.8..1.2", FIELDS))
+    points = plants.box.sample(8, 0)
+    np.testing.assert_allclose(fractions(plants, plants.at(points)), points.fraction, atol=1e-12)
 
 
 @pytest.mark.exhaustive

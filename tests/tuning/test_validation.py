@@ -8,6 +8,7 @@ import pytest
 from quickly import compiled_quickly as compiled_quickly
 from robots import HOPPER, PENDULUM, QUADRUPED
 
+import jaxact as jx
 from jaxact.errors import UserError
 from jaxact.loops import reading, robots
 from jaxact.loops.specification import Push
@@ -111,6 +112,21 @@ def test_the_usual_push_gives_a_body_its_velocity(folder):
     data.xfrc_applied[model.body("box").id, :3] = np.array(asked.push.impulse) / 1e-6
     mujoco.mj_step(model, data)
     assert np.linalg.norm(data.qvel[:3]) == pytest.approx(0.1, rel=0.02)
+
+
+def test_a_tuned_robot_is_pushed_as_its_loop_says(folder, monkeypatch):
+    class BegunError(Exception):
+        """What a search is given."""
+
+    def begun(situations, *rest, **options):
+        raise BegunError(*situations)
+
+    monkeypatch.setattr("jaxact.tuning.robot.search.tune", begun)
+    loop = jx.robot(folder / "pendulum.xml", keyframe="home", delay=2e-3, push=PUSH)
+    with pytest.raises(BegunError) as found:
+        jx.tune(loop, max_peak=2.0, progress=False)
+    (one,) = found.value.args
+    assert exposed(one.specification, duration=0.4).push == PUSH
 
 
 def test_what_a_specification_says_of_errors_and_pushes_is_kept():

@@ -135,7 +135,7 @@ def test_pictures_of_joints_are_not_of_robots(tmp_path):
 @pytest.fixture(scope="module")
 def tuned():
     loop = jx.joint(actuator="starleth", delay=1e-3, kp=100.0, kd=10.0)
-    return jx.tune(loop, max_peak=1.6, samples=2, front=2, steps=20, starts=1)
+    return jx.tune(loop, max_peak=1.6, front=2, steps=20, starts=1)
 
 
 @pytest.mark.exhaustive

@@ -25,6 +25,9 @@ GRID = 64
 _REFINEMENTS = 4
 # The least damping that is looked at, of a bare mass and of a sprung one [m / lag].
 _LEAST, _SPRUNG = 2e-2, 2e-5
+# Behind a servo that rings it must leave the resonance below 1, kd < 2 zeta wn m: the lag that this
+# is like, as a share of 1 / (2 zeta wn).
+_RINGING = 0.2
 _TILE = 64
 # The tables' own error in ln of a peak.
 _SLACK = 2e-4
@@ -97,10 +100,13 @@ def _plane(case: Case) -> tuple[Table, np.ndarray, np.ndarray]:
 
 def plane(case: Case) -> tuple[np.ndarray, np.ndarray]:
     """Smallest and largest log-gains of all that could be stable, shape (2,) each."""
-    lag, mass = joint.time_scale(case).max(), case.members.mass.min()
+    members = case.members
+    lag, mass = float(joint.time_scale(case).max()), float(members.mass.min())
     # A spring keeps a joint stable with hardly any damping from its drive.
-    damped = _SPRUNG if np.all(case.members.joint_stiffness > 0.0) else _LEAST
-    low = np.log([2e-4 * mass / lag**2, damped * mass / lag])
+    damped = _SPRUNG if np.all(members.joint_stiffness > 0.0) else _LEAST
+    rings = _RINGING / (2.0 * members.damping_ratio * members.natural_frequency)
+    slow = max(lag, float(rings.max()))
+    low = np.log([2e-4 * mass / slow**2, damped * mass / slow])
     high = np.log([1.5 * mass / lag**2, 1.6 * mass / lag])
     bounds = joint.log_bounds(case.goal)
     low[0], high[0] = max(low[0], bounds[0, 0]), max(min(high[0], bounds[1, 0]), bounds[0, 0])

@@ -172,19 +172,18 @@ def worst_inside(plants: Uncertain, case: Case, x: np.ndarray, seed: int) -> Wor
     size = len(plants.box)
     if not case.goal.rows:
         return Worst(np.empty((0, size)), np.empty(0))
-    points = np.concatenate([_fractions(plants, case.members), screen(size, seed)])
+    points = np.concatenate([fractions(plants, case.members), screen(size, seed)])
     return worst(_riser(plants, case.goal, x), points, seed)
 
 
-def _fractions(plants: Uncertain, members: Ensemble) -> np.ndarray:
+def fractions(plants: Uncertain, members: Ensemble) -> np.ndarray:
     """Where members are in the box, shape (n, ranges)."""
     values = np.stack(
         [getattr(members, FIELDS[one.name]) - members.base(one.name) for one in plants.box.ranges],
         axis=1,
     )
-    span = plants.high - plants.low
-    own = np.where(span > 0.0, values - plants.low, 0.0) / np.where(span > 0.0, span, 1.0)
-    return np.clip(own, 0.0, 1.0)
+    # Of factors on a negative stiffness the second end is the lower one.
+    return np.clip((values - plants.low) / (plants.high - plants.low), 0.0, 1.0)
 
 
 def _riser(plants: Uncertain, goal: Goal, x: np.ndarray) -> Rise:

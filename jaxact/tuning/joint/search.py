@@ -32,7 +32,7 @@ from jaxact.tuning.joint.rescue import SLOWER
 from jaxact.tuning.joint.response import Timed
 from jaxact.tuning.joint.response import timed as timed_of
 from jaxact.tuning.optimise import Descent, descend, no_path
-from jaxact.tuning.polish import Polished, polish
+from jaxact.tuning.polish import MET, Polished, polish
 from jaxact.tuning.result import Outcome, Tuned, judged, objective_value
 
 STARTS, SAMPLES, STEPS = 8, 32, 80
@@ -156,6 +156,8 @@ def front(
     goal: Goal,
     number: int,
     *,
+    plants: Uncertain | None = None,
+    seed: int = 0,
     starts: int = STARTS,
     how: Descent | None = None,
 ) -> list[Tuned]:
@@ -164,18 +166,30 @@ def front(
     Args:
         members, goal, starts, how: as for `tune`; the goal's own peak does not count.
         number: of points.
+        plants: the box that the members are of, whose worst points join them; None for none.
+        seed: of where in the box is looked.
     """
     cases = [Case(members, replace(goal, max_peak=float(peak))) for peak in peaks(number)]
     found = _searched(cases, None, starts, how)
+    course = Course()
+    again = partial(_again, given=None, starts=starts, how=how, course=course)
     points: list[Tuned] = []
     for case, one in zip(cases, found, strict=True):
+        if plants is not None and not goal.tail:
+            case, one = exchanged(plants, case, one, again, seed, course)
         points.append(_judged(case, one, None, verify=False))
         if len(points) > 1 and points[-2].certified and _behind(points[-1], points[-2], goal):
             # What keeps a tighter bound keeps this one.
-            gains = points[-2].kp, points[-2].kd
-            one = replace(one, gains=gains, met=True, metrics=metrics_at(case, np.log(gains)))
-            points[-1] = _judged(case, one, None, verify=False)
+            case = replace(case, members=points[-2].members)
+            points[-1] = _judged(case, _with_gains_of(points[-2], case, one), None, verify=False)
     return points
+
+
+def _with_gains_of(tighter: Tuned, case: Case, one: Outcome) -> Outcome:
+    """The outcome of a case, with the gains of a tighter bound, which keep its own."""
+    gains = tighter.kp, tighter.kd
+    known, interior = metrics_at(case, np.log(gains)), tighter.certificate.interior
+    return replace(one, gains=gains, met=True, metrics=known, interior=interior)
 
 
 def _behind(one: Tuned, tighter: Tuned, goal: Goal) -> bool:
@@ -301,6 +315,12 @@ def _judged(
         error = objective_value(goal, found.gains[0], found.metrics)
         if standstill.stands_still(goal, error):
             found = replace(found, notes=(*found.notes, standstill.NOTE))
+
+    def inside(gains: tuple[float, float]) -> float | None:
+        if plants is None or goal.tail:
+            return None
+        return worst_inside(plants, case, np.log(gains), seed).largest
+
     if verify and found.met:
         timed = timed_of(goal, [members], use="polish")
         tried = brute.brute_force(case)
@@ -310,12 +330,12 @@ def _judged(
             evaluations=found.evaluations + tried.evaluations * len(members),
         )  # fmt: skip
         if tried.value > ours + 1e-3:
-            found = replace(found, gains=joint.gains(tried.x), metrics=metrics_at(case, tried.x))
-
-    def inside(gains: tuple[float, float]) -> float | None:
-        if plants is None or goal.tail:
-            return None
-        return worst_inside(plants, case, np.log(gains), seed).largest
+            # Brute force knows of the members only.
+            gains = joint.gains(tried.x)
+            interior = inside(gains)
+            if interior is None or interior <= MET:
+                known = metrics_at(case, tried.x)
+                found = replace(found, gains=gains, metrics=known, interior=interior)
 
     return judged(
         goal, members, found, lambda gains: metrics_at(case, np.log(gains)), start=start,

@@ -7,6 +7,8 @@ grid closes in on the best of them, and the last word is that of the exact metri
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -14,8 +16,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact.tuning.polish import MET
 from jaxact.tuning.robot import smooth
-from jaxact.tuning.robot.rows import Found, RobotCase, excess, seen
+from jaxact.tuning.robot.exact import exact
+from jaxact.tuning.robot.exchange import Candidate, inside_worse
+from jaxact.tuning.robot.loops import Situation
+from jaxact.tuning.robot.rows import Found, RobotCase, excess, more, seen
 
 MOST_GROUPS = 2
 # Points along each unknown, for two and for four of them.
@@ -57,6 +63,28 @@ def brute_force(case: RobotCase, centre: np.ndarray) -> Found:
         middle = best.x if np.isfinite(best.value) else grid[order[0]]
         width *= _SHRINK[size]
     return Found(best.x, best.value, best.violation, tried * len(table.loops), tried)
+
+
+def verified(
+    best: Candidate, situations: Sequence[Situation], seed: int
+) -> tuple[Candidate, float]:
+    """The best of a grid where that is better all over the box, and by how much it is better.
+
+    Args:
+        best: where a search has led, whose loops the grid is of.
+        situations: of the robot.
+        seed: of the climbs in the box.
+    """
+    found, case = best.found, best.case
+    tried = brute_force(case, found.x)
+    gap = float(np.expm1(max(tried.value - found.value, 0.0)))
+    if tried.value > found.value + 1e-3:
+        known = exact(case.table.loops, *case.groups.gains(tried.x), case.goal.wanted)
+        inside = inside_worse(case, situations, tried.x, known, seed)
+        if inside is None or inside.excess <= MET:
+            interior = None if inside is None else inside.excess
+            return Candidate(case, more(tried, found.evaluations), interior, known), gap
+    return replace(best, found=more(found, tried.evaluations)), gap
 
 
 @partial(jax.jit, static_argnums=0)

@@ -29,7 +29,7 @@ from jaxact.errors import UserError
 from jaxact.loops import robots
 from jaxact.loops.conversion import drive_of
 from jaxact.loops.samples import explicit
-from jaxact.loops.specification import Setting, Specification
+from jaxact.loops.specification import Push, Setting, Specification
 from jaxact.loops.template import Template
 from jaxact.parameters import base
 from jaxact.simulation import changed_models, kernel, mujoco_batch, plans, robot_loop
@@ -119,6 +119,10 @@ class Situation:
     def resting(self, kp: np.ndarray) -> Situation:
         """The same with every member linearised where it rests with this stiffness (joints,)."""
         return replace(self, opened=self.opener(kp))
+
+    def pushed(self, push: Push | None) -> Situation:
+        """The same with a push in what is simulated of it, None for none."""
+        return replace(self, specification=replace(self.specification, push=push))
 
     def values(self, fraction: np.ndarray) -> np.ndarray:
         """Values of `keys` at fractions of the ranges, shape (n, ranges) -> (n, keys)."""

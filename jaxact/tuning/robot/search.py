@@ -118,7 +118,7 @@ def tune(
                 best = _traded(best, situations, tracking_weight, mode, seed)
             if verify and best.found.met:
                 course.phase("comparing with brute force")
-                best, own["gap"] = _verified(best)
+                best, own["gap"] = brute.verified(best, situations, seed)
             course.best = best = replace(best, found=more(best.found, tried, steps))
             return _judged_at_rest(situations, best, seed, course, own)
     except KeyboardInterrupt:
@@ -319,16 +319,6 @@ def _traded(
         return after
     spent = {"evaluations": after.found.evaluations, "steps": after.found.steps}
     return Candidate(after.case, replace(before, **spent), after.interior, None)
-
-
-def _verified(best: Candidate) -> tuple[Candidate, float]:
-    """The best of a grid where that is better, and by how much it is."""
-    found = best.found
-    tried = brute.brute_force(best.case, found.x)
-    gap = float(np.expm1(max(tried.value - found.value, 0.0)))
-    if tried.value > found.value + 1e-3:
-        return replace(best, found=more(tried, found.evaluations), known=None), gap
-    return replace(best, found=more(found, tried.evaluations)), gap
 
 
 def _instead(name: str, goal: Goal) -> str:

@@ -61,15 +61,25 @@ def exposed(
     given = specification.push if push else None
     if push and given is None:
         given = usual_push(robots.scene(_plant(specification)), seconds)
-    if given is not None and given.time + given.duration > 0.25 * seconds * (1.0 + 1e-9):
-        raise UserError(
-            f"push: ends after {given.time + given.duration:g} s; it must end within the first "
-            f"quarter of the {seconds:g} s that are simulated"
-        )
+    check_push(given, seconds)
     return replace(
         specification, duration=float(seconds), parameters=parameters, push=given, axes=(),
         sampling=None,
     )  # fmt: skip
+
+
+def check_push(push: Push | None, duration: float) -> None:
+    """Raise UserError for a push that does not end in the first quarter of a rollout.
+
+    Args:
+        push: None for none.
+        duration: of the rollout [s].
+    """
+    if push is not None and push.time + push.duration > 0.25 * duration * (1.0 + 1e-9):
+        raise UserError(
+            f"push: ends after {push.time + push.duration:g} s; it must end within the first "
+            f"quarter of the {duration:g} s that are simulated"
+        )
 
 
 def _plant(specification: Specification):
