@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxact.drive import options as _options
 from jaxact.drive import threefry
+from jaxact.drive.controller import Setpoint
 from jaxact.drive.options import Drive, DriveOptions
 from jaxact.environments import actuators as _actuators
 from jaxact.environments.actuators import Actuators
@@ -143,6 +144,19 @@ class EnvironmentDrive:
         limit = jnp.minimum(found[FORCE_LIMIT], jnp.maximum(-low, high))
         by_direction = {LOWEST_FORCE: low, HIGHEST_FORCE: high}
         return {POLICY_RATE: np.inf, **found, FORCE_LIMIT: limit, **by_direction}
+
+    def setpoint(self, model: Any, control: Any, numeric: Any) -> Setpoint:
+        """What a control asks of the joints, of kd with the joints' own damping where it has that.
+
+        Args:
+            model: of MuJoCo or MJX, which may be traced.
+            control: all controls, shape (nu,).
+            numeric: module of arrays, `numpy` or `jax.numpy`.
+        """
+        if not self.damping:
+            return self.actuators.setpoint(model, control, numeric)
+        own = np.isnan(self.low[KD]) * model.dof_damping[self.actuators.velocities]
+        return self.actuators.setpoint(model, control, numeric, own)
 
     def drive(self, draws: jax.Array, model: Any) -> Drive:
         """The drive that was drawn; arguments as for `values`."""
