@@ -1,17 +1,22 @@
 """Of the values of a parameter the one that is given last counts, those of some joints included."""
 
+import itertools
+
 import jax
 import numpy as np
 import pytest
 from quickly import compiled_quickly as compiled_quickly
 
 import jaxact as jx
-from jaxact.cli import _arguments, _loops
-from jaxact.errors import UserError
+from jaxact.cli import _arguments, _loops, export
+from jaxact.errors import InexactWarning, UserError
 from jaxact.loops import reading, robots
 from jaxact.loops.building import loop_of
 from jaxact.loops.samples import expand
 from jaxact.simulation import kernel
+
+# Tables whose last pattern has every joint are what some of these are about.
+pytestmark = pytest.mark.filterwarnings("ignore:kp. 'a' changes nothing")
 
 ARM = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body>
 <joint name="a" axis="0 1 0"/><geom type="capsule" size=".03" fromto="0 0 0 .5 0 0" mass="1"/>
@@ -165,3 +170,36 @@ def test_taking_a_loop_apart_leaves_it_as_it_was(arm):
     values, structure = jax.tree.flatten(loop, is_leaf=lambda part: isinstance(part, dict))
     again = jax.tree.unflatten(structure, values)
     assert list(loop.values) == keys and loop.values == again.values
+
+
+def test_a_pattern_of_a_table_that_changes_nothing_is_said(arm):
+    """Whether of `.*` or of another that has the joint; not where the later has fewer joints."""
+    gains, plain = arm.parent / "gains.toml", arm.parent / "plain.toml"
+    for table, words in (
+        ({"b": 50.0, ".*": 200.0}, "kp: 'b' changes nothing, since '.*' comes later"),
+        ({"b": 50.0, "a|b": 200.0}, "kp: 'b' changes nothing, since 'a|b' comes later"),
+        ({"[ab]": 50.0, ".*": 200.0}, r"kp: '\[ab\]' changes nothing"),
+    ):
+        rows = ", ".join(f"'{key}' = {value}" for key, value in table.items())
+        gains.write_text("[kp]\n" + rows.replace(", ", "\n") + "\n[kd]\n'.*' = 1.0\n")
+        with pytest.warns(InexactWarning, match=words):
+            assert _kp(jx.robot(arm, kp=table, kd=5.0)) == (200, 200)
+        with pytest.warns(InexactWarning, match=words):
+            text = TEXT.format(parameters=f"kp = {{ {rows} }}", axes="delay = [0.0]")
+            assert _kp(loop_of(reading.parse(text, arm.parent))) == (200, 200)
+        with pytest.warns(InexactWarning, match=f"gains.toml: {words}"):
+            assert _kp(jx.robot(arm, gains=gains)) == (200, 200)
+    for table in ({".*": 200.0, "b": 50.0}, {"a|b": 200.0, "b": 50.0}, {"a": 200.0, "b": 50.0}):
+        assert _kp(jx.robot(arm, kp=table, kd=5.0)) == (200, 50)
+    plain.write_text(TEXT.format(parameters="kp = { b = 50.0 }", axes="delay = [0.0]"))
+    assert _kp(loop_of(reading.load(plain, ["kp@a|b=200"]))) == (200, 200)  # given anew
+
+
+@pytest.mark.parametrize("order", [*itertools.permutations(("kp=200", "kp@a=50", "kp@a|b=70"))])
+def test_set_of_export_counts_in_its_order_as_that_of_a_specification(arm, order):
+    """Also where one is given again."""
+    for overrides in (order, (*order, order[0])):
+        asked = reading.parse(TEXT.format(parameters="kp = 1.0", axes="delay = [0.0]"),
+                              arm.parent, overrides)  # fmt: skip
+        found = jx.export(arm, "toml", parameters={"kd": 5.0, **export._parameters(overrides)})
+        assert found.joints.kp == _kp(loop_of(asked))

@@ -340,9 +340,22 @@ def test_an_overridden_inertia_says_that_the_joint_is_rotary(override, tmp_path)
     path.write_text("[axes]\nmass = { min = 0.1, max = 1, num = 3 }")
     assert load(path).unit is None
     assert load(path, [override]).unit == "rad"
+    with pytest.raises(UserError, match="^--set unit=m: an inertia is of a rotary joint"):
+        load(path, [override, "engine=mass", "unit=m"])
+    assert load(path, [override, "unit=m", "mass=[1, 2]"]).unit == "m"
     path.write_text('unit = "m"\n' + path.read_text())
     with pytest.raises(UserError, match="^--set inertia: is that of a rotary joint"):
         load(path, [override])
+
+
+def test_the_inertia_of_a_file_is_not_taken_for_a_mass(tmp_path):
+    """A number in kg m^2 would stand there in kg."""
+    path = tmp_path / "sweep.toml"
+    path.write_text("[axes]\nkp = [1, 2]\n[parameters]\ninertia = 0.02")
+    with pytest.raises(UserError, match="^--set unit=m: an inertia is of a rotary joint"):
+        load(path, ["unit=m"])
+    found = load(path, ["moved_mass=0.7", "unit=m"])
+    assert found.unit == "m" and found.parameters["mass"] == 0.7
 
 
 @pytest.mark.parametrize(

@@ -117,12 +117,13 @@ def _parameters(changes: tuple[str, ...]) -> dict[str, Any]:
             numbers = ()
         value = numbers if len(numbers) == 2 else numbers[0] if len(numbers) == 1 else text
         name, _, pattern = key.partition("@")
-        tables.setdefault(name, {})[pattern or _ALL] = value
-    # what is given for all joints counts where nothing is given for some
+        pattern = pattern or _ALL
+        # as of specifications: the last counts, and one for all joints drops those of some
+        before = {} if pattern == _ALL else tables.get(name, {})
+        before.pop(pattern, None)
+        tables[name] = {**before, pattern: value}
     return {
-        name: table[_ALL] if [*table] == [_ALL] else {_ALL: table.pop(_ALL), **table}
-        if _ALL in table else table
-        for name, table in tables.items()
+        name: table[_ALL] if [*table] == [_ALL] else table for name, table in tables.items()
     }  # fmt: skip
 
 

@@ -70,13 +70,15 @@ class Actuators:
         servo = 1.0 - self._are(FORCE)
         return (0.0 - bias[:, 1]) * square * servo, (0.0 - bias[:, 2]) * square * servo
 
-    def setpoint(self, model: Any, control: Any, numeric: Any) -> Setpoint:
+    def setpoint(self, model: Any, control: Any, numeric: Any, damping: Any = 0.0) -> Setpoint:
         """What a control asks of the joints: positions, velocities or forces.
 
         Args:
             model: of MuJoCo or MJX, which may be traced.
             control: all controls, shape (nu,).
             numeric: module of arrays, `numpy` or `jax.numpy`.
+            damping: that kd has beside the servos' own [N s/m or N m s/rad], shape (joints,): the
+                same force at rest then asks for a slower velocity.
         """
         control = numeric.clip(control[self.controls], *self._accepted(model, numeric))
         moment = self.moments(model)
@@ -86,7 +88,9 @@ class Actuators:
         stiff, damp = self._are(POSITION), self._are(VELOCITY)
         return Setpoint(
             position=numeric.where(stiff, asked / numeric.where(stiff, -bias[:, 1] * moment, 1), 0),
-            velocity=numeric.where(damp, asked / numeric.where(damp, -bias[:, 2] * moment, 1), 0),
+            velocity=numeric.where(
+                damp, asked * moment / numeric.where(damp, damping - bias[:, 2] * moment**2, 1), 0
+            ),
             force=numeric.where(self._are(FORCE), asked * moment, 0),
         )
 

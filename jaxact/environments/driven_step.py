@@ -82,12 +82,12 @@ class DrivenStep:
         Returns:
             The data, with the control in `ctrl` as the environment's own step leaves it.
         """
-        parts, own = self.drive, self.drive.actuators
+        parts = self.drive
         ticks = parts.ticks(substeps)
         begun = data.userdata[0] > 0.0
         drawing, sensing = (threefry.folded(key, which) for which in range(2))
         draws, timing = self._drawn(model, data.userdata, drawing)
-        setpoint = own.setpoint(model, control, jnp)
+        setpoint = parts.setpoint(model, control, jnp)
         prepared = self._prepared(model, control, draws)
         position, velocity = prepared.plant.measure(data)
         rest = begun_with(prepared.drive, parts.options, setpoint, position, velocity)

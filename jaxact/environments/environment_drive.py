@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxact.drive import options as _options
 from jaxact.drive import threefry
+from jaxact.drive.controller import Setpoint
 from jaxact.drive.options import Drive, DriveOptions
 from jaxact.environments import actuators as _actuators
 from jaxact.environments.actuators import Actuators
@@ -25,6 +26,7 @@ from jaxact.loops.checks import OF_VELOCITY, check_velocity
 from jaxact.loops.conversion import drive_of
 from jaxact.loops.joint_ranges import HIGHEST_FORCE, LOWEST_FORCE
 from jaxact.parameters import (
+    BIASES,
     COMMAND_RESOLUTION,
     CONTROL_RATE,
     DELAYS,
@@ -35,14 +37,19 @@ from jaxact.parameters import (
     KD,
     KP,
     LIMITS,
+    MEASUREMENT_DELAY,
+    NOISES,
     PARAMETERS,
     POLICY_RATE,
+    POSITION_RESOLUTION,
     VELOCITY_FILTER,
+    VELOCITY_RESOLUTION,
+    WALKS,
     WN,
     ZETA,
     canonical,
 )
-from jaxact.robots.actuators import POSITION
+from jaxact.robots.actuators import FORCE, POSITION
 
 _OWN = (KP, KD)  # of the model where they are not given
 _TAKEN = (
@@ -54,6 +61,11 @@ _REFUSED = {
     POLICY_RATE: "follows from the environment, which holds an action for its own step; leave it"
     " out, and change that step",
 }
+# What changes a force only by way of gains, which motors have none of unless kd is given.
+_FELT_BY_GAINS = (
+    GAIN_SCALE, MEASUREMENT_DELAY, POSITION_RESOLUTION, VELOCITY_RESOLUTION, *NOISES, *BIASES,
+    *WALKS, VELOCITY_FILTER,
+)  # fmt: skip
 _ROUNDING = 1e-6
 _VELOCITIES = ("sampled", "differenced")
 _DAMPING = ("joint", "drive")
@@ -133,6 +145,19 @@ class EnvironmentDrive:
         by_direction = {LOWEST_FORCE: low, HIGHEST_FORCE: high}
         return {POLICY_RATE: np.inf, **found, FORCE_LIMIT: limit, **by_direction}
 
+    def setpoint(self, model: Any, control: Any, numeric: Any) -> Setpoint:
+        """What a control asks of the joints, of kd with the joints' own damping where it has that.
+
+        Args:
+            model: of MuJoCo or MJX, which may be traced.
+            control: all controls, shape (nu,).
+            numeric: module of arrays, `numpy` or `jax.numpy`.
+        """
+        if not self.damping:
+            return self.actuators.setpoint(model, control, numeric)
+        own = np.isnan(self.low[KD]) * model.dof_damping[self.actuators.velocities]
+        return self.actuators.setpoint(model, control, numeric, own)
+
     def drive(self, draws: jax.Array, model: Any) -> Drive:
         """The drive that was drawn; arguments as for `values`."""
         return drive_of(self.values(draws, model))
@@ -202,6 +227,7 @@ def build(
     low, high = ranges(parameters, found.names, defaults)
     demand_fitting(low, high, velocity)
     _demand_setpoints(found, np.fmax(abs(low[KP]), abs(high[KP])), where)
+    _demand_felt(found, low, high, where, damped=damping == "drive")
     substeps = _substeps(low[CONTROL_RATE], high[CONTROL_RATE], step)
     own = np.zeros(len(found.names))
     longest = {name: np.fmax(low[name], high[name]) for name in low}
@@ -237,6 +263,30 @@ def _demand_setpoints(found: Actuators, kp: np.ndarray, where: str) -> None:
             raise UserError(
                 f"{where}: {name}: its actuator asks for a {commands}, so {KP} would be a spring"
                 " about position 0; leave it out there, or make it a position servo of the model"
+            )
+
+
+def _demand_felt(
+    found: Actuators, low: Mapping[str, np.ndarray], high: Mapping[str, np.ndarray], where: str,
+    *, damped: bool,
+) -> None:  # fmt: skip
+    """Raise UserError for what only gains feel, of joints without any, which would change nothing.
+
+    Args:
+        found: the driven actuators; servos have gains, whatever these are in a changed model.
+        low, high: ends of each parameter's range.
+        where: the environment, in messages.
+        damped: the joints' own damping is part of kd.
+    """
+    kd = np.nan_to_num([low[KD], high[KD]]).any(axis=0)
+    gains = np.array([one != FORCE for one in found.commands]) | kd | damped
+    for name in _FELT_BY_GAINS:
+        default = PARAMETERS[name].default
+        given = np.broadcast_to((low[name] != default) | (high[name] != default), gains.shape)
+        if given.any() and not (given & gains).any():
+            raise UserError(
+                f"{where}: `{name}`: changes nothing, as motors have no gains, and observations are"
+                " not those of the drive's sensor; leave it out"
             )
 
 

@@ -119,7 +119,7 @@ class DrivenEnvironment(gymnasium.Wrapper):
         self._look(model)
         self._calls += 1
         moments = own.moments(model)
-        setpoint = _asked(own, model, np.asarray(control, float))
+        setpoint = _asked(self.drive, model, np.asarray(control, float))
         if data.time < self._time:  # begun anew beneath, as copies of some environments are
             self._carry = None
         if self._carry is None:
@@ -140,7 +140,7 @@ class DrivenEnvironment(gymnasium.Wrapper):
         mujoco.mj_rnePostConstraint(model, data)  # as the environment's own step does
 
 
-def _asked(own: Actuators, model: mujoco.MjModel, control: np.ndarray) -> Setpoint:
+def _asked(own: EnvironmentDrive, model: mujoco.MjModel, control: np.ndarray) -> Setpoint:
     """What controls ask for: zeros where one is not a number, as MuJoCo takes them; a drive would
     keep it for ever."""
     found = own.setpoint(model, control, np)

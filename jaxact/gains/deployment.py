@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxact.errors import UserError, shown
+from jaxact.errors import UserError, nearest, shown
 from jaxact.gains.table import Entry, GainFile
 from jaxact.parameters import FORCE_LIMIT, KD, KP
 
@@ -20,6 +20,7 @@ _ASSUMED = "it names no joints: its gains are taken to be in the order of the mo
 _MOTORS = "motor i is taken to be the model's driven joint i, from 0"
 
 _MOST_MOTORS = 10_000
+_TOP = "the top"  # of a file, in messages
 # Lists of unitree_rl_gym: motors of the joints, of which the first is more common, and what a file
 # may have for the arms and the waist: motors, stiffness and damping.
 _LEGS = ("leg_joint2motor_idx", "joint2motor_idx")
@@ -98,23 +99,36 @@ def _legs(path: Path, document: Mapping[str, Any], count: int) -> list[int] | No
     return first
 
 
-def rl_sar(path: Path, document: Mapping[str, Any]) -> GainFile | None:
+def rl_sar(path: Path, document: Mapping[str, Any], name: str | None = None) -> GainFile | None:
     """Of a file with `rl_kp` and `rl_kd`, or with `fixed_...`; None where it is not one.
 
+    Args:
+        path: of the file.
+        document: that it has: such a table, or one for each robot.
+        name: of the one robot that is meant, in full or its last parts; None for whatever it has.
+
     Raises:
-        UserError: it has several such tables, whose gains differ.
+        UserError: it has several such tables, whose gains differ, or none of that name.
     """
-    nested = [(key, value) for key, value in document.items() if isinstance(value, Mapping)]
-    found = []
-    for name, table in (("the top", document), *nested):
-        kinds = [one for one in ("rl", "fixed") if {f"{one}_kp", f"{one}_kd"} <= set(table)]
-        if kinds:
-            found.append((name, _rl_sar(path, table, kinds[0])))
-    for name, one in found[1:]:
+    tables: dict[str, Any] = {} if name is not None else {_TOP: document}
+    tables |= {str(key): value for key, value in document.items() if isinstance(value, Mapping)}
+    kinds = {
+        robot: [one for one in ("rl", "fixed") if {f"{one}_kp", f"{one}_kd"} <= set(table)]
+        for robot, table in tables.items()
+    }
+    known = [robot for robot, own in kinds.items() if own]
+    if name is not None and known:
+        fits = [robot for robot in known if f"/{robot}".endswith(f"/{name}")]
+        if name not in fits and len(fits) != 1:
+            raise UserError(f"{path}: has no single robot {name!r}; {nearest(name, known)}")
+        known = [name] if name in fits else fits
+    found = [(robot, _rl_sar(path, tables[robot], kinds[robot][0])) for robot in known]
+    for robot, one in found[1:]:
         if set(one.entries) != set(found[0][1].entries):
+            first = found[0][0]
+            remedy = f"name one: {path}:{robot if first == _TOP else first}"
             raise UserError(
-                f"{path}: has several robots, {found[0][0]} and {name}, whose gains differ; give a"
-                " file with one of them"
+                f"{path}: has several robots, {first} and {robot}, whose gains differ; {remedy}"
             )
     return found[0][1] if found else None
 

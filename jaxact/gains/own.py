@@ -10,7 +10,7 @@ from pathlib import Path
 
 from jaxact.errors import UserError, shown
 from jaxact.gains.deployment import number
-from jaxact.gains.table import FORCE_HIGH, FORCE_LOW, READ, Entry, GainFile
+from jaxact.gains.table import FORCE_HIGH, FORCE_LOW, READ, Entry, GainFile, tell_shadowed
 from jaxact.parameters import DELAY, FORCE_LIMIT, KD, KP, PARAMETERS, canonical
 
 # What a position actuator may act on in place of a joint.
@@ -52,6 +52,8 @@ def toml(path: Path, text: str) -> GainFile:
         for name, table in tables.items()
         for key, value in table.items()
     )
+    for name, table in tables.items():
+        tell_shadowed(f"{path}: {name}", table)
     others = {name: canonical(name) for name, table in document.items() if isinstance(table, dict)}
     left = [name for name, own in others.items() if own in PARAMETERS and own not in READ]
     notes = (f"not taken, to be given as parameters: {', '.join(left)}",) if left else ()

@@ -15,7 +15,7 @@ from jaxact.gains import (
     python_source,
     simulator_dump,
 )
-from jaxact.gains.table import GainFile
+from jaxact.gains.table import GainFile, split
 
 # Name of a format -> what a file of it looks like.
 FORMATS = {
@@ -41,13 +41,13 @@ def read(file: str | Path) -> GainFile:
     """The gains that a file has.
 
     Args:
-        file: its path; of a Python source with several configurations, or an env.yaml with several
+        file: its path; of a Python source with several configurations, or a YAML file with several
             robots, followed by `:` and the name of one, such as `unitree.py:UNITREE_GO2_CFG`.
 
     Raises:
         UserError: there is no such file, it is of no known format, or what it says makes no sense.
     """
-    path, name = _split(file)
+    path, name = split(file)
     try:
         policy = path.suffix == ".onnx"
         if path.stat().st_size > _MOST_BYTES * (25 if policy else 1):
@@ -68,7 +68,8 @@ def read(file: str | Path) -> GainFile:
         raise UserError(f"{path}: is not UTF-8 text; save it as UTF-8") from None
     if name is not None and path.suffix not in (".py", ".yaml", ".yml"):
         raise UserError(
-            f"{path}:{name}: only a Python source and an env.yaml have named configurations"
+            f"{path}:{name}: only a Python source and an env.yaml or rl_sar's config.yaml have"
+            " named configurations"
         )
     if text.lstrip().startswith("<"):
         return own.mjcf(path, text)
@@ -77,20 +78,12 @@ def read(file: str | Path) -> GainFile:
     return own.toml(path, text) if path.suffix == ".toml" else _from_yaml(path, text, name)
 
 
-def _split(file: str | Path) -> tuple[Path, str | None]:
-    """The path, and the name behind a colon where the whole is not a file."""
-    text = str(file)
-    before, colon, after = text.rpartition(":")
-    dotted = all(one.isidentifier() for one in after.split("."))
-    if colon and dotted and not Path(text).exists():
-        return Path(before), after
-    return Path(text), None
-
-
 def _from_yaml(path: Path, text: str, name: str | None) -> GainFile:
     document = simulator_dump.load(path, text)
     if name is not None:
-        return simulator_dump.named(path, document, name)
+        tables = document if isinstance(document, Mapping) else {}
+        found = deployment.rl_sar(path, tables, name)
+        return found or simulator_dump.named(path, document, name)
     if isinstance(document, Mapping):
         for known in _YAML:
             found = known(path, document)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from jaxact.errors import UserError, shown
+from jaxact.errors import InexactWarning, UserError, shown
 from jaxact.parameters import FORCE_LIMIT, KD, KP
 
 Keys = Literal["name", "part", "pattern", "place", "motor"]
@@ -17,6 +18,7 @@ Keys = Literal["name", "part", "pattern", "place", "motor"]
 of a joint's name counts), regular expressions that match a name in full, places among the driven
 joints from 0, which must be as many, or numbers of motors, which are the first such places."""
 
+_PLAIN = re.compile(r"[\w-]+")  # a name, and no pattern of several
 # The drive's parameters that such files have.
 READ = (KP, KD, FORCE_LIMIT)
 # Ends of a joint's range of force where it differs by direction; called as in `robots.robot.Joint`.
@@ -53,7 +55,8 @@ class GainFile:
         entries: its numbers.
         keys: what their keys are.
         notes: what else it says, which gains do not carry, and what had to be assumed.
-        later_wins: where several entries are for one joint, the last counts; else it is a mistake.
+        later_wins: where several entries are for one joint, the last counts; else, and where keys
+            are names, it is a mistake.
     """
 
     path: Path
@@ -74,6 +77,35 @@ class GainFile:
                 )
 
 
+def tell_shadowed(parameter: str, patterns: Iterable[str]) -> None:
+    """Warn of patterns of a table that change nothing, as a later one has all of their joints.
+
+    That is known without the joints of a name, and of whatever comes before `.*`.
+
+    Args:
+        parameter: that the table is of.
+        patterns: its keys in their order, of which the last that matches a joint counts.
+    """
+    listed = list(map(str, patterns))
+    for place, first in enumerate(listed):
+        for later in listed[place + 1 :]:
+            if later == ".*" or (_PLAIN.fullmatch(first) and _has(later, first)):
+                warnings.warn(
+                    f"{parameter}: {shown(first)} changes nothing, since {shown(later)} comes later"
+                    " and has its joints as well; exchange them",
+                    InexactWarning, stacklevel=4,
+                )  # fmt: skip
+                break
+
+
+def _has(pattern: str, name: str) -> bool:
+    """Whether a pattern matches a name; one that is none is refused elsewhere."""
+    try:
+        return re.fullmatch(pattern, name) is not None
+    except re.error:
+        return False
+
+
 @dataclass(frozen=True)
 class Matched:
     """The numbers of a file, joint by joint.
@@ -91,6 +123,20 @@ class Matched:
     without: tuple[str, ...]
     partly: Mapping[str, tuple[str, ...]]
     notes: tuple[str, ...]
+
+
+_NAME = re.compile(r"[\w-]+([./][\w-]+)*")  # of a configuration, or of one of rl_sar's robots
+
+
+def split(file: str | Path) -> tuple[Path, str | None]:
+    """The path of a file, and the name behind a colon where the whole is not a file."""
+    text = str(file)
+    before, colon, after = text.rpartition(":")
+    if not colon or not _NAME.fullmatch(after) or Path(text).exists():
+        return Path(text), None
+    if "/" in after and Path(before).suffix not in (".yaml", ".yml"):  # a folder's name, rather
+        return Path(text), None
+    return Path(before), after
 
 
 def matched(file: GainFile, joints: Sequence[tuple[str, str]]) -> Matched:
@@ -115,13 +161,14 @@ def matched(file: GainFile, joints: Sequence[tuple[str, str]]) -> Matched:
         meant = {_id(one): _alike(one, joints) for one in file.entries}
         if any(meant.values()):
             notes.append("its names have no, or another, ending `_joint` than the model's")
+    exclusive = file.keys == "name" or not file.later_wins
     found: dict[str, dict[str, float]] = {}
     by: dict[tuple[str, str], Entry] = {}
     for one in file.entries:
         for name in meant[_id(one)]:
             before = by.get((one.parameter, name))
-            if before is not None and not file.later_wins and before.value != one.value:
-                raise UserError(_conflict(file.path, name, before, one))
+            if before is not None and exclusive and before.value != one.value:
+                raise UserError(_conflict(file, name, before, one))
             by[one.parameter, name] = one
             found.setdefault(one.parameter, {})[name] = one.value
     names = [name for name, _ in joints]
@@ -139,15 +186,18 @@ def matched(file: GainFile, joints: Sequence[tuple[str, str]]) -> Matched:
     return Matched(found, tuple(unmatched), tuple(without), partly, tuple(notes))
 
 
-def _conflict(path: Path, joint: str, first: Entry, second: Entry) -> str:
+def _conflict(file: GainFile, joint: str, first: Entry, second: Entry) -> str:
+    path = file.path
     if first.robot != second.robot:
         return (
             f"{path}: has several robots, {first.robot} and {second.robot}, that both give"
             f" {first.parameter} of {joint}; name one: {path}:{first.robot}"
         )
+    named = file.keys == "name"  # of the joint itself, and of its actuator
+    remedy = "leave one of them out" if named else "make the patterns exclude each other"
     return (
         f"{path}: {shown(first.key)} and {shown(second.key)} both give {first.parameter} of"
-        f" {joint}; make the patterns exclude each other"
+        f" {joint}; {remedy}"
     )
 
 

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from jaxact.errors import UserError, nearest, shown
+from jaxact.gains.table import tell_shadowed
 from jaxact.loops.checks import JOINT_ONLY
 from jaxact.parameters import (
     ALIASES,
@@ -71,6 +72,7 @@ def read(given: Mapping[str, Any], *, robot: bool, unit: str | None = None) -> d
             for pattern, own in value.items():
                 key = f"{short}@{pattern}"
                 values |= {key: _checked(key, own, key, robot=robot, unit=unit)}
+            tell_shadowed(short, value)
         else:
             said = INERTIA if name == INERTIA else short
             values[short] = _checked(short, value, said, robot=robot, unit=unit)

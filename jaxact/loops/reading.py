@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from jaxact import engines
 from jaxact.errors import UserError, nearest, shown
+from jaxact.gains import table as gains_table
 from jaxact.loops import anew, checks, drives, toml
 from jaxact.loops.axes import read_axis
 from jaxact.loops.drives import DRIVE
@@ -31,6 +32,7 @@ from jaxact.loops.specification import (
 )
 from jaxact.parameters import (
     INERTIA,
+    MASS,
     PARAMETERS,
     SHARED,
     as_number,
@@ -57,10 +59,10 @@ def load(path: Path, overrides: Sequence[str] = (), drive: Path | None = None) -
         UserError: it names the file or the override, the key, what was given, what is allowed.
     """
     try:
-        document = _canonical(toml.read(path))
+        document = _canonical(given := toml.read(path))
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
-    overridden = _overridden(document, overrides)
+    overridden = _overridden(document, overrides, _has_inertia(given))
     document |= {} if drive is None else {DRIVE: str(drive.resolve())}
     try:
         return _checked(document, path.parent)
@@ -80,17 +82,25 @@ def parse(text: str, folder: Path = Path(), overrides: Sequence[str] = ()) -> Sp
     Raises:
         UserError: as `load`.
     """
-    document = _canonical(toml.loads(text))
-    _overridden(document, overrides)
+    document = _canonical(given := toml.loads(text))
+    _overridden(document, overrides, _has_inertia(given))
     return _checked(document, folder)
 
 
-def _overridden(document: dict[str, Any], overrides: Sequence[str]) -> list[str]:
-    """Apply overrides to a document; the full keys that they went to."""
+def _overridden(document: dict[str, Any], overrides: Sequence[str], rotary: bool) -> list[str]:
+    """Apply overrides to a document, rotary if it has an inertia; the keys that they went to."""
     try:
-        return [_apply(document, override) for override in overrides]
+        keys = []
+        for override in overrides:
+            keys.append(_apply(document, override))
+            key = override.partition("=")[0]
+            words = re.findall(r"\w+", override if key.strip() in SECTIONS else key)
+            rotary = INERTIA in words or (rotary and MASS not in map(canonical, words))
+        if rotary and document.get("unit") == "m":
+            raise UserError("unit=m: an inertia is of a rotary joint; leave it out, or give mass")
     except UserError as error:
         raise UserError(f"--set {error}") from None
+    return keys
 
 
 def _checked(document: Mapping[str, Any], folder: Path) -> Specification:
@@ -117,7 +127,7 @@ def _canonical(document: Mapping[str, Any]) -> dict[str, Any]:
     if "unit" in _keys(result.get("parameters")):  # said among the parameters, as on a command line
         own = dict(result["parameters"])
         result |= {"unit": own.pop("unit"), "parameters": own}
-    _say_rotary(result, (key for name in SECTIONS[:2] for key in _keys(result.get(name))))
+    _say_rotary(result, _has_inertia(result))
     for section in SECTIONS[:2]:
         table = result.get(section, {})
         if not isinstance(table, dict):
@@ -128,13 +138,18 @@ def _canonical(document: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
+def _has_inertia(document: Mapping[str, Any]) -> bool:
+    """Whether a document says inertia where it could say mass."""
+    return any(INERTIA in _keys(document.get(section)) for section in SECTIONS[:2])
+
+
 def _keys(table: Any) -> tuple[str, ...]:
     return tuple(table) if isinstance(table, dict) else ()
 
 
-def _say_rotary(document: dict[str, Any], keys: Iterable[str]) -> None:
+def _say_rotary(document: dict[str, Any], inertia: bool) -> None:
     """An inertia given for the mass says that the joint is rotary."""
-    if INERTIA not in tuple(keys):
+    if not inertia:
         return
     if "plant" in document:
         raise UserError("inertia: only for a single joint; a robot's inertias are its model's")
@@ -151,6 +166,7 @@ def _named(section: str, table: Mapping[str, Any]) -> dict[str, Any]:
         spread = {name: value}
         if isinstance(value, dict) and name in PARAMETERS and section == "parameters":
             spread = {f"{name}@{pattern}": inner for pattern, inner in value.items()}
+            gains_table.tell_shadowed(name, value)
         for key, inner in spread.items():
             if key in named:
                 raise UserError(f"{section}.{given}: the same parameter is given twice; remove one")
@@ -170,7 +186,7 @@ def _apply(document: dict[str, Any], override: str) -> str:
         keys = [section, rest] if dot and section in SECTIONS[:2] else [given.strip()]
     if keys == ["damping"] and value in ("joint", "drive"):
         raise UserError(f"{shown(override)}: of a robot, write it as plant.damping={value}")
-    _say_rotary(document, keys)
+    _say_rotary(document, INERTIA in keys)
     if len(keys) == 1 and keys[0] not in (*OPTIONS, *SECTIONS, DRIVE):
         name = canonical(keys[0])
         if not known(name) and name != "actuator":
@@ -292,11 +308,10 @@ def _plant(table: Any, folder: Path) -> Plant:
 
 def _gains(given: Any, folder: Path) -> str:
     """A file of gains, perhaps with the name of one of its configurations behind a colon."""
-    if isinstance(given, str) and not (folder / given).is_file():
-        before, colon, name = given.rpartition(":")
-        if colon and name.isidentifier():
-            return f"{_file(before, folder, 'plant.gains', 'a file of gains')}:{name}"
-    return str(_file(given, folder, "plant.gains", "a file of gains"))
+    name = gains_table.split(folder / given)[1] if isinstance(given, str) else None
+    if name is None:
+        return str(_file(given, folder, "plant.gains", "a file of gains"))
+    return f"{_file(given[: -len(name) - 1], folder, 'plant.gains', 'a file of gains')}:{name}"
 
 
 def _patterns(given: Any) -> tuple[str, ...]:

@@ -28,9 +28,9 @@ def model_of(actuator):
     return mujoco.MjModel.from_xml_string(text)
 
 
-def built(model, parameters=(), gains=None):
+def built(model, parameters=(), gains=None, damping="joint"):
     return environment_drive.build(
-        model, "env", dict(parameters), joints=(".*",), gains=gains, damping="joint",
+        model, "env", dict(parameters), joints=(".*",), gains=gains, damping=damping,
         velocity="sampled", each_joint=False,
     )  # fmt: skip
 
@@ -78,6 +78,26 @@ def test_what_a_drive_took_over_is_a_motor(actuator):
     gear = model.actuator_gear[0, 0]
     for control, clamped in ((3.0, 3.0), (-9.0, -4.0)):
         assert force(model, control, 0.1) == pytest.approx(gear * clamped)
+
+
+@pytest.mark.parametrize("scale", (1.0, 0.5))
+@pytest.mark.parametrize("servo", ('velocity kv="3"', 'position kp="8" kv="3"'))
+def test_damping_in_the_drive_asks_for_the_force_of_servo_and_joint(servo, scale):
+    """As MuJoCo adds up both: a servo's speed is one against the joint's damping."""
+    model = model_of(f'<{servo} joint="hip" gear="-2"/>')
+    model.dof_damping[0], data = 0.7, mujoco.MjData(model)
+    drive = built(model, {"gain_scale": scale}, damping="drive")
+    values = drive.values(np.zeros(0), model)
+    asked = drive.setpoint(model, np.array([0.3]), np)
+    for velocity in (0.0, 0.9):
+        data.ctrl[0], data.qpos[0], data.qvel[0] = 0.3, 0.1, velocity
+        mujoco.mj_forward(model, data)
+        found = values["kp"] * (asked.position - 0.1) + values["kd"] * (asked.velocity - velocity)
+        both = data.qfrc_actuator + data.qfrc_damper
+        np.testing.assert_allclose(found, scale * both, rtol=1e-6)
+    # a kd that is given is that of the servo's speed
+    plain = built(model, {"kd": 2.0}, damping="drive").setpoint(model, np.array([0.3]), np)
+    np.testing.assert_allclose(plain.velocity, [-0.15 if "vel" in servo else 0.0], rtol=1e-12)
 
 
 def test_a_pids_other_inputs_are_refused():

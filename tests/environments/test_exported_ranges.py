@@ -128,6 +128,11 @@ try:
     drive.Drive(late, 0.001, 1, 1, "cpu")
 except ValueError as error:
     said["late"] = str(error)
+made = drive.Drive(drive.DriveParameters(), 0.001, 3, 2, "cpu")
+try:
+    made.step(*[torch.zeros(3, 2)] * 6, torch.zeros(2), torch.zeros(3, 2))
+except ValueError as error:
+    said["shape"] = str(error)
 good = [eval(one) for one in json.loads(sys.argv[3])]
 [drive.Drive(drive.DriveParameters(**one), 0.001, 2, 2, "cpu") for one in good]
 print(json.dumps([forces, said]))
@@ -136,6 +141,8 @@ BAD = {
     "{'delay': -0.01}": "delay = -0.01 is out of range; give at least 0",
     "{'delay': float('nan')}": "delay = nan; give a number",
     "{'delay': float('inf')}": "delay = inf is infinite",
+    "{'delay': 11}": "delay = 11 is out of range; give at most 10 [s]",
+    "{'setpoint_delay': (0.0, 8.0e2)}": "setpoint_delay = (0.0, 800.0) is out of range; give at",
     "{'delay': (0.008, 0.002)}": "ends below where it begins",
     "{'delay': (0.001, 0.002, 0.003)}": "give a number, or a range",
     "{'delay': (0.001,)}": "give a number, or a range",
@@ -178,7 +185,8 @@ def test_torch_clamps_as_the_model_does_and_refuses_what_no_drive_has(model):
     expected = [np.clip(hip, -2, 40), np.clip(knee, -9, 9)]
     np.testing.assert_allclose(forces, expected, rtol=1e-5)
     assert (np.abs(expected[0]) == 2).any() and expected[0].max() == 32.0
-    assert {**dict.fromkeys(BAD, ""), "late": ""}.keys() == said.keys()
+    assert {*BAD, "late", "shape"} == said.keys()
+    assert said["shape"].startswith("position has shape (2,); that of this drive is (3, 2), env")
     for bad, words in BAD.items():
         assert words in said[bad] and "\n" not in said[bad]
 

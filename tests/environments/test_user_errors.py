@@ -201,3 +201,21 @@ def test_an_environment_of_gymnasium_can_be_pickled():
     expected = stepped(env)
     again = pickle.loads(pickle.dumps(env))
     np.testing.assert_array_equal(stepped(again), expected)
+
+
+@pytest.mark.parametrize(
+    "felt",
+    [{"gain_scale": (0.5, 1.5)}, {"measurement_delay": 4e-3}, {"position_noise": {"hip": 1e-3}},
+     {"velocity_filter": 90.0, "velocity": "differenced"}],
+)  # fmt: skip
+def test_what_changes_nothing_of_motors_is_refused(felt):
+    """Their forces are what the policy asks for, whatever a sensor of the drive would see."""
+    name = next(iter(felt))
+    said(lambda: environments.playground(Hinge(), **felt), f"`{name}`: changes nothing, as motors")
+    said(lambda: environments.gymnasium(gym.make("InvertedPendulum-v5"), **{
+        key: value if key != "position_noise" else 1e-3 for key, value in felt.items()
+    }), f"`{name}`: changes nothing, as motors")  # fmt: skip
+    for more in ({"kd": 0.5}, {"damping": "drive"}):
+        assert environments.playground(Hinge(), **felt, **more).drive
+    for servo in ("position", "velocity"):
+        assert environments.playground(Hinge(servo), **felt).drive

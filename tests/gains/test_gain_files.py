@@ -252,10 +252,11 @@ def test_written_configurations_are_python(model, kind):
 def test_a_name_that_is_part_of_another_does_not_take_its_gains(model, tmp_path):
     """left_hip is part of left_hip_roll."""
     loop = jx.robot(
-        model, kp={"left_hip_joint": 1.0, ".*": 2.0, "left_hip_roll_joint": 3.0}, kd=0.1
+        model, kp={".*": 2.0, "left_hip_joint": 1.0, "left_hip_roll_joint": 3.0}, kd=0.1
     )
     jx.export(loop, "legged-gym", tmp_path / "c.py")
-    assert gains_of(model, tmp_path / "c.py")["left_hip_roll_joint"][0] == 3.0
+    found = gains_of(model, tmp_path / "c.py")
+    assert (found["left_hip_joint"][0], found["left_hip_roll_joint"][0]) == (1.0, 3.0)
 
 
 @pytest.mark.exhaustive

@@ -74,6 +74,17 @@ def test_several_servos_of_a_joint_are_refused(tmp_path):
         read(tmp_path, rows)
 
 
+def test_a_joint_named_by_itself_and_by_its_actuator_is_refused(tmp_path):
+    """Neither servo has the gains of the joint, on which both would act."""
+    servo = '<position name="knee_servo" kp="%g" kv="0.2"/>'
+    joints = [("hip", "hip_servo"), ("knee", "knee_servo")]
+    words = "'knee' and 'knee_servo' both give kp of knee; leave one of them out"
+    with pytest.raises(UserError, match=words):
+        matched(read(tmp_path, KNEE + servo % 5), joints)
+    for rows in (servo % 3 + KNEE, servo % 3):  # the same twice, or once
+        assert matched(read(tmp_path, rows), joints).parameters[KP] == {"knee": 3.0}
+
+
 def test_what_is_not_taken_is_said(tmp_path):
     row = (
         '<position joint="hip" kp="3" kv="0.2" ctrlrange="-1 1" timeconst="0.05"/><motor name="b"/>'

@@ -7,6 +7,7 @@ import pytest
 from jaxact.errors import UserError
 from jaxact.gains import reading
 from jaxact.gains.table import matched
+from jaxact.loops.reading import parse
 
 NAMES = ("left_hip", "left_roll", "left_knee", "right_knee")
 KP, KD, LIMIT = (10.5, 20.5, 30.5, 40.5), (1.0, 2.0, 3.0, 4.0), (11.0, 22.0, 33.0, 44.0)
@@ -137,9 +138,31 @@ def test_tables_of_rl_sar_that_differ_are_refused(tmp_path):
     file.write_text(f"{table}\n{table.replace('robot/', 'other/')}")
     assert reading.read(file).entries == reading.read(_alone(file, table)).entries
     file.write_text(f"{table}\n{table.replace('robot/', 'other/').replace('30.5', '31')}")
-    words = "has several robots, robot/policy and other/policy, whose gains differ; give a file"
-    with pytest.raises(UserError, match=words):
+    words = "has several robots, robot/policy and other/policy, whose gains differ; name one: "
+    with pytest.raises(UserError, match=f"{words}{file}:robot/policy$"):
         reading.read(file)
+
+
+def test_one_of_the_robots_of_rl_sar_is_named(tmp_path, monkeypatch):
+    """In full or by the last part of its name, in a specification too."""
+    file, table = tmp_path / "config.yaml", _rl_sar(range(4))
+    other = table.replace("robot/policy", "29dof/other-one").replace("30.5", "31")
+    file.write_text(f"{table}\n{other}")
+    alone = [reading.read(_alone(file, one)).entries for one in (table, other)]
+    for name in ("robot/policy", "policy"):
+        assert reading.read(f"{file}:{name}").entries == alone[0]
+    for name in ("29dof/other-one", "other-one"):
+        assert reading.read(f"{file}:{name}").entries == alone[1]
+    for name in ("robot", "policies", "scene.robot"):
+        with pytest.raises(UserError, match=f"has no single robot '{name}'; .*robot/policy"):
+            reading.read(f"{file}:{name}")
+    monkeypatch.chdir(tmp_path)  # what is a path and not a name stays one
+    with pytest.raises(UserError, match="one:two/three.toml: No such file"):
+        reading.read("one:two/three.toml")
+    (tmp_path / "legs.xml").write_text("<mujoco/>")
+    text = '[plant]\nmodel = "legs.xml"\ngains = "config.yaml:29dof/other-one"\n[axes]\nkp = [1]\n'
+    plant = parse(text, tmp_path).plant
+    assert plant is not None and reading.read(plant.gains).entries == alone[1]
 
 
 def _alone(file, text):

@@ -9,6 +9,7 @@ from jaxact.environments.gain_formats import JointGains, text
 from jaxact.errors import UserError
 from jaxact.gains import reading
 from jaxact.gains.table import matched
+from jaxact.loops.reading import parse
 
 JOINTS = [("hip", "hip"), ("knee", "knee")]
 ROBOT = """{init_state: {joint_pos: {.*: 0.1}}, actuators: {legs: {joint_names_expr: ['%s'],
@@ -45,6 +46,17 @@ def test_one_of_several_robots_is_named(tmp_path):
         kp(f"{write(tmp_path, 'kps: [1]', 'gym.yaml')}:robot")
     with pytest.raises(UserError, match="only a Python source and an env.yaml"):
         kp(f"{write(tmp_path, '[kp]', 'gains.toml')}:robot")
+
+
+def test_a_specification_names_one_of_them_too(tmp_path):
+    file = write(tmp_path, ENV + f"  robot2: {ROBOT % ('.*', 40.0)}\n")
+    write(tmp_path, "<mujoco/>", "legs.xml")
+    text = '[plant]\nmodel = "legs.xml"\ngains = "env.yaml:%s"\n[axes]\nkp = [1]\n'
+    plant = parse(text % "scene.robot2", tmp_path).plant
+    assert plant is not None and plant.gains == f"{file}:scene.robot2"
+    assert kp(plant.gains) == {"hip": 40.0, "knee": 40.0}
+    with pytest.raises(UserError, match="plant.gains = 'other.yaml': no such file"):
+        parse(text.replace("env.yaml", "other.yaml") % "scene.robot2", tmp_path)
 
 
 def test_robots_with_other_joints_or_the_same_gains_need_no_name(tmp_path):

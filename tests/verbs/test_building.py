@@ -59,7 +59,7 @@ def test_replacing_keeps_the_rest():
 
 
 def test_gains_that_are_not_one_number_are_not_told_as_one():
-    robot = jx.robot(QUADRUPED / "quadruped.xml", keyframe="stand", kp={".*KFE": 500, ".*": 600})
+    robot = jx.robot(QUADRUPED / "quadruped.xml", keyframe="stand", kp={".*": 600, ".*KFE": 500})
     with pytest.raises(AttributeError, match=r"kp: not one number .*joints\.kp has each joint's"):
         _ = robot.kp
     assert jx.robot(QUADRUPED / "quadruped.xml", keyframe="stand", kp=600, kd=3).kp == 600

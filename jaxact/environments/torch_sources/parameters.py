@@ -97,6 +97,7 @@ class DriveParameters:
 
 
 VELOCITIES = ("sampled", "differenced")
+LONGEST_DELAY = 10.0  # [s]
 # What may be of either sign; everything else is at least 0, and above it if it is among the next.
 SIGNED = (
     "feedforward", "position_bias", "velocity_bias", "lowest_force", "highest_force",
@@ -126,3 +127,5 @@ def _check_number(name: str, value: Any) -> None:
     default = {one.name: one.default for one in fields(DriveParameters)}[name]
     if any(map(math.isinf, ends)) and (ends[0] != ends[-1] or ends[0] != default):
         raise ValueError(f"{name} = {value!r} is infinite; give a finite number or range")
+    if name.endswith("delay") and ends[-1] > LONGEST_DELAY:
+        raise ValueError(f"{name} = {value!r} is out of range; give at most {LONGEST_DELAY:g} [s]")

@@ -21,6 +21,9 @@ import torch
 from jaxact.environments.torch_sources.force_loop import followed, free_response, part_rows
 from jaxact.environments.torch_sources.parameters import DriveParameters
 
+# What a step gets, in its order.
+SIGNALS = ("setpoint", "setpoint_velocity", "effort", "position", "velocity")
+
 
 class Drive:
     """The drives of some joints of all environments, stepped once per physics step.
@@ -179,7 +182,11 @@ class Drive:
 
         Returns:
             The mean force over the step, and what it would be without limits.
+
+        Raises:
+            ValueError: a signal is not of these environments and joints.
         """
+        self._check_shapes((setpoint, setpoint_velocity, effort, position, velocity))
         known, state = self._tables, self._state
         self._measure(position, velocity)
         kp, kd = known["gain_scale"] * kp, known["gain_scale"] * kd
@@ -204,6 +211,15 @@ class Drive:
         self._place = torch.remainder(self._place + 1, self.substeps)
         state["position"], state["velocity"] = position.clone(), velocity.clone()
         return mean, free
+
+    def _check_shapes(self, signals: tuple[torch.Tensor, ...]) -> None:
+        """Raise ValueError for a signal that would be broadcast, or be of other joints."""
+        for name, value in zip(SIGNALS, signals, strict=True):
+            if value.shape != self._like.shape:
+                raise ValueError(
+                    f"{name} has shape {tuple(value.shape)}; that of this drive is"
+                    f" {tuple(self._like.shape)}, environments and joints"
+                )
 
     def _bounds(
         self, limit: torch.Tensor, velocity: torch.Tensor
