@@ -50,7 +50,7 @@ def test_a_command_imports_no_slow_package_but_what_it_uses(command, used):
     assert imported(*command) == used
 
 
-@pytest.mark.parametrize("verb", ["margins", "sweep", "tune"])
+@pytest.mark.parametrize("verb", ["margins", "render", "simulate", "status", "sweep", "tune"])
 def test_help_does_without_what_computes(verb):
     assert imported(verb, "--help", asked={"numpy", "pydantic"}) == set()
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-
 from jaxact.cli import _arguments, _files
 from jaxact.cli._arguments import option, typed
 from jaxact.errors import UserError
@@ -82,6 +80,8 @@ def run(
                    **changes)  # fmt: skip
     theme.write(replay_sheet(found), out, title="jaxact: a drive over a log")
     if csv is not None:
+        import numpy as np
+
         columns = found.columns()
         table, header = np.column_stack(list(columns.values())), ",".join(columns)
         text = {"fmt": "%.9g", "delimiter": ",", "header": header, "comments": ""}

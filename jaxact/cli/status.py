@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 from tyro.conf import Positional, arg
 
 from jaxact.cli import _warnings
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from jaxact.sweeping.location import Entry
 
 
@@ -97,6 +98,8 @@ def _of_rounds(entries: Mapping[str, Entry], owner: str) -> None:
 
 def _of_time(written: np.ndarray, done: int, left: int) -> None:
     """Rate and time left, from when the chunks were written; pauses do not count."""
+    import numpy as np
+
     from jaxact.sweeping.progress import duration
 
     gaps = np.diff(written)
