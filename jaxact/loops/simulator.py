@@ -104,6 +104,8 @@ jax.tree_util.register_dataclass(
 
 def as_numbers(value: Any) -> jax.Array | None:
     """A real number, or an array or list of them, as an array of floats; None for anything else."""
+    if isinstance(value, str):  # older JAX takes it for the name of a type
+        return None
     try:
         array = jnp.asarray(value)
     except (TypeError, ValueError, OverflowError):
