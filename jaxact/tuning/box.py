@@ -31,6 +31,7 @@ from jaxact.parameters import (
     canonical,
     check,
     known,
+    mass_word,
     of,
 )
 
@@ -240,7 +241,8 @@ def inside(
         own = given.get(one.name, defaults.get(one.name))
         if own is not None and one.leaves_out(1.0 if one.factor else float(own)):
             if one.name in given:
-                raise UserError(f"`uncertainty` {one.name}: {_left_out(one, float(own), unit)}")
+                said = mass_word(unit) if one.name == MASS else one.name
+                raise UserError(f"`uncertainty` {said}: {_left_out(one, float(own), unit)}")
             middle = 0.5 * (one.low + one.high)
             if not one.factor:
                 found[one.name] = middle
@@ -254,12 +256,13 @@ def inside(
 def _left_out(one: Range, own: float, joint: str | None) -> str:
     name, unit = base(one.name), of(base(one.name), joint).unit
     ends = f"{one.low:g} to {one.high:g}"
+    said = mass_word(joint) if name == MASS else name
     certified = "so that what is certified would not hold for the loop with its new gains"
     if one.factor:
-        return f"a factor of {ends} leaves out 1, the loop's own {name}, {certified}"
+        return f"a factor of {ends} leaves out 1, the loop's own {said}, {certified}"
     return (
         f"{ends} {unit} leaves out the loop's own {own:g} {unit}, {certified}; give a value of "
-        f"{name} within, or the ends as factors, 0.8x..1.2x"
+        f"{said} within, or the ends as factors, 0.8x..1.2x"
     )
 
 

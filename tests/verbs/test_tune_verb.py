@@ -111,6 +111,13 @@ def test_what_makes_no_sense_is_refused(loop, given, said):
         jx.tune(loop, **given)
 
 
+def test_a_range_of_inertia_is_said_to_be_one():
+    joint = jx.joint(inertia=0.05, actuator="hyq", delay=2e-3)
+    said = "`uncertainty` inertia: 0.8 to 1.2 kg m.* 0.05 kg m.*; give a value of inertia within"
+    with pytest.raises(UserError, match=said):
+        jx.tune(joint, max_peak=1.6, uncertainty={"inertia": (0.8, 1.2)})
+
+
 @pytest.mark.exhaustive
 def test_a_tuned_joint_is_among_those_certified():
     box = {"mass": (2.0, 3.0), "delay": (1e-3, 3e-3)}
